@@ -1,0 +1,81 @@
+"""The LiDAR as data: how many rays, where they point, how far they reach."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarsim.pose import rotate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lidar:
+    """A spinning LiDAR of `rows` x `columns` rays, all from one point, without lever arm to the body.
+
+    Ray (r, c) has, in the sensor frame (x forward, y left, z up), elevation from ``-vertical_fov / 2`` (r = 0) to
+    ``+vertical_fov / 2``, both ends included, and azimuth from ``-horizontal_fov / 2`` (c = 0) counter-clockwise; a full
+    turn leaves its end out, a narrower field includes it. The defaults are the paper's sensor: 4 degrees
+    between lines, 3 degrees between columns.
+    """
+
+    rows: int = 16
+    """Lines, one elevation each."""
+    columns: int = 120
+    """Rays a line, one azimuth each."""
+    vertical_fov_deg: float = 60.0
+    """Angle between the lowest and the highest line, degrees."""
+    horizontal_fov_deg: float = 360.0
+    """Angle swept in azimuth, degrees."""
+    pitch_deg: float = 30.0
+    """How far the sensor looks down from the body's forward axis, degrees; see `mount`."""
+    max_range_m: float = 10.0
+    """Farthest return, metres; nothing is returned beyond."""
+    mount: Literal["tilt", "band"] = "tilt"
+    """`tilt`: the sensor is turned nose down as a rigid body, so forward rays look down and rear rays up.
+    `band`: every ray's elevation is lowered by the pitch instead, the same all around."""
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns"):
+            if int(getattr(self, name)) != getattr(self, name) or getattr(self, name) < 1:
+                raise ValueError(f"lidar: {name} = {getattr(self, name)} must be a whole number of at least 1")
+        for name, low, high in (
+            ("vertical_fov_deg", 0.0, 180.0),
+            ("horizontal_fov_deg", 0.0, 360.0),
+            ("pitch_deg", -90.0, 90.0),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"lidar: {name} = {value} must lie in [{low:g}, {high:g}] degrees")
+        if not (np.isfinite(self.max_range_m) and self.max_range_m > 0):
+            raise ValueError(f"lidar: max_range_m = {self.max_range_m} must be a positive length in metres")
+        if self.mount not in ("tilt", "band"):
+            raise ValueError(f"lidar: mount = {self.mount!r} must be 'tilt' or 'band'")
+
+    @cached_property
+    def directions_body(self) -> NDArray[np.float64]:
+        """Unit vectors (rows, columns, 3) in the body frame."""
+        elevation = _spread(self.vertical_fov_deg, self.rows, closed=True)
+        azimuth = _spread(self.horizontal_fov_deg, self.columns, closed=self.horizontal_fov_deg < 360.0)
+        if self.mount == "band":
+            elevation = elevation - self.pitch_deg
+        e, a = np.meshgrid(np.radians(elevation), np.radians(azimuth), indexing="ij")
+        directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
+        if self.mount == "tilt":
+            half = np.radians(self.pitch_deg) / 2
+            directions = rotate([np.cos(half), 0.0, np.sin(half), 0.0], directions)
+        directions.setflags(write=False)
+        return directions
+
+    def directions(self, quaternion: ArrayLike) -> NDArray[np.float64]:
+        """Unit vectors (rows, columns, 3) in the world for a body at attitude `quaternion` (4,), w x y z."""
+        return rotate(quaternion, self.directions_body)
+
+
+def _spread(fov_deg: float, count: int, *, closed: bool) -> NDArray[np.float64]:
+    """`count` angles over a field of view around zero, degrees; a single one looks straight ahead."""
+    if count == 1:
+        return np.zeros(1)
+    step = fov_deg / (count - 1 if closed else count)
+    return -fov_deg / 2 + step * np.arange(count)

@@ -1,0 +1,51 @@
+"""Where a body is and how it is turned."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A body's position and attitude in the world frame (z up). Raises ValueError for a quaternion of no length."""
+
+    position: NDArray[np.float64]
+    """(3,), metres."""
+    quaternion: NDArray[np.float64]
+    """(4,), w x y z, unit length, as MuJoCo writes it: takes body coordinates to world coordinates."""
+
+    def __post_init__(self) -> None:
+        for name, size in (("position", 3), ("quaternion", 4)):
+            value = np.array(getattr(self, name), dtype=np.float64)
+            if value.shape != (size,) or not np.isfinite(value).all():
+                raise ValueError(f"pose: {name} = {value} must be {size} finite numbers")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        length = float(np.sqrt((self.quaternion**2).sum()))
+        if abs(length - 1.0) > 1e-6:
+            raise ValueError(f"pose: quaternion has length {length:g}, expected 1 (w x y z)")
+
+    @classmethod
+    def level(cls, position: ArrayLike, yaw_rad: float = 0.0) -> "Pose":
+        """A body held level, turned by `yaw_rad` about the vertical, counter-clockwise seen from above."""
+        half = 0.5 * yaw_rad
+        return cls(np.asarray(position, dtype=np.float64), np.array([np.cos(half), 0.0, 0.0, np.sin(half)]))
+
+
+def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
+    """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z.
+
+    Written out term by term, so that the result does not depend on which BLAS is installed.
+    """
+    w, x, y, z = np.asarray(quaternion, dtype=np.float64)
+    v = np.asarray(vectors, dtype=np.float64)
+    vx, vy, vz = v[..., 0], v[..., 1], v[..., 2]
+    return np.stack(
+        [
+            (1 - 2 * (y * y + z * z)) * vx + 2 * (x * y - w * z) * vy + 2 * (x * z + w * y) * vz,
+            2 * (x * y + w * z) * vx + (1 - 2 * (x * x + z * z)) * vy + 2 * (y * z - w * x) * vz,
+            2 * (x * z - w * y) * vx + 2 * (y * z + w * x) * vy + (1 - 2 * (x * x + y * y)) * vz,
+        ],
+        axis=-1,
+    )

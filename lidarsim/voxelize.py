@@ -1,0 +1,133 @@
+"""A scan becomes two grids: the voxels that hold returns, and the voxels that rays crossed."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.grid import GridSpec
+from lidarsim.jit import kernel
+from lidarsim.scan import Scan
+
+TOUCH_M = 1e-9
+"""A ray meets a voxel with positive length when that length exceeds this: rounding at edges and corners is less."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedGrid:
+    """What one scan tells about a grid. A voxel neither free nor observed is unknown."""
+
+    observed: NDArray[np.bool_]
+    """(*shape): holds at least one return."""
+    free: NDArray[np.bool_]
+    """(*shape): not observed, and some ray's segment, from the sensor to its return or to the sensor's range,
+    meets it with positive length."""
+    origin: NDArray[np.float64]
+    """(3,): the grid's least corner in the world, metres."""
+
+
+def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = None) -> ObservedGrid:
+    """Sort a scan into `grid`, centred on the sensor unless its least corner `origin` (3,) is given.
+
+    Returns outside the grid are dropped; the rays that led to them still clear the voxels on their way. Free space is
+    found by walking every ray from voxel boundary to voxel boundary (Amanatides and Woo 1987), not by sampling.
+    """
+    position = scan.pose.position
+    origin = grid.origin_at(position) if origin is None else np.asarray(origin, dtype=np.float64)
+    directions = np.ascontiguousarray(scan.lidar.directions(scan.pose.quaternion)).reshape(-1, 3)
+    observed = np.zeros(grid.shape, dtype=np.bool_)
+    free = np.zeros(grid.shape, dtype=np.bool_)
+    _walk(
+        position, directions, scan.ranges.reshape(-1), scan.lidar.max_range_m, origin, grid.voxel_m, observed, free
+    )
+    return ObservedGrid(observed, free, origin)
+
+
+@kernel
+def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, free):  # type: ignore[no-untyped-def]
+    """Mark `free` along every ray and `observed` at its end."""
+    nx, ny, nz = observed.shape
+    for ray in range(len(ranges)):
+        end = float(ranges[ray]) if math.isfinite(ranges[ray]) else max_range_m
+        _clear(position, directions[ray], end, origin, voxel_m, free)
+    for ray in range(len(ranges)):
+        if math.isfinite(ranges[ray]):
+            reach = float(ranges[ray])
+            i = int(math.floor((position[0] + reach * directions[ray, 0] - origin[0]) / voxel_m))
+            j = int(math.floor((position[1] + reach * directions[ray, 1] - origin[1]) / voxel_m))
+            k = int(math.floor((position[2] + reach * directions[ray, 2] - origin[2]) / voxel_m))
+            if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+                observed[i, j, k] = True
+                free[i, j, k] = False
+
+
+@kernel
+def _slab(start, direction, count, voxel_m):  # type: ignore[no-untyped-def]
+    """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it enters and leaves."""
+    if direction == 0.0:
+        inside = 0 <= start < count
+        return 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
+    pace = voxel_m / direction
+    first, last = (0 - start) * pace, (count - start) * pace
+    return pace, min(first, last), max(first, last)
+
+
+@kernel
+def _enter(start, t, pace, count):  # type: ignore[no-untyped-def]
+    """The voxel's number along one axis at distance `t`, the boundary ahead of it, and where the ray crosses that."""
+    if pace == 0.0:
+        return int(math.floor(start)), 0.0, math.inf
+    at = min(max(int(math.floor(start + t / pace)), 0), count - 1)
+    ahead = float(at + 1 if pace > 0.0 else at)
+    return at, ahead, (ahead - start) * pace
+
+
+@kernel
+def _clear(position, direction, end, origin, voxel_m, free):  # type: ignore[no-untyped-def]
+    """Mark the voxels that the segment of length `end` from `position` along `direction` meets.
+
+    Every crossing is computed from its boundary's own number, never by adding up steps, so that errors do not grow.
+    """
+    nx, ny, nz = free.shape
+    sx, sy, sz = (position[0] - origin[0]) / voxel_m, (position[1] - origin[1]) / voxel_m, (position[2] - origin[2]) / voxel_m
+    px, in_x, out_x = _slab(sx, direction[0], nx, voxel_m)
+    py, in_y, out_y = _slab(sy, direction[1], ny, voxel_m)
+    pz, in_z, out_z = _slab(sz, direction[2], nz, voxel_m)
+    t = max(max(in_x, in_y), max(in_z, 0.0))
+    leave = min(min(out_x, out_y), min(out_z, end))
+    if not leave - t > TOUCH_M:
+        return
+    i, bx, tx = _enter(sx, t, px, nx)
+    j, by, ty = _enter(sy, t, py, ny)
+    k, bz, tz = _enter(sz, t, pz, nz)
+    ux, uy, uz = math.copysign(1.0, px), math.copysign(1.0, py), math.copysign(1.0, pz)
+    dx, dy, dz = int(ux) * ny * nz, int(uy) * nz, int(uz)
+    cell = (i * ny + j) * nz + k
+    flat = free.reshape(-1)
+    while True:
+        if tx < ty:
+            if tx < tz:
+                at, move = tx, dx
+                bx += ux
+                tx = (bx - sx) * px
+            else:
+                at, move = tz, dz
+                bz += uz
+                tz = (bz - sz) * pz
+        elif ty < tz:
+            at, move = ty, dy
+            by += uy
+            ty = (by - sy) * py
+        else:
+            at, move = tz, dz
+            bz += uz
+            tz = (bz - sz) * pz
+        if at >= leave:
+            if leave - t > TOUCH_M:
+                flat[cell] = True
+            return
+        if at - t > TOUCH_M:
+            flat[cell] = True
+            t = at
+        cell += move

@@ -1,0 +1,3 @@
+"""What exists: from a seed to a world, its truth, a flight through it, samples, and a dataset on disk."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,133 @@
+"""How far a point or a straight motion stays from the solids of a world: the collision check of the flights."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.jit import kernel
+from scenegen.truth.shapes import distance
+from scenegen.truth.solids import Solids
+from scenegen.truth.triangles import crossing, triangle_distance
+
+CELL_M = 2.0
+"""Edge of the square cells, seen from above, into which solids are sorted."""
+CAP_M = 1.0
+"""Distances are known exactly up to this; beyond it they count as this."""
+STEP_M = 1e-3
+"""Shortest step of a motion check, hence how much closer than asked a solid may be between two steps."""
+
+
+class Clearance:
+    """Distances to the solids of one world within a box.
+
+    Solids are sorted into cells of the plan, so that a query looks at a handful of them only.
+    """
+
+    def __init__(self, solids: Solids, bounds: NDArray[np.float64]):
+        """`bounds` (2, 3): least and greatest corner of where queries will come from, world metres."""
+        low, high = bounds[0, :2], bounds[1, :2]
+        self._low = low
+        self._cells = np.maximum(np.ceil((high - low) / CELL_M).astype(np.int64), 1)
+        corners = solids.triangles
+        lower = np.concatenate([solids.lower, corners.min(axis=1)])[:, :2] - CAP_M
+        upper = np.concatenate([solids.upper, corners.max(axis=1)])[:, :2] + CAP_M
+        first = np.clip(np.floor((lower - low) / CELL_M), 0, self._cells).astype(np.int64)
+        last = np.clip(np.floor((upper - low) / CELL_M), -1, self._cells - 1).astype(np.int64)
+        start, item = _sort_into_cells(first, last, self._cells)
+        owner = np.repeat(np.arange(len(solids.mesh_filled)), np.diff(solids.mesh_start))
+        self._arguments = (
+            low,
+            self._cells,
+            start,
+            item,
+            solids.shape,
+            solids.size,
+            solids.position,
+            solids.rotation,
+            solids.triangles,
+            owner,
+            solids.mesh_filled,
+        )
+
+    def at(self, x: float, y: float, z: float) -> float:
+        """Distance in metres from a point to the nearest solid, at most `CAP_M`; 0 inside one."""
+        return float(_clearance(x, y, z, *self._arguments))
+
+    def motion_is_free(self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float) -> bool:
+        """Whether a ball of `radius_m` (below `CAP_M`) moved straight from `p` to `q` stays clear of every solid.
+
+        Walks by the distance still free, which no solid can undercut, in steps of at least `STEP_M`.
+        """
+        return bool(_motion_is_free(p, q, radius_m, self._arguments))
+
+
+@kernel
+def _sort_into_cells(first, last, cells):  # type: ignore[no-untyped-def]
+    """Compressed rows: item[start[c]:start[c + 1]] are the elements that reach into cell c, in rising order."""
+    start = np.zeros(cells[0] * cells[1] + 1, np.int64)
+    for sweep in range(2):
+        if sweep == 1:
+            start = np.cumsum(start)
+            item = np.empty(start[-1], np.int64)
+            filled = start[:-1].copy()
+        for n in range(len(first)):
+            for i in range(first[n, 0], last[n, 0] + 1):
+                for j in range(first[n, 1], last[n, 1] + 1):
+                    cell = i * cells[1] + j
+                    if sweep == 0:
+                        start[cell + 1] += 1
+                    else:
+                        item[filled[cell]] = n
+                        filled[cell] += 1
+    return start, item
+
+
+@kernel
+def _clearance(x, y, z, low, cells, start, item, shape, size, position, rotation, triangles, owner, filled):  # type: ignore[no-untyped-def]
+    i = min(max(int(math.floor((x - low[0]) / CELL_M)), 0), cells[0] - 1)
+    j = min(max(int(math.floor((y - low[1]) / CELL_M)), 0), cells[1] - 1)
+    cell = i * cells[1] + j
+    nearest = CAP_M
+    mesh, winding = -1, 0
+    for at in range(start[cell], start[cell + 1]):
+        n = item[at]
+        if n < len(shape):
+            dx, dy, dz = x - position[n, 0], y - position[n, 1], z - position[n, 2]
+            r = rotation[n]
+            d = distance(
+                shape[n],
+                size[n],
+                r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz,
+                r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz,
+                r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz,
+            )
+            nearest = min(nearest, d)
+        else:
+            t = triangles[n - len(shape)]
+            m = owner[n - len(shape)]
+            nearest = min(nearest, triangle_distance(t[0], t[1], t[2], x, y, z))
+            if m != mesh:
+                if winding != 0:
+                    return 0.0
+                mesh, winding = m, 0
+            if filled[m]:
+                sign, height = crossing(t[0], t[1], t[2], x, y)
+                if sign != 0 and height > z:
+                    winding += sign
+    return 0.0 if winding != 0 else nearest
+
+
+@kernel
+def _motion_is_free(p, q, radius, arguments):  # type: ignore[no-untyped-def]
+    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    t = 0.0
+    while True:
+        s = min(t / length, 1.0) if length > 0.0 else 1.0
+        free = _clearance(p[0] + s * dx, p[1] + s * dy, p[2] + s * dz, *arguments) - radius
+        if free < 0.0:
+            return False
+        if s >= 1.0:
+            return True
+        t = min(t + max(free, STEP_M), length)

@@ -1,0 +1,218 @@
+"""Build a dataset: plan its shards, find those that are there, have the rest written, and sign the whole."""
+
+import math
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scenegen.dataset import manifest
+from scenegen.dataset.files import disk_error, remove_drafts
+from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
+from scenegen.dataset.workers import run
+from scenegen.errors import DatasetError
+from scenegen.recipe import Recipe
+from scenegen.source import SPLITS, Source
+
+FULL_BYTES, COMPACT_BYTES = 80_000, 13_000
+"""About what a sample of the default grid takes on disk, for the check of free space."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A dataset to be: all its parameters, and its shards."""
+
+    folder: Path
+    parameters: dict[str, Any]
+    shards: tuple[ShardSpec, ...]
+
+    @property
+    def samples(self) -> int:
+        """In all splits."""
+        return sum(shard.samples for shard in self.shards)
+
+    @property
+    def bytes_expected(self) -> int:
+        """A rough size on disk."""
+        voxels = math.prod(self.parameters["grid"]["shape"])
+        each = FULL_BYTES if "tudf" in self.parameters["fields"] else COMPACT_BYTES
+        return int(self.samples * each * voxels / (80 * 80 * 40))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """What a run did, and what is there now."""
+
+    folder: Path
+    complete: bool
+    samples: dict[str, int]
+    worlds: dict[str, int]
+    rejected: dict[str, dict[str, int]]
+    bytes: int
+    shards: int
+    shards_missing: int
+    samples_written: int
+    digest: str | None
+
+
+def plan_dataset(
+    folder: Path,
+    recipe: Recipe,
+    source: Source,
+    *,
+    seed: int,
+    counts: Mapping[str, int],
+    compact: bool = False,
+    shard_samples: int = 100,
+) -> Plan:
+    """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units."""
+    given = manifest.parameters(
+        recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples
+    )
+    fingerprint = manifest.fingerprint(given)
+    each = recipe.flight.viewpoints
+    step = max(shard_samples // each, 1)
+    shards = []
+    for split in SPLITS:
+        units = math.ceil(counts[split] / each)
+        for index, first in enumerate(range(0, units, step)):
+            here = min(step, units - first)
+            shards.append(
+                ShardSpec(
+                    folder=folder,
+                    split=split,
+                    index=index,
+                    first_unit=first,
+                    units=here,
+                    samples=min(here * each, counts[split] - first * each),
+                    seed=seed,
+                    compact=compact,
+                    parameters=fingerprint,
+                    recipe=recipe,
+                    source=source,
+                )
+            )
+    return Plan(folder=folder, parameters=given, shards=tuple(shards))
+
+
+def build(
+    plan: Plan,
+    *,
+    workers: int = 1,
+    shard_range: tuple[int, int] | None = None,
+    force: bool = False,
+    on_shard: Callable[[ShardReport, bool], None] = lambda report, fresh: None,
+) -> Summary:
+    """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
+
+    `on_shard` is told of every shard that is there (False) or was written (True). A run that ends in any way leaves whole
+    shards, and the next one goes on from there. The manifest is signed complete by the run that finds every shard.
+    Raises DatasetError for a folder that holds something else, and what writing shards raises.
+    """
+    first, stop = shard_range or (0, len(plan.shards))
+    _open_folder(plan, force=force)
+    reports: dict[Path, ShardReport] = {}
+    for shard in plan.shards:
+        report = read_report(shard)
+        if report is not None:
+            reports[shard.file] = report
+            on_shard(report, False)
+    missing = [shard for shard in plan.shards[first:stop] if shard.file not in reports]
+    _check_space(plan, missing)
+    written = 0
+    for report in run(write_shard, missing, workers):
+        reports[plan.folder / report.file] = report
+        written += report.samples
+        on_shard(report, True)
+    for shard in plan.shards:  # those that other runs wrote meanwhile
+        if shard.file not in reports and (late := read_report(shard)) is not None:
+            reports[shard.file] = late
+    ordered = [reports[shard.file] for shard in plan.shards if shard.file in reports]
+    final = manifest.assemble(plan.parameters, ordered, complete=len(ordered) == len(plan.shards))
+    manifest.write(plan.folder, final)
+    return _summarise(plan, ordered, final, written)
+
+
+def check_folder(plan: Plan, *, force: bool = False) -> None:
+    """Raise DatasetError unless the plan's folder is free, or holds this dataset, or, with `force`, another one."""
+    folder = plan.folder
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: is a file, expected a folder; choose another one with --out")
+    if not (folder / manifest.NAME).exists():
+        others = [item.name for item in folder.iterdir() if not item.name.endswith(".tmp")]
+        if others:
+            raise DatasetError(
+                f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another folder with --out"
+            )
+        return
+    there = manifest.read(folder)
+    differing = manifest.differences({name: there.get(name) for name in plan.parameters}, plan.parameters)
+    if differing and not force:
+        more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
+        raise DatasetError(
+            f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose another folder with --out, or "
+            "replace it with --force"
+        )
+
+
+def _open_folder(plan: Plan, *, force: bool) -> None:
+    """Make the folder ready to take the plan's shards. Nothing in it is touched unless it is this dataset's or `force`."""
+    check_folder(plan, force=force)
+    folder = plan.folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_drafts(folder)
+    except OSError as error:
+        raise disk_error(folder, error) from None
+    replace = force and (folder / manifest.NAME).exists()
+    if replace or not (folder / manifest.NAME).exists():
+        # the new manifest comes first: shards that carry another fingerprint are not taken for its own
+        manifest.write(folder, manifest.assemble(plan.parameters, [], complete=False))
+    if replace:
+        for split in SPLITS:
+            for pattern in (f"{split}-[0-9]*.h5", f"{split}-[0-9]*.worlds.zip"):
+                for file in folder.glob(pattern):
+                    file.unlink()
+
+
+def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
+    """Raise DatasetError where the disk clearly cannot hold what is to be written."""
+    if not missing:
+        return
+    needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
+    free = shutil.disk_usage(plan.folder).free
+    if needed > free:
+        raise DatasetError(
+            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free; free some space, use "
+            "--compact, or choose another disk with --out"
+        )
+    if not os.access(plan.folder, os.W_OK):
+        raise DatasetError(f"{plan.folder}: no permission to write there; choose another folder with --out")
+
+
+def _summarise(plan: Plan, reports: list[ShardReport], final: Mapping[str, Any], written: int) -> Summary:
+    samples: Counter[str] = Counter()
+    worlds: dict[str, set[int]] = {split: set() for split in SPLITS}
+    for report in reports:
+        samples[report.split] += report.samples
+    for shard in plan.shards:
+        worlds[shard.split].update(
+            shard.source.number(shard.split, unit)[0] for unit in range(shard.first_unit, shard.first_unit + shard.units)
+        )
+    return Summary(
+        folder=plan.folder,
+        complete=final["complete"],
+        samples={split: samples[split] for split in SPLITS},
+        worlds={split: len(worlds[split]) for split in SPLITS},
+        rejected=final["rejected"],
+        bytes=sum(report.bytes for report in reports),
+        shards=len(plan.shards),
+        shards_missing=len(plan.shards) - len(reports),
+        samples_written=written,
+        digest=final["digest"],
+    )

@@ -1,0 +1,133 @@
+"""The manifest, `dataset.json`: everything needed to read, check and regenerate a dataset."""
+
+import dataclasses
+import hashlib
+import json
+import platform
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from lidarsim import GridSpec, Lidar
+from scenegen import __version__
+from scenegen.dataset.files import write_whole
+from scenegen.dataset.shard import ShardReport, stored_fields
+from scenegen.errors import DatasetError
+from scenegen.recipe import Recipe
+from scenegen.source import SPLITS, Source
+
+NAME = "dataset.json"
+FORMAT = "scenegen-dataset"
+VERSION = 1
+PACKAGES = ("mujoco", "ompl", "numpy", "numba", "isal", "h5py", "trimesh")
+"""What the numbers, or the bytes, depend on besides scenegen itself."""
+
+
+def parameters(
+    recipe: Recipe, source: Source, *, seed: int, counts: Mapping[str, int], compact: bool, shard_samples: int
+) -> dict[str, Any]:
+    """The part of the manifest that is known before anything is drawn, and decides everything after."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "kind": recipe.kind,
+        "seed": seed,
+        "counts": {split: counts[split] for split in SPLITS},
+        "recipe": _plain(recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})),
+        "fields": list(stored_fields(compact)),
+        "grid": {
+            "shape": list(recipe.grid.shape),
+            "voxel": recipe.grid.voxel_m,
+            "truncation": recipe.grid.truncation_m,
+        },
+        "lidar": _plain(dataclasses.asdict(recipe.lidar)),
+        "shard_samples": shard_samples,
+        "software": software(),
+    }
+
+
+def software() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    found = {"scenegen": __version__, "machine": platform.machine()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "absent"
+    return found
+
+
+def fingerprint(given: Mapping[str, Any]) -> str:
+    """A digest of `parameters`, the same for the same dataset."""
+    return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+
+
+def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """Where two sets of parameters differ: "name: there, asked", nested names joined by dots."""
+    found = []
+    for name in [*there, *(name for name in asked if name not in there)]:
+        old, new = there.get(name, "absent"), asked.get(name, "absent")
+        if isinstance(old, dict) and isinstance(new, dict):
+            found += differences(old, new, f"{prefix}{name}.")
+        elif old != new:
+            found.append(f"{prefix}{name} is {json.dumps(old)} there, {json.dumps(new)} asked for")
+    return found
+
+
+def assemble(given: Mapping[str, Any], reports: Iterable[ShardReport], *, complete: bool) -> dict[str, Any]:
+    """The manifest of the shards reported, in order."""
+    reports = list(reports)
+    worlds: Counter[str] = Counter()
+    viewpoints: Counter[str] = Counter()
+    for report in reports:
+        worlds.update(report.rejected.worlds)
+        viewpoints.update(report.rejected.viewpoints)
+    digest = hashlib.sha256(b"".join(report.digests for report in reports)).hexdigest()
+    return {
+        **given,
+        "complete": complete,
+        "shards": [report.entry() for report in reports],
+        "rejected": {"worlds": dict(sorted(worlds.items())), "viewpoints": dict(sorted(viewpoints.items()))},
+        "digest": digest if complete else None,
+    }
+
+
+def write(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Replace the manifest of `folder`."""
+    write_whole(folder / NAME, (json.dumps(manifest, indent=1) + "\n").encode())
+
+
+def read(folder: Path) -> dict[str, Any]:
+    """The manifest of `folder`. Raises DatasetError where it has none that this version can read."""
+    path = folder / NAME
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DatasetError(f"{folder}: not a dataset, it has no {NAME}; make one with `scenegen generate`") from None
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: cannot be read: {error}") from None
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
+    if manifest.get("version") != VERSION:
+        raise DatasetError(
+            f"{path}: format version {manifest.get('version')}, this scenegen reads {VERSION}; install a matching scenegen"
+        )
+    return manifest
+
+
+def grid_of(manifest: Mapping[str, Any]) -> GridSpec:
+    """The grid of a dataset."""
+    grid = manifest["grid"]
+    return GridSpec(shape=tuple(grid["shape"]), voxel_m=grid["voxel"], truncation_m=grid["truncation"])
+
+
+def lidar_of(manifest: Mapping[str, Any]) -> Lidar:
+    """The sensor of a dataset."""
+    return Lidar(**manifest["lidar"])
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON would give it back."""
+    return json.loads(json.dumps(value))

@@ -1,0 +1,120 @@
+"""Read a dataset: samples by split and number, with what was left out derived, and the worlds they come from."""
+
+import zipfile
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, overload
+
+import h5py
+import numpy as np
+
+from scenegen.dataset import manifest
+from scenegen.errors import DatasetError
+from scenegen.sample import Sample, derive_free, derive_tudf
+
+
+class Dataset:
+    """A dataset folder, opened for reading.
+
+    ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field. Raises DatasetError for a
+    folder that holds none, or, unless `partial`, an incomplete one.
+    """
+
+    def __init__(self, folder: Path | str, *, partial: bool = False):
+        self.folder = Path(folder)
+        self.manifest = manifest.read(self.folder)
+        if not (self.manifest["complete"] or partial):
+            raise DatasetError(
+                f"{self.folder}: incomplete; give the command that made it again to go on where it was"
+            )
+        self.grid = manifest.grid_of(self.manifest)
+        self.lidar = manifest.lidar_of(self.manifest)
+
+    def split(self, name: str) -> "Split":
+        """The samples of a split: train, val or test."""
+        return Split(self, name)
+
+    def world(self, split: str, number: int) -> dict[str, bytes]:
+        """World `number` of `split`: its MJCF under ``world.xml``, and the files that it refers to by their names.
+
+        Raises DatasetError where there is no such world.
+        """
+        member = f"{number:06d}.xml"
+        for shard in self.manifest["shards"]:
+            if shard["split"] != split or shard["first_world"] > number:
+                continue
+            with zipfile.ZipFile(self._file(shard["worlds"])) as archive:
+                names = archive.namelist()
+                if member in names:
+                    document = archive.read(member)
+                    others = [name for name in names if not name.endswith(".xml") and name.encode() in document]
+                    return {"world.xml": document} | {name: archive.read(name) for name in others}
+        raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
+
+    def _file(self, name: str) -> Path:
+        path = self.folder / name
+        if Path(name).name != name or not path.is_file():
+            raise DatasetError(f"{path}: is missing, though {manifest.NAME} lists it; copy the dataset again, or generate it")
+        return path
+
+
+class Split(Sequence[Sample]):
+    """The samples of one split, in order. Files are opened when first read, and anew in every process that reads."""
+
+    def __init__(self, dataset: Dataset, name: str):
+        self.dataset = dataset
+        self.name = name
+        self._shards = [shard for shard in dataset.manifest["shards"] if shard["split"] == name]
+        self._start = np.cumsum([0, *(shard["samples"] for shard in self._shards)])
+        self._open: dict[int, h5py.File] = {}
+
+    def __len__(self) -> int:
+        return int(self._start[-1])
+
+    @overload
+    def __getitem__(self, index: int) -> Sample: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Sample]: ...
+    def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
+        if isinstance(index, slice):
+            return [self[n] for n in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"sample {index} of {len(self)} in {self.dataset.folder}, split {self.name}")
+        index %= len(self)
+        shard = int(np.searchsorted(self._start, index, side="right")) - 1
+        return self._read(self._shard(shard), index - int(self._start[shard]))
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[n] for n in range(len(self)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open": {}}
+
+    def _shard(self, number: int) -> h5py.File:
+        if number not in self._open:
+            path = self.dataset._file(self._shards[number]["file"])
+            try:
+                self._open[number] = h5py.File(path, "r")
+            except OSError as error:
+                raise DatasetError(f"{path}: is damaged ({error}); copy the dataset again, or generate it") from None
+        return self._open[number]
+
+    def _read(self, file: h5py.File, row: int) -> Sample:
+        stored = {name: file[name][row] for name in self.dataset.manifest["fields"]}
+        grid, lidar = self.dataset.grid, self.dataset.lidar
+        if "free" not in stored:
+            pose = {name: stored[name] for name in ("ranges", "position", "quaternion", "origin")}
+            stored["free"] = derive_free(**pose, lidar=lidar, grid=grid)
+        if "tudf" not in stored:
+            stored["tudf"] = derive_tudf(stored["occupancy"], grid=grid)
+        return Sample(**stored)
+
+    @cached_property
+    def names(self) -> list[tuple[str, int, int]]:
+        """Who is who: (split, world, viewpoint) of every sample."""
+        found = []
+        for number in range(len(self._shards)):
+            file = self._shard(number)
+            found += [(self.name, int(w), int(v)) for w, v in zip(file["world"][:], file["viewpoint"][:], strict=True)]
+        return found

@@ -1,0 +1,224 @@
+"""A shard: the unit of work, of writing and of recovery. One file of samples and one archive of their worlds."""
+
+import hashlib
+import io
+import json
+import zipfile
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import isal.isal_zlib
+import numpy as np
+
+from scenegen.dataset.files import write_whole
+from scenegen.draw import Rejections, Unit, draw_unit
+from scenegen.recipe import Recipe
+from scenegen.sample import SCHEMA, Sample, shape_of
+from scenegen.source import Source
+
+DIGEST = "sha256"
+"""Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
+_LEVEL = 1
+"""Of compression: the next one is three times slower and saves a tenth."""
+
+
+@dataclass(frozen=True)
+class ShardSpec:
+    """All that one shard depends on; small, and can be pickled, so that any process anywhere can write it."""
+
+    folder: Path
+    split: str
+    index: int
+    """The shard's place within its split."""
+    first_unit: int
+    units: int
+    samples: int
+    """Samples in the shard: those of its units, in order, cut to this."""
+    seed: int
+    compact: bool
+    """Leave out what can be derived."""
+    parameters: str
+    """Digest of the manifest's parameters; written into the shard, so that it is never taken for another dataset's."""
+    recipe: Recipe
+    source: Source
+
+    @property
+    def file(self) -> Path:
+        """Where the samples go."""
+        return self.folder / f"{self.split}-{self.index:05d}.h5"
+
+    @property
+    def worlds_file(self) -> Path:
+        """Where the worlds go."""
+        return self.folder / f"{self.split}-{self.index:05d}.worlds.zip"
+
+
+@dataclass(frozen=True, eq=False)
+class ShardReport:
+    """What the manifest needs to know about a shard on disk."""
+
+    file: str
+    worlds: str
+    split: str
+    samples: int
+    first_world: int
+    sha256: str
+    worlds_sha256: str
+    bytes: int
+    rejected: Rejections
+    digests: bytes
+    """The samples' own SHA-256s, 32 bytes each, in order."""
+
+    def entry(self) -> dict[str, Any]:
+        """The shard's entry in the manifest."""
+        names = ("file", "worlds", "split", "samples", "first_world", "sha256", "worlds_sha256")
+        return {name: getattr(self, name) for name in names}
+
+
+def stored_fields(compact: bool) -> tuple[str, ...]:
+    """Names of the fields that a dataset stores."""
+    return tuple(name for name, meta in SCHEMA.items() if not (compact and meta["derived"]))
+
+
+def write_shard(spec: ShardSpec) -> ShardReport:
+    """Draw a shard's units and write it: the worlds first, then the samples, which commit it. Pure but for these files.
+
+    Raises GenerationError, DatasetError.
+    """
+    content = _ShardContent(spec)
+    for unit in range(spec.first_unit, spec.first_unit + spec.units):
+        content.add(
+            draw_unit(spec.source, spec.recipe, seed=spec.seed, split=spec.split, unit=unit, derived=not spec.compact)
+        )
+    worlds = content.worlds()
+    write_whole(spec.worlds_file, worlds)
+    samples = content.samples()
+    write_whole(spec.file, samples)
+    return ShardReport(
+        file=spec.file.name,
+        worlds=spec.worlds_file.name,
+        split=spec.split,
+        samples=spec.samples,
+        first_world=content.first_world,
+        sha256=hashlib.sha256(samples).hexdigest(),
+        worlds_sha256=hashlib.sha256(worlds).hexdigest(),
+        bytes=len(samples) + len(worlds),
+        rejected=content.rejected,
+        digests=content.digests,
+    )
+
+
+def read_report(spec: ShardSpec) -> ShardReport | None:
+    """The report of a shard that is on disk already, or None where there is none that `spec` describes."""
+    try:
+        samples, worlds = spec.file.read_bytes(), spec.worlds_file.read_bytes()
+        with h5py.File(io.BytesIO(samples), "r") as file:
+            if file.attrs["parameters"] != spec.parameters or len(file["world"]) != spec.samples:
+                return None
+            rejected = json.loads(file.attrs["rejected"])
+            return ShardReport(
+                file=spec.file.name,
+                worlds=spec.worlds_file.name,
+                split=spec.split,
+                samples=spec.samples,
+                first_world=int(file.attrs["first_world"]),
+                sha256=hashlib.sha256(samples).hexdigest(),
+                worlds_sha256=hashlib.sha256(worlds).hexdigest(),
+                bytes=len(samples) + len(worlds),
+                rejected=Rejections(Counter(rejected["worlds"]), Counter(rejected["viewpoints"])),
+                digests=file[DIGEST][()].tobytes(),
+            )
+    except (OSError, KeyError, ValueError):
+        return None
+
+
+class _ShardContent:
+    """A shard being made, in memory: a few megabytes, whatever the dataset's size."""
+
+    def __init__(self, spec: ShardSpec):
+        self.rejected = Rejections()
+        self.digests = b""
+        self._spec = spec
+        self._documents: dict[str, bytes] = {}
+        self._numbers: list[int] = []
+        self._count = 0
+        self._file = h5py.File(spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20)
+        grid, lidar = spec.recipe.grid, spec.recipe.lidar
+        for name in stored_fields(spec.compact):
+            shape = shape_of(name, grid, lidar)
+            packed = SCHEMA[name]["axes"] in ("grid", "rays")
+            self._file.create_dataset(
+                name,
+                shape=(spec.samples, *shape),
+                dtype=SCHEMA[name]["dtype"],
+                chunks=(1, *shape),
+                compression="gzip" if packed else None,
+                compression_opts=_LEVEL if packed else None,
+            )
+        self._small: dict[str, list[Any]] = {
+            name: [] for name in stored_fields(spec.compact) if SCHEMA[name]["axes"] not in ("grid", "rays")
+        }
+
+    @property
+    def first_world(self) -> int:
+        """Least number of the shard's worlds."""
+        return min(self._numbers)
+
+    def add(self, unit: Unit) -> None:
+        """Take in a unit's world and its samples, as many as the shard still holds."""
+        self.rejected.worlds.update(unit.rejected.worlds)
+        self.rejected.viewpoints.update(unit.rejected.viewpoints)
+        self._numbers.append(unit.number)
+        self._documents[f"{unit.number:06d}.xml"] = unit.world.mjcf
+        self._documents.update(unit.world.assets)
+        for sample in unit.samples[: self._spec.samples - self._count]:
+            self._add_sample(sample)
+
+    def _add_sample(self, sample: Sample) -> None:
+        for name in stored_fields(self._spec.compact):
+            value = getattr(sample, name)
+            if name in self._small:
+                self._small[name].append(value)
+            else:
+                packed = isal.isal_zlib.compress(np.ascontiguousarray(value), _LEVEL)
+                self._file[name].id.write_direct_chunk((self._count,) + (0,) * value.ndim, packed)
+        self.digests += sample.sha256()
+        self._count += 1
+
+    def samples(self) -> bytes:
+        """The finished HDF5 file."""
+        for name, values in self._small.items():
+            self._file[name][:] = np.array(values)
+        digests = np.frombuffer(self.digests, np.uint8).reshape(-1, 32)
+        self._file.create_dataset(DIGEST, data=digests, chunks=(1, 32))
+        self._file.attrs["split"] = self._spec.split
+        self._file.attrs["first_world"] = self.first_world
+        self._file.attrs["parameters"] = self._spec.parameters
+        self._file.attrs["rejected"] = json.dumps(
+            {"worlds": self.rejected.worlds, "viewpoints": self.rejected.viewpoints}, sort_keys=True
+        )
+        self._file.flush()
+        image = self._file.id.get_file_image()
+        self._file.close()
+        return image
+
+    def worlds(self) -> bytes:
+        """The finished archive: members sorted, dates and attributes fixed."""
+        return zip_reproducibly(self._documents.items())
+
+
+def zip_reproducibly(members: Iterable[tuple[str, bytes]]) -> bytes:
+    """A zip file whose bytes depend on its members alone."""
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w") as archive:
+        for name, content in sorted(members):
+            member = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+            member.compress_type = zipfile.ZIP_DEFLATED
+            member.create_system = 3
+            member.external_attr = 0o644 << 16
+            archive.writestr(member, content, compresslevel=6)
+    return memory.getvalue()

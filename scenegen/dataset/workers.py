@@ -1,0 +1,56 @@
+"""Local processes that write shards, and end with their parent whatever ends it."""
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from scenegen.errors import GenerationError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def run(function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
+    """Results of `function` over `tasks`, as they come; in this process where one worker is enough.
+
+    Raises GenerationError where a worker is killed, and whatever `function` raises. No process is left behind.
+    """
+    tasks = list(tasks)
+    if workers == 1 or len(tasks) <= 1:
+        yield from map(function, tasks)
+        return
+    # forked workers share the compiled kernels and the imports; elsewhere forking is not safe
+    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
+    pool = ProcessPoolExecutor(min(workers, len(tasks)), context, _enter, (os.getpid(),))
+    try:
+        for future in as_completed([pool.submit(function, task) for task in tasks]):
+            yield future.result()
+    except BrokenProcessPool:
+        raise GenerationError(
+            "a worker process was killed (out of memory?); finished shards are kept: give the same command again to go "
+            f"on, with fewer --workers than {workers} if it happens again"
+        ) from None
+    finally:
+        for process in multiprocessing.active_children():
+            process.terminate()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _enter(parent: int) -> None:
+    """Make this process end with `parent`, and leave Ctrl-C to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)

@@ -1,0 +1,151 @@
+"""One unit of work: a world is drawn, flown through and scanned, and its samples come out. The whole method is here."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from lidarsim import Pose, Scan, cast, voxelize
+from scenegen.errors import GenerationError
+from scenegen.flight import plan, viewpoints
+from scenegen.recipe import Recipe
+from scenegen.sample import Sample
+from scenegen.source import SPLITS, Source
+from scenegen.truth import distance_field, rasterize
+from scenegen.world import World
+
+
+@dataclass(frozen=True, eq=False)
+class Rejections:
+    """How many draws were not kept, by reason."""
+
+    worlds: Counter[str] = field(default_factory=Counter)
+    viewpoints: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """What one flight gave."""
+
+    number: int
+    """The world's number within its split."""
+    world: World
+    samples: tuple[Sample, ...]
+    rejected: Rejections
+
+
+def draw_unit(source: Source, recipe: Recipe, *, seed: int, split: str, unit: int, derived: bool = True) -> Unit:
+    """Samples of unit `unit` of `split`: they depend on the arguments alone, not on what was drawn before.
+
+    A draw that is rejected is made again under the same number. `derived` False leaves `free` and `tudf` out (empty
+    arrays stand in). Raises GenerationError after `recipe.accept.max_draws` draws.
+    """
+    rejected = Rejections()
+    number, turn = source.number(split, unit)
+    for attempt in range(recipe.accept.max_draws):
+        streams = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
+        world_rng, flight_rng = (np.random.default_rng(stream) for stream in streams)
+        world = source.world(split, number, rng=world_rng)
+        views = _fly(world, recipe, rejected, rng=flight_rng)
+        if views:
+            first = turn * recipe.flight.viewpoints
+            samples = tuple(
+                _sample(world, scan, occupancy, recipe, number, first + n, derived=derived)
+                for n, (scan, occupancy) in enumerate(views)
+            )
+            return Unit(number, world, samples, rejected)
+    raise GenerationError(_hopeless(recipe, rejected, split, number))
+
+
+def _fly(
+    world: World, recipe: Recipe, rejected: Rejections, *, rng: np.random.Generator
+) -> list[tuple[Scan, np.ndarray]] | None:
+    """Scans and occupancies from one flight's viewpoints, in flight order; None, with the reason counted, if the world
+    yields no acceptable flight."""
+    reason = "no_flight"
+    for _ in range(recipe.flight.flights_per_world):
+        path = plan(world.clearance, world.flight_bounds, recipe.flight, rng=rng)
+        if path is None:
+            continue
+        candidates = list(viewpoints(path, recipe.flight.spacing_m, rng=rng))
+        if _solids_nearby(world, candidates, recipe) < recipe.accept.min_solids:
+            reason = "few_solids"
+            break
+        kept: list[tuple[float, Scan, np.ndarray]] = []
+        for flown, pose in candidates:
+            if _apart(pose, kept, recipe.flight.spacing_m):
+                view = _look(world, pose, recipe, rejected)
+                if view is not None:
+                    kept.append((flown, *view))
+            if len(kept) == recipe.flight.viewpoints:
+                return [(scan, occupancy) for _, scan, occupancy in sorted(kept, key=lambda view: view[0])]
+        reason = "few_viewpoints"
+    rejected.worlds[reason] += 1
+    return None
+
+
+def _look(world: World, pose: Pose, recipe: Recipe, rejected: Rejections) -> tuple[Scan, np.ndarray] | None:
+    """The scan and the occupancy at a viewpoint; None, with the reason counted, where there is next to nothing."""
+    scan = cast(world.caster, recipe.lidar, pose)
+    if np.isfinite(scan.ranges).sum() < recipe.accept.min_returns:
+        rejected.viewpoints["few_returns"] += 1
+        return None
+    occupancy = rasterize(world.solids, recipe.grid, recipe.grid.origin_at(pose.position))
+    if occupancy.sum() < recipe.accept.min_occupied:
+        rejected.viewpoints["few_occupied"] += 1
+        return None
+    return scan, occupancy
+
+
+def _sample(
+    world: World, scan: Scan, occupancy: np.ndarray, recipe: Recipe, number: int, viewpoint: int, *, derived: bool
+) -> Sample:
+    """The record of one view: what the scan shows of the grid, and the truth."""
+    seen = voxelize(scan, recipe.grid)
+    return Sample(
+        observed=seen.observed,
+        free=seen.free,
+        occupancy=occupancy,
+        tudf=distance_field(occupancy, recipe.grid) if derived else np.empty(0, np.float32),
+        ranges=scan.ranges,
+        position=scan.pose.position,
+        quaternion=scan.pose.quaternion,
+        origin=seen.origin,
+        world=number,
+        viewpoint=viewpoint,
+    )
+
+
+def _apart(pose: Pose, kept: list[tuple[float, Scan, np.ndarray]], spacing_m: float) -> bool:
+    """Whether a pose keeps the least distance from all kept ones."""
+    return all(((pose.position - scan.pose.position) ** 2).sum() >= spacing_m**2 for _, scan, _ in kept)
+
+
+def _solids_nearby(world: World, candidates: list[tuple[float, Pose]], recipe: Recipe) -> float:
+    """Solids that reach into the map, averaged over a flight's candidate viewpoints."""
+    if not candidates:
+        return 0.0
+    positions = np.array([pose.position for _, pose in candidates])[:, None]
+    half = recipe.grid.extent_m / 2
+    lower, upper = world.solids.boxes
+    inside = (lower < positions + half) & (upper > positions - half)
+    return float(inside.all(axis=2).sum(axis=1).mean())
+
+
+def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> str:
+    """Why no draw was kept, and what to change."""
+    (reason, _) = rejected.worlds.most_common(1)[0]
+    counted = ", ".join(f"{count} {name}" for name, count in rejected.worlds.items())
+    crowding: list[Any] = [] if recipe.world is None else list(recipe.world.crowding)
+    given = ", ".join(f"world.{name} = {getattr(recipe.world, name)}" for name in crowding)
+    advice = {
+        "no_flight": f"no flight fits between the solids: lower {given or 'the clutter'}, or flight.robot_radius_m = "
+        f"{recipe.flight.robot_radius_m}",
+        "few_solids": f"worlds are too empty: raise {given or 'the solids'}, or lower accept.min_solids = "
+        f"{recipe.accept.min_solids}",
+        "few_viewpoints": f"flights give too few viewpoints: lower flight.viewpoints = {recipe.flight.viewpoints}, "
+        f"flight.spacing_m = {recipe.flight.spacing_m}, accept.min_occupied = {recipe.accept.min_occupied} or "
+        f"accept.min_returns = {recipe.accept.min_returns}",
+    }[reason]
+    return f"{split} world {number}: all {sum(rejected.worlds.values())} draws rejected ({counted}); {advice}"

@@ -1,0 +1,155 @@
+"""Flights: OMPL's RRT between a random start and goal, and the viewpoints along the path."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from lidarsim import Pose
+from scenegen.clearance import CAP_M, Clearance
+
+ou.noOutputHandler()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """How a sensor flies through a world, and where along the way it scans."""
+
+    robot_radius_m: float = 0.3
+    """Clearance that every point of a flight keeps, metres."""
+    altitude_m: tuple[float, float] = (1.5, 5.0)
+    """Heights between which flights keep, metres; a world drawn by hand brings its own bounds."""
+    margin_m: float = 8.0
+    """How far flights keep from a drawn world's lateral edges, metres: half a map, so that maps lie in the world."""
+    min_distance_m: float = 10.0
+    """Least distance between start and goal, metres; a third of the flight bounds' diagonal where that is less."""
+    viewpoints: int = 5
+    """Samples a flight gives."""
+    spacing_m: float = 1.0
+    """Least distance between two viewpoints of a flight, metres."""
+    iterations: int = 2000
+    """Iterations after which RRT gives up."""
+    step_m: float = 3.0
+    """Longest edge of the RRT, metres."""
+    goal_tolerance_m: float = 0.5
+    """How near to its goal a flight must end, metres."""
+    flights_per_world: int = 3
+    """Flights tried in one drawn world before it is rejected."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.robot_radius_m < CAP_M:
+            raise ValueError(f"robot_radius_m = {self.robot_radius_m}: expected above 0 and below {CAP_M:g} metres")
+        if len(self.altitude_m) != 2 or not self.altitude_m[0] < self.altitude_m[1]:
+            raise ValueError(f"altitude_m = {list(self.altitude_m)}: expected [low, high] with low < high")
+        for name in ("viewpoints", "iterations", "flights_per_world"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: expected at least 1")
+        for name in ("spacing_m", "step_m", "goal_tolerance_m"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: expected a positive length in metres")
+        for name in ("margin_m", "min_distance_m"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: expected a length of at least 0 metres")
+
+    def bounds(self, size_m: tuple[float, float, float]) -> NDArray[np.float64]:
+        """The box (2, 3) in which flights through a drawn world of extent `size_m` keep.
+
+        Raises ValueError where the margin leaves none.
+        """
+        low, high = self.altitude_m
+        box = np.array([[self.margin_m, self.margin_m, low], [size_m[0] - self.margin_m, size_m[1] - self.margin_m, high]])
+        if not (box[0] < box[1]).all():
+            raise ValueError(f"margin_m = {self.margin_m}: leaves no room to fly in a world of {list(size_m)} metres")
+        return box
+
+
+def plan(
+    clearance: Clearance, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """One collision-free path (n, 3) in world metres between a random start and goal in `bounds` (2, 3), or None.
+
+    RRT (LaValle 1998) as OMPL has it. The same `rng` state gives the same path: OMPL's own generator is seeded from it before
+    a fresh planner is made, and the search ends on a count of iterations, never on time.
+    """
+    ends = _start_and_goal(clearance, bounds, flight, rng=rng)
+    seed = int(rng.integers(1, 2**31))
+    if ends is None:
+        return None
+    ou.RNG.setSeed(seed)
+    space = ob.RealVectorStateSpace(3)
+    box = ob.RealVectorBounds(3)
+    for axis in range(3):
+        box.setLow(axis, float(bounds[0, axis]))
+        box.setHigh(axis, float(bounds[1, axis]))
+    space.setBounds(box)
+    information = ob.SpaceInformation(space)
+    information.setStateValidityChecker(lambda state: True)  # motions are checked whole, their ends included
+    information.setMotionValidator(_Motions(information, clearance, flight.robot_radius_m))
+    information.setup()
+    problem = ob.ProblemDefinition(information)
+    states = space.allocState(), space.allocState()
+    for state, point in zip(states, ends, strict=True):
+        for axis in range(3):
+            state[axis] = float(point[axis])
+    problem.setStartAndGoalStates(*states, flight.goal_tolerance_m)
+    planner = og.RRT(information)
+    planner.setRange(flight.step_m)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    rounds = iter(range(flight.iterations))
+    status = planner.solve(ob.PlannerTerminationCondition(lambda: next(rounds, None) is None))
+    if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
+        return None
+    return np.array([[state[0], state[1], state[2]] for state in problem.getSolutionPath().getStates()])
+
+
+class _Motions(ob.MotionValidator):
+    """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, exact between its ends."""
+
+    def __init__(self, information: ob.SpaceInformation, clearance: Clearance, radius_m: float):
+        super().__init__(information)
+        self._clearance = clearance
+        self._radius_m = radius_m
+
+    def checkMotion(self, a: ob.State, b: ob.State, last_valid: object = None) -> bool:  # noqa: N802 (OMPL's name)
+        return self._clearance.motion_is_free((a[0], a[1], a[2]), (b[0], b[1], b[2]), self._radius_m)
+
+
+def _start_and_goal(
+    clearance: Clearance, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Two free points far enough apart, or None after a hundred draws."""
+    apart = min(flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3)
+    start = None
+    for point in rng.uniform(bounds[0], bounds[1], (100, 3)):
+        if clearance.at(*point) < flight.robot_radius_m:
+            continue
+        if start is None:
+            start = point
+        elif ((point - start) ** 2).sum() >= apart**2:
+            return start, point
+    return None
+
+
+def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator) -> Iterator[tuple[float, Pose]]:
+    """Candidate viewpoints on a path (n, 3): (metres flown, pose), in random order, `spacing_m` apart along the path.
+
+    The body is level and looks along the flight; where the path climbs straight up, as it looked before.
+    """
+    legs = np.diff(path, axis=0)
+    lengths = np.sqrt((legs**2).sum(axis=1))
+    flown = np.concatenate([[0.0], np.cumsum(lengths)])
+    level = np.hypot(legs[:, 0], legs[:, 1]) > 1e-6
+    heading = np.arctan2(legs[:, 1], legs[:, 0])
+    at = np.arange(rng.uniform(0.0, spacing_m), flown[-1], spacing_m)
+    for s in at[rng.permutation(len(at))]:
+        leg = min(int(np.searchsorted(flown, s, side="right")) - 1, len(legs) - 1)
+        along = (s - flown[leg]) / lengths[leg]
+        seen = np.flatnonzero(level[: leg + 1])
+        yaw = float(heading[seen[-1]]) if len(seen) else 0.0
+        yield float(s), Pose.level(path[leg] + along * legs[leg], math.remainder(yaw, 2 * math.pi))

@@ -1,0 +1,56 @@
+"""What is in a dataset: counts, sizes, and statistics of what was seen and what is there."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenegen.dataset.read import Dataset
+from scenegen.source import SPLITS
+
+
+def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:
+    """A summary of the dataset in `folder`; statistics are taken over at most `most` samples a split, evenly spread.
+
+    Shares are of all voxels or of all rays, {mean, std, min, max} over samples. Raises DatasetError.
+    """
+    dataset = Dataset(folder, partial=True)
+    found = {name: dataset.manifest[name] for name in ("kind", "seed", "complete", "digest", "fields", "grid", "rejected")}
+    splits: dict[str, Any] = {}
+    for name in SPLITS:
+        split = dataset.split(name)
+        if len(split):
+            splits[name] = _describe(dataset, name, most)
+    size = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
+    samples = sum(split["samples"] for split in splits.values())
+    return {**found, "samples": samples, "bytes": size, "bytes_per_sample": size / max(samples, 1), "splits": splits}
+
+
+def _describe(dataset: Dataset, name: str, most: int) -> dict[str, Any]:
+    split = dataset.split(name)
+    chosen = np.unique(np.linspace(0, len(split) - 1, min(most, len(split))).astype(int))
+    rows: dict[str, list[float]] = {key: [] for key in ("occupied", "observed", "free", "returned", "range_m", "tudf_m")}
+    for index in chosen:
+        sample = split[int(index)]
+        hit = np.isfinite(sample.ranges)
+        rows["occupied"].append(float(sample.occupancy.mean()))
+        rows["observed"].append(float(sample.observed.mean()))
+        rows["free"].append(float(sample.free.mean()))
+        rows["returned"].append(float(hit.mean()))
+        rows["range_m"].append(float(sample.ranges[hit].mean()) if hit.any() else float("nan"))
+        rows["tudf_m"].append(float(sample.tudf.mean()))
+    statistics = {
+        key: {
+            "mean": float(np.nanmean(values)),
+            "std": float(np.nanstd(values)),
+            "min": float(np.nanmin(values)),
+            "max": float(np.nanmax(values)),
+        }
+        for key, values in rows.items()
+    }
+    return {
+        "samples": len(split),
+        "worlds": len({world for _, world, _ in split.names}),
+        "sampled": len(chosen),
+        "statistics": statistics,
+    }

@@ -1,0 +1,133 @@
+"""Recipes: every number that decides what a dataset holds, resolved, checked, and read from TOML."""
+
+import dataclasses
+import difflib
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from lidarsim import GridSpec, Lidar
+from scenegen.errors import RecipeError
+from scenegen.flight import Flight
+from scenegen.recipes import WorldKind, find_kind, kind_names
+
+
+@dataclass(frozen=True, kw_only=True)
+class Acceptance:
+    """Which worlds and viewpoints are worth keeping (the paper removes "scenes with insufficient geometric complexity").
+
+    Maps that are poorly seen stay: they are the task.
+    """
+
+    min_solids: float = 1.0
+    """A world is rejected when, averaged along its flight, fewer solids than this reach into the map."""
+    min_occupied: int = 50
+    """A viewpoint is rejected when its map holds fewer occupied voxels than this."""
+    min_returns: int = 20
+    """A viewpoint is rejected when fewer rays than this return."""
+    max_draws: int = 50
+    """Draws of one world after which generation gives up."""
+
+    def __post_init__(self) -> None:
+        for name in ("min_solids", "min_occupied", "min_returns"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: expected at least 0")
+        if self.max_draws < 1:
+            raise ValueError(f"max_draws = {self.max_draws}: expected at least 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """Everything besides the seed and the counts that decides a dataset's content."""
+
+    kind: str
+    """Name of a kind of world, or ``scene`` for worlds drawn by hand."""
+    world: WorldKind | None = None
+    """How worlds are drawn; None for worlds drawn by hand."""
+    flight: Flight = field(default_factory=Flight)
+    accept: Acceptance = field(default_factory=Acceptance)
+    lidar: Lidar = field(default_factory=Lidar)
+    grid: GridSpec = field(default_factory=GridSpec)
+
+    def __post_init__(self) -> None:
+        if self.world is not None:
+            try:
+                self.flight.bounds(self.world.size_m)
+            except ValueError as error:
+                raise RecipeError(f"recipe: flight.{error}") from None
+
+    @property
+    def version(self) -> int:
+        """Of the kind's preset; 0 for worlds drawn by hand."""
+        return 0 if self.world is None else self.world.version
+
+    def resolved(self) -> dict[str, Any]:
+        """The manifest's `recipe`: every parameter but the sensor's and the grid's, as plain JSON values."""
+        tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
+        resolved: dict[str, Any] = {"version": self.version}
+        resolved |= {name: dataclasses.asdict(table) for name, table in tables.items() if table is not None}
+        return resolved
+
+
+def preset(kind: str) -> Recipe:
+    """The recipe of a kind as it comes. Raises RecipeError for an unknown kind, suggesting the nearest."""
+    return make_recipe(kind, {}, where="preset")
+
+
+def read_recipe(path: Path, kind: str | None = None) -> Recipe:
+    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar] and [grid] of what differs from
+    the preset. `kind`, where given, stands in for the file's. Raises RecipeError naming file, table and parameter."""
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecipeError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"{path}: not valid TOML: {error}") from None
+    named = tables.pop("kind", None)
+    if kind is None and named is None:
+        raise RecipeError(f"{path}: names no kind; add a line such as kind = \"pillar\", or give --kind")
+    if kind is not None and named is not None and kind != named:
+        raise RecipeError(f"{path}: is a recipe for kind {named!r}, not for {kind!r}; leave one of the two out")
+    return make_recipe(kind or str(named), tables, where=str(path))
+
+
+def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
+    """The preset of `kind` with the values in `tables` put in; `where` names their source in errors."""
+    parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec}
+    defaults: dict[str, dict[str, Any]] = {}
+    if kind != "scene":
+        _check_name(kind, kind_names(), "kind", where)
+        parts["world"] = find_kind(kind)
+        defaults = {"flight": dict(parts["world"].flight_defaults), "accept": dict(parts["world"].accept_defaults)}
+    for name in tables:
+        _check_name(name, tuple(sorted(parts)), "table", where)
+    built = {
+        name: _from_table(part, defaults.get(name, {}) | dict(tables.get(name, {})), f"{where}: [{name}]")
+        for name, part in parts.items()
+    }
+    return Recipe(kind=kind, **built)
+
+
+def _from_table(part: type, table: dict[str, Any], where: str) -> Any:
+    """An instance of the dataclass `part` from a table of values, types and bounds checked."""
+    names = tuple(item.name for item in dataclasses.fields(part))
+    for name in table:
+        _check_name(name, names, "parameter", where)
+    try:
+        return pydantic.TypeAdapter(part).validate_python(table)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        at = ".".join(str(step) for step in first["loc"])
+        reason = first["msg"].removeprefix("Value error, ")
+        given = f"{at} = {first['input']!r}: " if at else ""
+        raise RecipeError(f"{where} {given}{reason}") from None
+
+
+def _check_name(name: str, known: tuple[str, ...], what: str, where: str) -> None:
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+        raise RecipeError(f"{where}: unknown {what} {name!r}; {hint}")

@@ -1,0 +1,131 @@
+"""Spheres, boxes and cylinders at any attitude, standing, stacked and floating, with walls and clutter between them."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
+
+SHAPES = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER)
+COLOURS = ((0.80, 0.45, 0.35, 1.0), (0.40, 0.60, 0.75, 1.0), (0.75, 0.68, 0.40, 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometric(WorldKind):
+    """Solids scattered over the plan and, in part, over the height.
+
+    The paper's first kind of environment: "walls, pillars, and cluttered structures" of "spheres, boxes, and cylinders"
+    (sections "Training Data Generation" and "Qualitative Results"); it gives no figures, so these are ours.
+    """
+
+    version: ClassVar[int] = 0
+    crowding: ClassVar[tuple[str, ...]] = ("density", "wall_density", "clutter_density")
+    accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 4.0}
+    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 5.0)}
+
+    ground: bool = True
+    density: Range = (0.01, 0.16)
+    """Solids per square metre; one value a world, drawn so that its logarithm is uniform."""
+    half_size_m: Range = (0.3, 1.2)
+    """Radii and half edges, metres; one value an axis of a solid."""
+    scale: Range = (0.7, 1.2)
+    """Factor on all sizes; one value a world."""
+    standing_share: float = 0.5
+    """Share of solids that stand on the ground; others float at any height, or are stacked."""
+    stacked_share: float = 0.2
+    """Share of solids set on top of an earlier one."""
+    tilted_share: float = 0.5
+    """Share of solids at any attitude; the rest are upright."""
+    wall_density: Range = (0.0, 0.02)
+    """Walls per square metre; one value a world."""
+    wall_length_m: Range = (2.0, 8.0)
+    wall_height_m: Range = (2.0, 8.0)
+    wall_half_thickness_m: Range = (0.1, 0.2)
+    clutter_density: Range = (0.0, 0.004)
+    """Heaps of small solids per square metre; one value a world."""
+    clutter_count: tuple[int, int] = (4, 8)
+    """Small solids in a heap."""
+    clutter_half_size_m: Range = (0.1, 0.35)
+    """Radii and half edges of small solids, metres."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.density[0] <= 0:
+            raise ValueError(f"density = {list(self.density)}: expected a lower bound above 0, its logarithm is drawn")
+
+    def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
+        self.add_ground(spec)
+        area = self.size_m[0] * self.size_m[1]
+        scale = rng.uniform(*self.scale)
+        self._add_solids(spec, int(round(area * np.exp(rng.uniform(*np.log(self.density))))), scale, rng=rng)
+        self._add_walls(spec, int(round(area * rng.uniform(*self.wall_density))), rng=rng)
+        self._add_clutter(spec, int(round(area * rng.uniform(*self.clutter_density))), rng=rng)
+
+    def _add_solids(self, spec: mujoco.MjSpec, count: int, scale: float, *, rng: np.random.Generator) -> None:
+        """Standing, floating and stacked ones."""
+        shape = rng.integers(0, len(SHAPES), count)
+        size = scale * rng.uniform(*self.half_size_m, (count, 3))
+        plan = rng.uniform((0.0, 0.0), self.size_m[:2], (count, 2))
+        tilt = _attitudes(count, self.tilted_share, rng=rng)
+        place = rng.random(count)
+        free_height = rng.uniform(0.0, self.size_m[2], count)
+        on = rng.integers(0, np.maximum(np.arange(count), 1))
+        top = np.zeros(count)
+        for n in range(count):
+            reach = _half_height(shape[n], size[n], tilt[n])
+            if place[n] < self.standing_share:
+                z = reach
+            elif place[n] < self.standing_share + self.stacked_share and n > 0:
+                plan[n] = plan[on[n]]
+                z = top[on[n]] + reach
+            else:
+                z = free_height[n]
+            top[n] = z + reach
+            add_geom(spec, SHAPES[shape[n]], size[n], (plan[n, 0], plan[n, 1], z), tilt[n], COLOURS[shape[n]])
+
+    def _add_walls(self, spec: mujoco.MjSpec, count: int, *, rng: np.random.Generator) -> None:
+        """Upright slabs, each turned at will."""
+        for _ in range(count):
+            x, y = rng.uniform((0.0, 0.0), self.size_m[:2])
+            half = (
+                rng.uniform(*self.wall_length_m) / 2,
+                rng.uniform(*self.wall_half_thickness_m),
+                rng.uniform(*self.wall_height_m) / 2,
+            )
+            yaw = yaw_quaternion(rng.uniform(0.0, np.pi))
+            add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, half, (x, y, half[2]), yaw, (0.62, 0.62, 0.66, 1.0))
+
+    def _add_clutter(self, spec: mujoco.MjSpec, heaps: int, *, rng: np.random.Generator) -> None:
+        """Heaps of small tilted solids on the ground."""
+        for _ in range(heaps):
+            centre = rng.uniform((0.0, 0.0), self.size_m[:2])
+            count = int(rng.integers(self.clutter_count[0], self.clutter_count[1] + 1))
+            shape = rng.integers(0, len(SHAPES), count)
+            size = rng.uniform(*self.clutter_half_size_m, (count, 3))
+            offset = rng.normal(0.0, 0.5, (count, 3))
+            tilt = _attitudes(count, 1.0, rng=rng)
+            for n in range(count):
+                z = _half_height(shape[n], size[n], tilt[n]) + abs(offset[n, 2])
+                position = (centre[0] + offset[n, 0], centre[1] + offset[n, 1], z)
+                add_geom(spec, SHAPES[shape[n]], size[n], position, tilt[n], COLOURS[shape[n]])
+
+
+def _attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> np.ndarray:
+    """Quaternions (count, 4): uniform over all attitudes for a share, turned about the vertical alone for the rest."""
+    tilted = rng.random(count) < tilted_share
+    attitude = rng.normal(size=(count, 4))
+    attitude[~tilted, 1:3] = 0.0
+    return attitude / np.sqrt((attitude**2).sum(axis=1, keepdims=True))
+
+
+def _half_height(shape: int, size: np.ndarray, quaternion: np.ndarray) -> float:
+    """How far a solid reaches above its centre, metres."""
+    if shape == 0:
+        return float(size[0])
+    w, x, y, z = quaternion
+    up = np.abs([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    if shape == 1:
+        return float(up @ size)
+    return float(up[2] * size[1] + np.sqrt(max(1 - up[2] ** 2, 0.0)) * size[0])

@@ -1,0 +1,7 @@
+"""What is really there: which voxels the solids of a compiled model fill, and how far the nearest one is."""
+
+from scenegen.truth.distance import distance_field
+from scenegen.truth.occupancy import rasterize
+from scenegen.truth.solids import Solids, solids_of
+
+__all__ = ["Solids", "distance_field", "rasterize", "solids_of"]

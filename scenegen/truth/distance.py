@@ -1,0 +1,97 @@
+"""Exact truncated Euclidean distance transform of an occupancy grid."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.grid import GridSpec
+from lidarsim.jit import kernel
+
+
+def distance_field(occupancy: NDArray[np.bool_], grid: GridSpec) -> NDArray[np.float32]:
+    """The TUDF of `occupancy` (*grid.shape): metres from each voxel's centre to the nearest occupied voxel's centre.
+
+    Exactly ``float32(min(voxel_m * sqrt(float64(k)), truncation_m))`` with k the squared distance in voxels; 0 where
+    occupied, `truncation_m` everywhere in an empty map. Only occupancy within the map counts (the paper's section
+    "Training Data Generation").
+
+    Squared distances are whole numbers, and none beyond the truncation matters, so they fit in a byte (for the
+    default grid, 100 at most) and three passes of minima, one an axis, give them exactly (Saito and Toriwaki 1994).
+    """
+    reach = grid.truncation_m / grid.voxel_m
+    cap = math.ceil(reach * reach)
+    while cap > 0 and grid.voxel_m * math.sqrt(cap - 1) >= grid.truncation_m:
+        cap -= 1
+    table = np.minimum(grid.voxel_m * np.sqrt(np.arange(cap + 1, dtype=np.float64)), grid.truncation_m)
+    table[cap] = grid.truncation_m
+    # a sum of two capped squares must fit the type
+    dtype = np.uint8 if 2 * cap < 256 else np.uint16 if 2 * cap < 65536 else np.uint32
+    return _transform(np.ascontiguousarray(occupancy), dtype(cap), table.astype(np.float32))
+
+
+@kernel
+def _transform(occupancy, cap, table):  # type: ignore[no-untyped-def]
+    """Squared distances up to `cap`, one axis after the other, looked up in `table` (cap + 1,).
+
+    All in the type of `cap`, so that a vector register holds many. Lines along z are kept apart by a margin of `cap`, so
+    that a shift along y or z is one shift of a whole x-slice.
+    """
+    nx, ny, nz = occupancy.shape
+    reach = 0  # offsets whose square alone stays below the cap
+    while (reach + 1) * (reach + 1) < cap:
+        reach += 1
+    line = nz + reach
+    row = np.full(ny * line, cap)
+    steps = np.full((nx, ny * nz), cap)
+    _steps_along_x(occupancy.reshape(nx, ny * nz), steps, steps.dtype.type(reach + 1))
+    distance = np.empty(occupancy.shape, table.dtype)
+    for i in range(nx):
+        for j in range(ny):
+            _square(steps[i, j * nz : (j + 1) * nz], row[j * line : j * line + nz], cap)
+        squares = row.copy()
+        for offset in range(1, min(reach, ny - 1) + 1):
+            added = steps.dtype.type(offset * offset)
+            _lower(squares[: -offset * line], row[offset * line :], added)
+            _lower(squares[offset * line :], row[: -offset * line], added)
+        nearest = squares.copy()
+        for offset in range(1, min(reach, nz - 1) + 1):
+            added = steps.dtype.type(offset * offset)
+            _lower(nearest[:-offset], squares[offset:], added)
+            _lower(nearest[offset:], squares[:-offset], added)
+        for j in range(ny):
+            _look_up(nearest[j * line : j * line + nz], table, distance[i, j])
+    return distance
+
+
+@kernel
+def _steps_along_x(occupied, steps, most):  # type: ignore[no-untyped-def]
+    """Set `steps` (nx, m) to the voxels from the nearest occupied one along x, at most `most`."""
+    nx, m = steps.shape
+    one = steps.dtype.type(1)
+    for direction in range(2):
+        run = np.full(m, most)
+        for q in range(nx):
+            i = q if direction == 0 else nx - 1 - q
+            here, there = steps[i], occupied[i].view(np.uint8)
+            for p in range(m):
+                run[p] = steps.dtype.type(min(steps.dtype.type(run[p] + one), most) * steps.dtype.type(one - there[p]))
+                here[p] = min(here[p], run[p])
+
+
+@kernel
+def _square(steps, squares, cap):  # type: ignore[no-untyped-def]
+    for q in range(len(steps)):
+        squares[q] = min(squares.dtype.type(steps[q] * steps[q]), cap)
+
+
+@kernel
+def _lower(squares, source, added):  # type: ignore[no-untyped-def]
+    for q in range(len(squares)):
+        squares[q] = min(squares[q], squares.dtype.type(source[q] + added))
+
+
+@kernel
+def _look_up(index, table, values):  # type: ignore[no-untyped-def]
+    for q in range(len(index)):
+        values[q] = table[index[q]]

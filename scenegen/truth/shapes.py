@@ -1,0 +1,281 @@
+"""Closed forms of MuJoCo's primitive shapes, in the shape's own frame: how far a point is, whether a cube touches.
+
+A cube is given by its centre, by its three unit axes (the world's axes written in the shape's frame, so row a of the
+shape's rotation matrix is axis a) and by half its edge. Sizes are MuJoCo's: (radius), (radius, half length),
+half edges or semi-axes. Every function is exact to rounding; `slack` is the distance at which a cube still counts as
+touching. Where the exact distance has no short form, a bound of it is used that errs by less than `slack`.
+"""
+
+import math
+
+import numpy as np
+
+from lidarsim.jit import kernel
+
+PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
+"""The codes of MuJoCo's `mjtGeom`."""
+
+
+@kernel
+def distance(shape, size, x, y, z):  # type: ignore[no-untyped-def]
+    """Distance in metres from the point (x, y, z) to the filled shape; 0 inside. A plane fills z <= 0."""
+    if shape == SPHERE:
+        return max(math.sqrt(x * x + y * y + z * z) - size[0], 0.0)
+    if shape == CAPSULE:
+        z -= min(max(z, -size[1]), size[1])
+        return max(math.sqrt(x * x + y * y + z * z) - size[0], 0.0)
+    if shape == CYLINDER:
+        radial, axial = max(math.sqrt(x * x + y * y) - size[0], 0.0), max(abs(z) - size[1], 0.0)
+        return math.sqrt(radial * radial + axial * axial)
+    if shape == BOX:
+        x, y, z = max(abs(x) - size[0], 0.0), max(abs(y) - size[1], 0.0), max(abs(z) - size[2], 0.0)
+        return math.sqrt(x * x + y * y + z * z)
+    if shape == ELLIPSOID:
+        return _ellipsoid_distance(size, x, y, z)
+    return max(z, 0.0)
+
+
+@kernel
+def _ellipsoid_distance(size, x, y, z):  # type: ignore[no-untyped-def]
+    """The nearest point of the surface is (a^2 x / (t + a^2), ...) with t > 0 the root of a convex, falling function
+    (Eberly, "Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid"); Newton's method from 0 climbs
+    to it from the left without overshooting."""
+    a, b, c = size[0] * size[0], size[1] * size[1], size[2] * size[2]
+    p, q, r = a * x * x, b * y * y, c * z * z
+    t = 0.0
+    for _ in range(100):
+        u, v, w = p / ((t + a) * (t + a)), q / ((t + b) * (t + b)), r / ((t + c) * (t + c))
+        value = u + v + w - 1.0
+        if value <= 1e-14:
+            break
+        t += 0.5 * value / (u / (t + a) + v / (t + b) + w / (t + c))
+    x, y, z = t * x / (t + a), t * y / (t + b), t * z / (t + c)
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def touches(shape, size, axes, x, y, z, half, slack):  # type: ignore[no-untyped-def]
+    """Whether the closed cube about (x, y, z) comes within `slack` metres of the filled shape."""
+    if shape == SPHERE:
+        return _point_to_cube2(axes, x, y, z, half) <= (size[0] + slack) ** 2
+    if shape == CAPSULE:
+        return _segment_to_cube2(axes, x, y, z, size[1], half) <= (size[0] + slack) ** 2
+    if shape == CYLINDER:
+        return _cylinder_touches(size[0] + slack, size[1] + slack, axes, x, y, z, half)
+    if shape == BOX:
+        return _box_touches(size, axes, x, y, z, half, slack)
+    if shape == ELLIPSOID:
+        return _ellipsoid_touches(size, axes, x, y, z, half, slack)
+    return z - half * (abs(axes[0, 2]) + abs(axes[1, 2]) + abs(axes[2, 2])) <= slack
+
+
+@kernel
+def _point_to_cube2(axes, x, y, z, half):  # type: ignore[no-untyped-def]
+    """Squared distance from the frame's origin to the cube."""
+    total = 0.0
+    for a in range(3):
+        gap = max(abs(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z) - half, 0.0)
+        total += gap * gap
+    return total
+
+
+@kernel
+def _segment_to_cube2(axes, x, y, z, reach, half):  # type: ignore[no-untyped-def]
+    """Squared distance from the segment |z| <= reach of the frame's z axis to the cube.
+
+    Along the segment the squared distance is convex and piecewise quadratic; its derivative is piecewise linear with a
+    kink where the segment crosses a face's plane. The kinks around the derivative's root are found, then the root.
+    """
+    low, high = -reach, reach
+    slope_low = _segment_slope(axes, x, y, z, low, half)
+    slope_high = _segment_slope(axes, x, y, z, high, half)
+    if slope_low >= 0.0:
+        return _at_segment(axes, x, y, z, low, half)
+    if slope_high <= 0.0:
+        return _at_segment(axes, x, y, z, high, half)
+    for a in range(3):
+        if axes[a, 2] != 0.0:
+            centre = axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z
+            for side in (-half, half):
+                t = (centre + side) / axes[a, 2]
+                if low < t < high:
+                    slope = _segment_slope(axes, x, y, z, t, half)
+                    if slope <= 0.0:
+                        low, slope_low = t, slope
+                    else:
+                        high, slope_high = t, slope
+    if slope_high > slope_low:
+        low -= slope_low * (high - low) / (slope_high - slope_low)
+    return _at_segment(axes, x, y, z, low, half)
+
+
+@kernel
+def _segment_slope(axes, x, y, z, t, half):  # type: ignore[no-untyped-def]
+    """Half the derivative of `_at_segment` by t."""
+    total = 0.0
+    for a in range(3):
+        offset = axes[a, 2] * t - (axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z)
+        if offset > half:
+            total += (offset - half) * axes[a, 2]
+        elif offset < -half:
+            total += (offset + half) * axes[a, 2]
+    return total
+
+
+@kernel
+def _at_segment(axes, x, y, z, t, half):  # type: ignore[no-untyped-def]
+    """Squared distance from the point (0, 0, t) to the cube."""
+    return _point_to_cube2(axes, x, y, z - t, half)
+
+
+@kernel
+def _box_touches(size, axes, x, y, z, half, slack):  # type: ignore[no-untyped-def]
+    """Separating axes (Gottschalk 1996): the 3 faces of each box and the 9 products of their edges."""
+    centre = (x, y, z)
+    for b in range(3):
+        if abs(centre[b]) > size[b] + half * (abs(axes[0, b]) + abs(axes[1, b]) + abs(axes[2, b])) + slack:
+            return False
+    for a in range(3):
+        gap = abs(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z)
+        if gap > half + abs(axes[a, 0]) * size[0] + abs(axes[a, 1]) * size[1] + abs(axes[a, 2]) * size[2] + slack:
+            return False
+    for a in range(3):
+        e, f = axes[(a + 1) % 3], axes[(a + 2) % 3]
+        for b in range(3):
+            c, d = (b + 1) % 3, (b + 2) % 3
+            length2 = 1.0 - axes[a, b] * axes[a, b]
+            if length2 > 1e-12:
+                gap = abs(centre[d] * axes[a, c] - centre[c] * axes[a, d])
+                reach = size[c] * abs(axes[a, d]) + size[d] * abs(axes[a, c]) + half * (abs(e[b]) + abs(f[b]))
+                if gap > reach + slack * math.sqrt(length2):
+                    return False
+    return True
+
+
+@kernel
+def _ellipsoid_touches(size, axes, x, y, z, half, slack):  # type: ignore[no-untyped-def]
+    """Scaled by its semi-axes the ellipsoid is the unit ball and the cube a parallelepiped, whose point nearest to the
+    centre is found among the interiors of its faces and edges. There, the gap is at least (f - 1) / |grad f| with f
+    the scaled length (f is convex), and equals it to first order."""
+    a, b, c = 1.0 / size[0], 1.0 / size[1], 1.0 / size[2]
+    m = np.empty((4, 3))  # the scaled half edges, and the scaled centre
+    for i in range(3):
+        m[i, 0], m[i, 1], m[i, 2] = half * axes[i, 0] * a, half * axes[i, 1] * b, half * axes[i, 2] * c
+    m[3, 0], m[3, 1], m[3, 2] = x * a, y * b, z * c
+    least = math.inf
+    nx = ny = nz = 0.0
+    for i in range(3):  # every edge along half edge i, and the faces that the other two span
+        j, k = (i + 1) % 3, (i + 2) % 3
+        ii = m[i, 0] * m[i, 0] + m[i, 1] * m[i, 1] + m[i, 2] * m[i, 2]
+        jj = m[j, 0] * m[j, 0] + m[j, 1] * m[j, 1] + m[j, 2] * m[j, 2]
+        kk = m[k, 0] * m[k, 0] + m[k, 1] * m[k, 1] + m[k, 2] * m[k, 2]
+        jk = m[j, 0] * m[k, 0] + m[j, 1] * m[k, 1] + m[j, 2] * m[k, 2]
+        for s in (-1.0, 1.0):
+            u, v, w = m[3, 0] + s * m[i, 0], m[3, 1] + s * m[i, 1], m[3, 2] + s * m[i, 2]
+            ju = m[j, 0] * u + m[j, 1] * v + m[j, 2] * w
+            ku = m[k, 0] * u + m[k, 1] * v + m[k, 2] * w
+            det = jj * kk - jk * jk
+            p, q = (jk * ku - kk * ju) / det, (jk * ju - jj * ku) / det
+            if abs(p) <= 1.0 and abs(q) <= 1.0:
+                fx, fy, fz = u + p * m[j, 0] + q * m[k, 0], v + p * m[j, 1] + q * m[k, 1], w + p * m[j, 2] + q * m[k, 2]
+                length2 = fx * fx + fy * fy + fz * fz
+                if length2 < least:
+                    least, nx, ny, nz = length2, fx, fy, fz
+            for r in (-1.0, 1.0):
+                u, v, w = m[3, 0] + s * m[j, 0] + r * m[k, 0], m[3, 1] + s * m[j, 1] + r * m[k, 1], m[3, 2] + s * m[j, 2] + r * m[k, 2]
+                p = min(max(-(m[i, 0] * u + m[i, 1] * v + m[i, 2] * w) / ii, -1.0), 1.0)
+                fx, fy, fz = u + p * m[i, 0], v + p * m[i, 1], w + p * m[i, 2]
+                length2 = fx * fx + fy * fy + fz * fz
+                if length2 < least:
+                    least, nx, ny, nz = length2, fx, fy, fz
+    if least <= 1.0:
+        return True
+    f = math.sqrt(least)
+    return (f - 1.0) * f <= slack * math.sqrt((nx * a) ** 2 + (ny * b) ** 2 + (nz * c) ** 2)
+
+
+@kernel
+def _cylinder_touches(radius, reach, axes, x, y, z, half):  # type: ignore[no-untyped-def]
+    """The part of the cube between the cylinder's two end planes is convex, so it touches when its shadow along the
+    axis does: when the axis runs through it, or one of its edges (the cube's, cut at the planes, and the cuts
+    themselves) passes the axis within the radius."""
+    enter, leave = -reach, reach
+    for a in range(3):  # the axis, as a segment, against the cube's slabs
+        offset = -(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z)
+        if abs(axes[a, 2]) > 1e-15:
+            s, t = (-half - offset) / axes[a, 2], (half - offset) / axes[a, 2]
+            enter, leave = max(enter, min(s, t)), min(leave, max(s, t))
+        elif abs(offset) > half:
+            leave = -math.inf
+    if enter <= leave:
+        return True
+    limit = radius * radius
+    ends = np.empty((2, 12, 2))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for sj in (-half, half):
+            for sk in (-half, half):
+                cx = x + sj * axes[j, 0] + sk * axes[k, 0]
+                cy = y + sj * axes[j, 1] + sk * axes[k, 1]
+                cz = z + sj * axes[j, 2] + sk * axes[k, 2]
+                low, high = -half, half
+                dz = axes[i, 2]
+                if abs(dz) > 1e-15:
+                    s, t = (-reach - cz) / dz, (reach - cz) / dz
+                    low, high = max(low, min(s, t)), min(high, max(s, t))
+                elif abs(cz) > reach:
+                    continue
+                if low <= high:
+                    px, py = cx + low * axes[i, 0], cy + low * axes[i, 1]
+                    qx, qy = cx + high * axes[i, 0], cy + high * axes[i, 1]
+                    if _segment_norm2(px, py, qx, qy) <= limit:
+                        return True
+    for plane in (-reach, reach):
+        for i in range(3):  # the cut of the end plane with each of the two faces across axis i
+            for si in (-half, half):
+                if _face_cut_norm2(axes, x, y, z, i, si, plane, half) <= limit:
+                    return True
+    return False
+
+
+@kernel
+def _segment_norm2(px, py, qx, qy):  # type: ignore[no-untyped-def]
+    """Squared distance from the plane's origin to the segment pq."""
+    dx, dy = qx - px, qy - py
+    length2 = dx * dx + dy * dy
+    t = min(max(-(px * dx + py * dy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
+    px, py = px + t * dx, py + t * dy
+    return px * px + py * py
+
+
+@kernel
+def _face_cut_norm2(axes, x, y, z, i, si, height, half):  # type: ignore[no-untyped-def]
+    """Squared distance from the axis to the segment in which the plane z = height cuts one face; inf if it does not."""
+    j, k = (i + 1) % 3, (i + 2) % 3
+    cx, cy, cz = x + si * axes[i, 0], y + si * axes[i, 1], z + si * axes[i, 2] - height
+    u, v = axes[j, 2], axes[k, 2]
+    norm2 = u * u + v * v
+    if norm2 < 1e-24:
+        return math.inf
+    # the points cz + u p + v q = 0 of the face's plane, walked along (-v, u) from the one nearest to its centre
+    p0, q0 = -cz * u / norm2, -cz * v / norm2
+    low, high = -math.inf, math.inf
+    if v != 0.0:
+        s, t = (p0 - half) / v, (p0 + half) / v
+        low, high = max(low, min(s, t)), min(high, max(s, t))
+    elif abs(p0) > half:
+        return math.inf
+    if u != 0.0:
+        s, t = (-half - q0) / u, (half - q0) / u
+        low, high = max(low, min(s, t)), min(high, max(s, t))
+    elif abs(q0) > half:
+        return math.inf
+    if low > high:
+        return math.inf
+    pl, ql, ph, qh = p0 - low * v, q0 + low * u, p0 - high * v, q0 + high * u
+    return _segment_norm2(
+        cx + pl * axes[j, 0] + ql * axes[k, 0],
+        cy + pl * axes[j, 1] + ql * axes[k, 1],
+        cx + ph * axes[j, 0] + qh * axes[k, 0],
+        cy + ph * axes[j, 1] + qh * axes[k, 1],
+    )

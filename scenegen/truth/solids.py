@@ -1,0 +1,141 @@
+"""The solids of a compiled model: one table of primitives and one soup of triangles, in the world frame."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.casters.mujoco import visible_geoms
+from lidarsim.jit import kernel
+from scenegen.truth.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, MESH, SPHERE
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """Every geom of a model that rays can see, filled: n primitives and m meshes of T triangles in all.
+
+    Height fields are meshes too: their surface closed by walls and a base.
+    """
+
+    shape: NDArray[np.int64]
+    """(n,) codes of `scenegen.truth.shapes`."""
+    size: NDArray[np.float64]
+    """(n, 3) MuJoCo's sizes, metres."""
+    position: NDArray[np.float64]
+    """(n, 3) centres, metres."""
+    rotation: NDArray[np.float64]
+    """(n, 3, 3): takes the shape's coordinates to the world's."""
+    lower: NDArray[np.float64]
+    """(n, 3) least corners of the bounding boxes; -inf for planes."""
+    upper: NDArray[np.float64]
+    """(n, 3) greatest corners; +inf for planes."""
+    triangles: NDArray[np.float64]
+    """(T, 3, 3): triangle, corner, coordinate."""
+    mesh_start: NDArray[np.int64]
+    """(m + 1,): mesh q owns triangles mesh_start[q] to mesh_start[q + 1]."""
+    mesh_filled: NDArray[np.bool_]
+    """(m,): watertight, so its inside is solid; otherwise it is a surface."""
+
+    @cached_property
+    def boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Bounding boxes of all n + m solids: least corners (n + m, 3) and greatest corners (n + m, 3)."""
+        meshes = [self.triangles[a:b].reshape(-1, 3) for a, b in pairwise(self.mesh_start)]
+        lower = np.array([corners.min(axis=0) for corners in meshes]).reshape(-1, 3)
+        upper = np.array([corners.max(axis=0) for corners in meshes]).reshape(-1, 3)
+        return np.concatenate([self.lower, lower]), np.concatenate([self.upper, upper])
+
+    def __len__(self) -> int:
+        return len(self.shape) + len(self.mesh_filled)
+
+
+def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solids:
+    """The solids of `model` in its reference configuration, or in that of `data` where given.
+
+    Raises ValueError for a geom whose shape has no closed form here (a signed distance field's).
+    """
+    if data is None:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+    seen = visible_geoms(model)
+    if (model.geom_type[seen] > MESH).any():
+        name = model.geom(int(np.flatnonzero(seen & (model.geom_type > MESH))[0])).name
+        raise ValueError(f"geom {name!r} is neither a primitive, a mesh nor a height field; use one of these")
+    bent = seen & ((model.geom_type == MESH) | (model.geom_type == HFIELD))
+    plain = np.flatnonzero(seen & ~bent)
+    shape = model.geom_type[plain].astype(np.int64)
+    size = model.geom_size[plain].astype(np.float64)
+    position = data.geom_xpos[plain].astype(np.float64)
+    rotation = data.geom_xmat[plain].reshape(-1, 3, 3).astype(np.float64)
+    lower, upper = _bounds(shape, size, position, rotation)
+    soups, filled = [np.empty((0, 3, 3))], []
+    for geom in np.flatnonzero(bent):
+        vertices, faces, closed = (_mesh if model.geom_type[geom] == MESH else _height_field)(
+            model, int(model.geom_dataid[geom])
+        )
+        world = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        soups.append(world[faces])
+        filled.append(closed)
+    start = np.cumsum([len(soup) for soup in soups])
+    return Solids(
+        shape, size, position, rotation, lower, upper, np.concatenate(soups), start, np.array(filled, dtype=np.bool_)
+    )
+
+
+def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
+    """Vertices, faces (outward where closed) and whether the mesh is watertight."""
+    import trimesh  # takes a second to load, and few worlds hold a mesh
+
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    soup = trimesh.Trimesh(
+        model.mesh_vert[first : first + count].astype(np.float64), model.mesh_face[face : face + faces]
+    )
+    if soup.is_watertight and not soup.is_winding_consistent:
+        trimesh.repair.fix_winding(soup)
+    closed = bool(soup.is_watertight and soup.is_winding_consistent)
+    return np.asarray(soup.vertices), np.asarray(soup.faces, dtype=np.int64), closed
+
+
+def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
+    """MuJoCo's surface (each cell cut along the diagonal from its least x and greatest y), walls, and base."""
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    first = int(model.hfield_adr[field])
+    half_x, half_y, top, base = model.hfield_size[field]
+    height = model.hfield_data[first : first + rows * columns].reshape(rows, columns).astype(np.float64) * top
+    y, x = np.meshgrid(np.linspace(-half_y, half_y, rows), np.linspace(-half_x, half_x, columns), indexing="ij")
+    above = np.stack([x, y, height], axis=-1).reshape(-1, 3)
+    below = np.stack([x, y, np.full_like(height, -base)], axis=-1).reshape(-1, 3)
+    number = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    surface = np.concatenate([np.stack([a, b, d], 1), np.stack([b, c, d], 1)])
+    rim = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
+    ahead, under = np.roll(rim, -1), rows * columns
+    walls = np.concatenate([np.stack([rim, rim + under, ahead], 1), np.stack([ahead, rim + under, ahead + under], 1)])
+    return np.concatenate([above, below]), np.concatenate([surface, surface[:, ::-1] + under, walls]), True
+
+
+@kernel
+def _bounds(shape, size, position, rotation):  # type: ignore[no-untyped-def]
+    """Axis-aligned bounding boxes (n, 3), (n, 3)."""
+    lower, upper = np.empty_like(position), np.empty_like(position)
+    for n in range(len(shape)):
+        for a in range(3):
+            u, v, w = rotation[n, a, 0], rotation[n, a, 1], rotation[n, a, 2]
+            reach = np.inf
+            if shape[n] == SPHERE:
+                reach = size[n, 0]
+            elif shape[n] == CAPSULE:
+                reach = size[n, 0] + abs(w) * size[n, 1]
+            elif shape[n] == CYLINDER:
+                reach = size[n, 0] * np.sqrt(max(1.0 - w * w, 0.0)) + abs(w) * size[n, 1]
+            elif shape[n] == BOX:
+                reach = abs(u) * size[n, 0] + abs(v) * size[n, 1] + abs(w) * size[n, 2]
+            elif shape[n] == ELLIPSOID:
+                reach = np.sqrt((u * size[n, 0]) ** 2 + (v * size[n, 1]) ** 2 + (w * size[n, 2]) ** 2)
+            lower[n, a], upper[n, a] = position[n, a] - reach, position[n, a] + reach
+    return lower, upper
+
+

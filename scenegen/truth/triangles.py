@@ -1,0 +1,136 @@
+"""Triangles: whether a cube touches one, how far a point is from one, and what a closed soup of them contains."""
+
+import math
+
+import numpy as np
+
+from lidarsim.jit import kernel
+
+
+@kernel
+def triangle_touches(a, b, c, x, y, z, half, slack):  # type: ignore[no-untyped-def]
+    """Whether the closed cube about (x, y, z) comes within `slack` metres of the triangle abc.
+
+    Separating axes (Akenine-Moller 2001): the triangle's normal, the cube's faces, and the products of their edges.
+    """
+    p = np.empty((3, 3))
+    for i in range(3):
+        centre = x if i == 0 else (y if i == 1 else z)
+        p[0, i], p[1, i], p[2, i] = a[i] - centre, b[i] - centre, c[i] - centre
+        if min(p[0, i], p[1, i], p[2, i]) > half + slack or max(p[0, i], p[1, i], p[2, i]) < -half - slack:
+            return False
+    ux, uy, uz = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
+    vx, vy, vz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if abs(nx * p[0, 0] + ny * p[0, 1] + nz * p[0, 2]) > half * (abs(nx) + abs(ny) + abs(nz)) + slack * length:
+        return False
+    for e in range(3):
+        f = (e + 1) % 3
+        for i in range(3):  # the axis is unit vector i x edge: components j, k of the edge, swapped, one negated
+            j, k = (i + 1) % 3, (i + 2) % 3
+            dj, dk = p[f, j] - p[e, j], p[f, k] - p[e, k]
+            q0 = p[0, k] * dj - p[0, j] * dk
+            q1 = p[1, k] * dj - p[1, j] * dk
+            q2 = p[2, k] * dj - p[2, j] * dk
+            reach = half * (abs(dj) + abs(dk)) + slack * math.sqrt(dj * dj + dk * dk)
+            if min(q0, q1, q2) > reach or max(q0, q1, q2) < -reach:
+                return False
+    return True
+
+
+@kernel
+def triangle_distance(a, b, c, x, y, z):  # type: ignore[no-untyped-def]
+    """Distance in metres from the point (x, y, z) to the triangle abc (Ericson 2005, section 5.1.5)."""
+    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    px, py, pz = x - a[0], y - a[1], z - a[2]
+    d1, d2 = abx * px + aby * py + abz * pz, acx * px + acy * py + acz * pz
+    qx, qy, qz = x - b[0], y - b[1], z - b[2]
+    d3, d4 = abx * qx + aby * qy + abz * qz, acx * qx + acy * qy + acz * qz
+    rx, ry, rz = x - c[0], y - c[1], z - c[2]
+    d5, d6 = abx * rx + aby * ry + abz * rz, acx * rx + acy * ry + acz * rz
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if d1 <= 0.0 and d2 <= 0.0:
+        s, t = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        s, t = 1.0, 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        s, t = 0.0, 1.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        s, t = d1 / (d1 - d3), 0.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        s, t = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 >= d3 and d5 >= d6:
+        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        s = 1.0 - t
+    else:
+        total = va + vb + vc
+        s, t = vb / total, vc / total
+    dx, dy, dz = px - s * abx - t * acx, py - s * aby - t * acy, pz - s * abz - t * acz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@kernel
+def _side(a, b, x, y):  # type: ignore[no-untyped-def]
+    """On which side of the line ab, seen from above, (x, y) lies: +1 left, -1 right, never 0.
+
+    The two triangles at an edge must agree, so the ends are put in order first, and a point right on the line counts
+    as moved by (e, e^2) with an infinitely small e > 0.
+    """
+    swap = a[0] > b[0] or (a[0] == b[0] and a[1] > b[1])
+    p, q = (b, a) if swap else (a, b)
+    dx, dy = q[0] - p[0], q[1] - p[1]
+    area = dx * (y - p[1]) - dy * (x - p[0])
+    if area == 0.0:
+        area = -dy if dy != 0.0 else dx
+    left = area > 0.0
+    return 1 if left != swap else -1
+
+
+@kernel
+def crossing(a, b, c, x, y):  # type: ignore[no-untyped-def]
+    """How the vertical line at (x, y) crosses the triangle abc: +1 upwards out of it seen with its normal, -1 down
+    into it, 0 not at all; and the height of the crossing."""
+    s = _side(a, b, x, y)
+    if s != _side(b, c, x, y) or s != _side(c, a, x, y):
+        return 0, 0.0
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    normal_z = ux * vy - uy * vx
+    if normal_z == 0.0:
+        return s, max(a[2], b[2], c[2])
+    slope_x, slope_y = (uy * vz - uz * vy) / normal_z, (uz * vx - ux * vz) / normal_z
+    height = a[2] - slope_x * (x - a[0]) - slope_y * (y - a[1])
+    return s, min(max(height, min(a[2], b[2], c[2])), max(a[2], b[2], c[2]))
+
+
+@kernel
+def inside_columns(triangles, origin, voxel_m, occupancy):  # type: ignore[no-untyped-def]
+    """Mark the voxels whose centre a closed, consistently wound soup (T, 3, 3) winds around.
+
+    With the voxels on its surface marked already, what is left lies wholly inside or wholly outside, so the centre decides.
+    """
+    nx, ny, nz = occupancy.shape
+    winding = np.zeros((nx, ny, nz), np.int32)
+    for n in range(len(triangles)):
+        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        i0 = max(int(math.floor((min(a[0], b[0], c[0]) - origin[0]) / voxel_m - 0.5)), 0)
+        i1 = min(int(math.ceil((max(a[0], b[0], c[0]) - origin[0]) / voxel_m + 0.5)), nx)
+        j0 = max(int(math.floor((min(a[1], b[1], c[1]) - origin[1]) / voxel_m - 0.5)), 0)
+        j1 = min(int(math.ceil((max(a[1], b[1], c[1]) - origin[1]) / voxel_m + 0.5)), ny)
+        for i in range(i0, i1):
+            x = origin[0] + (i + 0.5) * voxel_m
+            for j in range(j0, j1):
+                sign, height = crossing(a, b, c, x, origin[1] + (j + 0.5) * voxel_m)
+                if sign != 0:
+                    k = max(int(math.ceil((height - origin[2]) / voxel_m - 0.5)), 0)
+                    if k < nz:
+                        winding[i, j, k] += sign
+    for i in range(nx):
+        for j in range(ny):
+            total = 0
+            for k in range(nz):
+                total += winding[i, j, k]
+                if total != 0:
+                    occupancy[i, j, k] = True

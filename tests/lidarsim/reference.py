@@ -1,0 +1,426 @@
+"""Independent references for the simulated lidar: layout, ray casting, voxel grids.
+
+Nothing here is imported from, or copied from, the package under test, and nothing here walks a ray from
+voxel to voxel. Each reference is the definition written down a second time in the most direct form that is
+affordable:
+
+* ray directions: products of scipy rotations (the package's own angle conventions are restated here);
+* ray casting: every solid is convex, so a line meets it in one interval of distances; the interval is found
+  by closest approach (ball, infinite cylinder) and slabs (box, flat ends) in the solid's own frame;
+* voxels: each voxel is a box and each ray a segment, and the segment's overlap with the box is the length of
+  an intersection of three slabs - for every voxel and every ray, in float64 with a margin (`swept`) or in
+  rational arithmetic on the exact values of the float64 inputs (`exact_overlaps`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Voxel = tuple[int, int, int]
+
+TOUCH_M = 1e-9
+"""Overlaps shorter than this, and rays nearer than this to a grid plane, may be answered either way."""
+
+
+# --------------------------------------------------------------------------------------------- layout
+
+
+def rotation(quaternion_wxyz: ArrayLike) -> Rotation:
+    """The rotation of a (w, x, y, z) quaternion; scipy orders it (x, y, z, w)."""
+    w, x, y, z = np.asarray(quaternion_wxyz, dtype=np.float64)
+    return Rotation.from_quat([x, y, z, w])
+
+
+def random_quaternion(rng: np.random.Generator) -> Floats:
+    """A uniformly random attitude as (w, x, y, z): four normal numbers, normalized."""
+    q = rng.normal(size=4)
+    return q / np.linalg.norm(q)
+
+
+def level_quaternion(yaw_rad: float) -> Floats:
+    """The attitude of a level body that looks along `yaw_rad` (w, x, y, z): half-angle formula about z."""
+    return np.array([np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2)])
+
+
+def sensor_direction(elevation_deg: float, azimuth_deg: float) -> Floats:
+    """A ray of the sensor frame, built from x forward by two turns: up by the elevation, left by the azimuth.
+
+    A right-handed turn about y takes x down, so looking up by e is a turn of -e about y.
+    """
+    return Rotation.from_euler("yz", [-elevation_deg, azimuth_deg], degrees=True).apply([1.0, 0.0, 0.0])
+
+
+def lidar_directions(
+    quaternion: ArrayLike,
+    *,
+    rows: int = 16,
+    columns: int = 120,
+    vertical_fov_deg: float = 60.0,
+    pitch_deg: float = 30.0,
+    mount: str = "tilt",
+) -> Floats:
+    """World directions of a full-circle lidar, ray by ray, from the specification's angles.
+
+    Row r has elevation -fov/2 + r * fov / (rows - 1) and column c has azimuth -180 + c * 360 / columns. A
+    tilted sensor is turned nose down by `pitch_deg` about y; a band sensor is level and has every elevation
+    lowered by `pitch_deg`.
+    """
+    body = rotation(quaternion)
+    mounting = Rotation.from_euler("y", pitch_deg if mount == "tilt" else 0.0, degrees=True)
+    shift = 0.0 if mount == "tilt" else pitch_deg
+    out = np.empty((rows, columns, 3))
+    for r, c in product(range(rows), range(columns)):
+        elevation = -vertical_fov_deg / 2 + r * vertical_fov_deg / (rows - 1) - shift
+        out[r, c] = sensor_direction(elevation, -180.0 + c * 360.0 / columns)
+    return body.apply(mounting.apply(out.reshape(-1, 3))).reshape(out.shape)
+
+
+# ----------------------------------------------------------------------------------------- ray casting
+
+
+@dataclass(frozen=True)
+class Geom:
+    """A MuJoCo primitive geom: its kind and sizes as in MJCF, and its pose in its parent's frame."""
+
+    kind: str
+    size: tuple[float, ...]
+    position: tuple[float, ...] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+    attributes: str = ""
+
+    def xml(self) -> str:
+        """The geom as MJCF; 17 digits carry every float64 exactly."""
+        return (
+            f'<geom type="{self.kind}" size="{numbers(self.size)}" pos="{numbers(self.position)}" '
+            f'quat="{numbers(self.quaternion)}" {self.attributes}/>'
+        )
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body holding geoms; `inner` is further MJCF inside it (a joint, an inertia)."""
+
+    geoms: tuple[Geom, ...]
+    position: tuple[float, ...] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+    inner: str = ""
+
+    def xml(self) -> str:
+        """The body as MJCF."""
+        inside = self.inner + "".join(geom.xml() for geom in self.geoms)
+        return f'<body pos="{numbers(self.position)}" quat="{numbers(self.quaternion)}">{inside}</body>'
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Floats for an MJCF attribute, exactly."""
+    return " ".join(f"{float(value):.17g}" for value in values)
+
+
+def world_xml(geoms: Sequence[Geom] = (), bodies: Sequence[Body] = (), assets: str = "") -> str:
+    """An MJCF world with geoms of the world body and bodies beside them."""
+    inside = "".join(geom.xml() for geom in geoms) + "".join(body.xml() for body in bodies)
+    return f"<mujoco><asset>{assets}</asset><worldbody>{inside}</worldbody></mujoco>"
+
+
+def _slab(start: Floats, along: Floats, half: float) -> tuple[Floats, Floats]:
+    """Distances at which a line's coordinate enters and leaves [-half, half]; (inf, -inf) for never."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (-half - start) / along, (half - start) / along
+    near, far = np.minimum(a, b), np.maximum(a, b)
+    still = along == 0
+    inside = np.abs(start) <= half
+    near = np.where(still, np.where(inside, -np.inf, np.inf), near)
+    far = np.where(still, np.where(inside, np.inf, -np.inf), far)
+    return near, far
+
+
+def _ball(start: Floats, along: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Distances at which lines enter and leave a ball (in 3-D) or a disc (in 2-D) about the origin.
+
+    By closest approach: the foot of the centre on the line, and half the chord through it. `along` need not
+    be of unit length, distances are in its units; where it is zero the line is a point, in or out for ever.
+    """
+    square = np.sum(along * along, axis=-1)
+    still = square == 0
+    foot = np.where(still, 0.0, -np.sum(start * along, axis=-1) / np.where(still, 1.0, square))
+    miss = start + foot[..., None] * along
+    rest = radius**2 - np.sum(miss * miss, axis=-1)
+    half = np.sqrt(np.maximum(rest, 0.0) / np.where(still, 1.0, square))
+    half = np.where(still, np.inf, half)
+    hit = rest >= 0
+    return np.where(hit, foot - half, np.inf), np.where(hit, foot + half, -np.inf)
+
+
+def _interval(kind: str, size: Sequence[float], start: Floats, along: Floats) -> tuple[Floats, Floats]:
+    """Distances at which lines of a solid's own frame enter and leave it; (inf, -inf) where they miss."""
+    if kind == "sphere":
+        return _ball(start, along, size[0])
+    if kind == "ellipsoid":  # a unit ball in the space divided by the half axes
+        return _ball(start / np.asarray(size), along / np.asarray(size), 1.0)
+    if kind == "box":  # three slabs
+        pieces = [_slab(start[..., a], along[..., a], size[a]) for a in range(3)]
+    elif kind == "cylinder":  # a round wall without end, and one slab
+        pieces = [
+            _ball(start[..., :2], along[..., :2], size[0]),
+            _slab(start[..., 2], along[..., 2], size[1]),
+        ]
+    elif kind == "capsule":  # convex: from the first to the last distance in the cylinder or either ball
+        near, far = _interval("cylinder", size, start, along)
+        for end in (-size[1], size[1]):
+            ball_near, ball_far = _ball(start - np.array([0.0, 0.0, end]), along, size[0])
+            near, far = np.minimum(near, ball_near), np.maximum(far, ball_far)
+        return near, far
+    else:
+        raise AssertionError(f"no such solid: {kind}")
+    near = np.maximum.reduce([piece[0] for piece in pieces])
+    far = np.minimum.reduce([piece[1] for piece in pieces])
+    hit = near <= far
+    return np.where(hit, near, np.inf), np.where(hit, far, -np.inf)
+
+
+def _first_hit(geom: Geom, start: Floats, along: Floats) -> Floats:
+    """Distance to the surface in the geom's own frame: where the ray enters or, from inside, where it leaves.
+
+    A plane is MuJoCo's: seen from its +z side only, and within its half sizes where these are not zero.
+    """
+    if geom.kind == "plane":
+        facing = along[..., 2] < 0
+        reach = np.where(facing, -start[..., 2] / np.where(facing, along[..., 2], 1.0), np.inf)
+        at = start + np.where(np.isfinite(reach), reach, 0.0)[..., None] * along
+        for axis in range(2):
+            if geom.size[axis] > 0:
+                reach = np.where(np.abs(at[..., axis]) <= geom.size[axis], reach, np.inf)
+        return np.where(reach >= 0, reach, np.inf)
+    near, far = _interval(geom.kind, geom.size, start, along)
+    return np.where(near >= 0, near, np.where(far >= 0, far, np.inf))
+
+
+def _seen_from(geom: Geom, position: Floats, directions: Floats) -> Floats:
+    turn = rotation(geom.quaternion).inv()
+    start = np.broadcast_to(turn.apply(position - np.asarray(geom.position)), directions.shape)
+    return _first_hit(geom, start, turn.apply(directions))
+
+
+def ranges(
+    geoms: Sequence[Geom],
+    bodies: Sequence[Body],
+    position: ArrayLike,
+    directions: Floats,
+    max_range_m: float,
+) -> Floats:
+    """Distance along each ray to the nearest surface of the world, inf beyond `max_range_m`.
+
+    The rays are taken into each body's frame, then into each geom's, by scipy rotations.
+    """
+    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
+    point = np.asarray(position, dtype=np.float64)
+    nearest = np.full(len(flat), np.inf)
+    for geom in geoms:
+        nearest = np.minimum(nearest, _seen_from(geom, point, flat))
+    for body in bodies:
+        turn = rotation(body.quaternion).inv()
+        local_point, local_rays = turn.apply(point - np.asarray(body.position)), turn.apply(flat)
+        for geom in body.geoms:
+            nearest = np.minimum(nearest, _seen_from(geom, local_point, local_rays))
+    nearest = np.where(nearest <= max_range_m, nearest, np.inf)
+    return nearest.reshape(np.shape(directions)[:-1])
+
+
+def random_geom(rng: np.random.Generator, kinds: Sequence[str], spread: float, largest: float = 2.5) -> Geom:
+    """A random primitive: log-uniform sizes, a place in a cube of half side `spread`, any attitude."""
+    kind = str(rng.choice(list(kinds)))
+    count = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2, "ellipsoid": 3, "plane": 3}[kind]
+    size = np.exp(rng.uniform(np.log(0.1), np.log(largest), size=count))
+    if kind == "plane":  # half without end, half finite
+        size = np.array([0.0, 0.0, 1.0]) if rng.random() < 0.5 else np.append(3 * size[:2], 1.0)
+    return Geom(kind, tuple(size), tuple(rng.uniform(-spread, spread, 3)), tuple(random_quaternion(rng)))
+
+
+# ---------------------------------------------------------------------------------------------- voxels
+
+
+def observed(
+    origin: ArrayLike,
+    voxel_m: float,
+    shape: Voxel,
+    position: ArrayLike,
+    directions: Floats,
+    ranges32: NDArray[np.float32],
+) -> Bools:
+    """Voxels holding a return: the specification's floor formula, return by return, in Python floats."""
+    out = np.zeros(shape, dtype=bool)
+    start, low = [float(x) for x in np.asarray(position)], [float(x) for x in np.asarray(origin)]
+    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
+    for ray, reach in zip(flat.tolist(), np.asarray(ranges32).ravel().tolist(), strict=True):
+        if reach == float("inf"):
+            continue
+        point = [s + reach * d for s, d in zip(start, ray, strict=True)]
+        index = tuple(int(np.floor((p - o) / float(voxel_m))) for p, o in zip(point, low, strict=True))
+        if all(0 <= i < n for i, n in zip(index, shape, strict=True)):
+            out[index] = True
+    return out
+
+
+def lengths(ranges32: NDArray[np.float32], max_range_m: float) -> Floats:
+    """How far each ray is known to run: to its return, or to the maximum range where nothing returned."""
+    reach = np.asarray(ranges32).astype(np.float64)
+    return np.where(np.isinf(reach), float(max_range_m), reach)
+
+
+def swept(
+    origin: ArrayLike,
+    voxel_m: float,
+    shape: Voxel,
+    position: ArrayLike,
+    directions: Floats,
+    reach: Floats,
+    margin_m: float,
+) -> Bools:
+    """Voxels that some segment meets with positive length, each voxel grown by `margin_m` on every side.
+
+    A slab test of every voxel against every ray in float64. A voxel is the product of three slabs, so the
+    (x, y) columns that a ray misses are set aside before z is looked at; that skips empty overlaps only. With
+    a margin of plus or minus 1e-9 m, a million times the rounding of these numbers, the two answers enclose
+    the truth: what is met when shrunk must be met, what is not met when grown must not. A shrunk voxel must
+    also be met for longer than 1e-9 m.
+    """
+    out = np.zeros(shape, dtype=bool)
+    start, low = np.asarray(position, dtype=np.float64), np.asarray(origin, dtype=np.float64)
+    threshold = TOUCH_M if margin_m < 0 else 0.0
+    bounds = []
+    for axis, count in enumerate(shape):
+        planes = low[axis] + voxel_m * np.arange(count + 1)
+        bounds.append((planes[:-1] - margin_m - start[axis], planes[1:] + margin_m - start[axis]))
+    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
+    for ray, end in zip(flat, np.asarray(reach).ravel(), strict=True):
+        slabs = []
+        for (below, above), along in zip(bounds, ray, strict=True):
+            if along == 0:
+                inside = (below <= 0) & (above > 0)
+                slabs.append((np.where(inside, 0.0, np.inf), np.where(inside, end, -np.inf)))
+                continue
+            with np.errstate(over="ignore"):
+                enter, leave = below / along, above / along
+            if along < 0:
+                enter, leave = leave, enter
+            slabs.append((np.maximum(enter, 0.0), np.minimum(leave, end)))
+        (x_in, x_out), (y_in, y_out), (z_in, z_out) = slabs
+        column_in = np.maximum.outer(x_in, y_in)
+        column_out = np.minimum.outer(x_out, y_out)
+        i, j = np.nonzero(column_out - column_in > threshold)
+        overlap = np.minimum(column_out[i, j, None], z_out) - np.maximum(column_in[i, j, None], z_in)
+        out[i, j] |= overlap > threshold
+    return out
+
+
+def free_bounds(
+    origin: ArrayLike,
+    voxel_m: float,
+    shape: Voxel,
+    position: ArrayLike,
+    directions: Floats,
+    ranges32: NDArray[np.float32],
+    max_range_m: float,
+    margin_m: float = TOUCH_M,
+) -> tuple[Bools, Bools]:
+    """The voxels that must be free and those that may be: they differ only in touched voxels."""
+    seen = observed(origin, voxel_m, shape, position, directions, ranges32)
+    reach = lengths(ranges32, max_range_m)
+    must, may = (
+        swept(origin, voxel_m, shape, position, directions, reach, sign * margin_m) & ~seen
+        for sign in (-1, 1)
+    )
+    return must, may
+
+
+def exact_overlaps(
+    origin: ArrayLike,
+    voxel_m: float,
+    shape: Voxel,
+    position: ArrayLike,
+    direction: ArrayLike,
+    reach: float,
+) -> dict[Voxel, Fraction]:
+    """Every voxel that one segment meets with positive length, and that length, in rational arithmetic.
+
+    The float64 inputs are taken at their exact values and the grid's planes lie at origin + k * voxel
+    exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in units of the
+    direction's length.
+    """
+    size, end = Fraction(float(voxel_m)), Fraction(float(reach))
+    axes: list[list[tuple[int, Fraction, Fraction]]] = []
+    for count, p, d, o in zip(
+        shape, *(np.asarray(a).tolist() for a in (position, direction, origin)), strict=True
+    ):
+        point, along, low = Fraction(p), Fraction(d), Fraction(o)
+        spans = []
+        for index in range(count):
+            below, above = low + index * size - point, low + (index + 1) * size - point
+            if along == 0:
+                if below <= 0 < above:
+                    spans.append((index, Fraction(0), end))
+                continue
+            first, last = sorted((below / along, above / along))
+            first, last = max(first, Fraction(0)), min(last, end)
+            if first < last:
+                spans.append((index, first, last))
+        axes.append(spans)
+    out = {}
+    for (i, a0, a1), (j, b0, b1) in product(axes[0], axes[1]):
+        c0, c1 = max(a0, b0), min(a1, b1)
+        if c0 >= c1:
+            continue
+        for k, d0, d1 in axes[2]:
+            length = min(c1, d1) - max(c0, d0)
+            if length > 0:
+                out[i, j, k] = length
+    return out
+
+
+def exact_swept(
+    origin: ArrayLike,
+    voxel_m: float,
+    shape: Voxel,
+    position: ArrayLike,
+    directions: Floats,
+    reach: Floats,
+    at_least: float = 0.0,
+) -> Bools:
+    """Voxels that some segment meets with positive length of at least `at_least`, in rational arithmetic."""
+    out = np.zeros(shape, dtype=bool)
+    least = Fraction(at_least)
+    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
+    for ray, end in zip(flat, np.asarray(reach).ravel(), strict=True):
+        for index, length in exact_overlaps(origin, voxel_m, shape, position, ray, end).items():
+            if length >= least:
+                out[index] = True
+    return out
+
+
+def sampled(
+    origin: ArrayLike,
+    voxel_m: float,
+    shape: Voxel,
+    position: ArrayLike,
+    directions: Floats,
+    reach: Floats,
+    step_m: float,
+) -> Bools:
+    """The WRONG answer of points sampled along each ray, kept to show that the comparison rejects it."""
+    out = np.zeros(shape, dtype=bool)
+    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
+    for ray, end in zip(flat, np.asarray(reach).ravel(), strict=True):
+        points = np.asarray(position) + np.arange(0.0, end, step_m)[:, None] * ray
+        index = np.floor((points - np.asarray(origin)) / voxel_m).astype(int)
+        index = index[np.all((index >= 0) & (index < shape), axis=1)]
+        out[tuple(index.T)] = True
+    return out

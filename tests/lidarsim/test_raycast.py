@@ -1,0 +1,470 @@
+"""Laws of ray casting: MuJoCo worlds against intersections worked out in numpy, and the engine's known traps.
+
+`reference.ranges` knows nothing of MuJoCo but the meaning of its geoms' sizes. Where a world has meshes or
+height fields, MuJoCo's own one-ray function `mj_ray` is the reference: it tests every geom, whereas the
+many-ray function `mj_multiRay` first sets geoms aside by bounding volumes.
+
+Facts found in MuJoCo 4.0.0 (the source of 3.12.1 reads the same): `mj_multiRay` looks at a body's geoms only
+if the ray meets the bounding sphere of the body's *colliding* geoms, so that geoms with contype = conaffinity
+= 0 outside of that sphere are lost; a body, the world body too, without any colliding geom is searched in
+full. Its cutoff sets far geoms aside and is no limit on the distances it returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import pytest
+
+from lidarsim import Lidar, MujocoCaster, Pose, cast
+from tests.lidarsim import reference
+from tests.lidarsim.reference import Body, Geom
+
+SOLIDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid")
+GHOST = 'contype="0" conaffinity="0"'
+"""A geom that is seen but takes no part in collisions, as visual geoms do."""
+
+
+def caster_of(xml: str) -> MujocoCaster:
+    """A caster over a world given as MJCF."""
+    return MujocoCaster(mujoco.MjModel.from_xml_string(xml))
+
+
+def random_rays(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Directions uniform on the sphere."""
+    rays = rng.normal(size=(count, 3))
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def aimed_rays(
+    rng: np.random.Generator, position: Sequence[float], target: Sequence[float], spread: float, count: int
+) -> np.ndarray:
+    """Directions from a position to points scattered normally about a target."""
+    rays = np.asarray(target) + spread * rng.normal(size=(count, 3)) - np.asarray(position)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def assert_same_ranges(got: np.ndarray, expected: np.ndarray, returns_at_least: int = 1) -> None:
+    """Equal to a micrometre, inf exactly where the reference is inf, and enough returns to mean something."""
+    assert got.shape == expected.shape
+    assert got.dtype == np.float64
+    assert not np.isnan(got).any()
+    wrong = np.isinf(got) != np.isinf(expected)
+    assert not wrong.any(), f"{wrong.sum()} rays: cast {got[wrong][:5]}, reference {expected[wrong][:5]}"
+    seen = np.isfinite(expected)
+    assert seen.sum() >= returns_at_least, f"only {seen.sum()} returns: this world tests nothing"
+    np.testing.assert_allclose(got[seen], expected[seen], rtol=0, atol=1e-6)
+
+
+def mj_ray_ranges(xml: str, position: np.ndarray, directions: np.ndarray, max_range_m: float) -> np.ndarray:
+    """The one-ray function of MuJoCo, ray by ray, with its -1 and far distances turned to inf."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    geom = np.zeros(1, dtype=np.int32)
+    flat = directions.reshape(-1, 3)
+    out = np.array([mujoco.mj_ray(model, data, position, ray, None, 1, -1, geom) for ray in flat])
+    out[(out < 0) | (out > max_range_m)] = np.inf
+    return out.reshape(directions.shape[:-1])
+
+
+def random_world(rng: np.random.Generator, ghosts: bool = False) -> tuple[list[Geom], list[Body]]:
+    """Planes and solids of the world body, and bodies at random attitudes, some of them free to move."""
+    geoms = [
+        reference.random_geom(rng, (*SOLIDS, "plane"), 7, largest=3.5) for _ in range(rng.integers(6, 14))
+    ]
+    bodies = []
+    for _ in range(rng.integers(3, 7)):
+        inside = tuple(reference.random_geom(rng, SOLIDS, 3) for _ in range(rng.integers(1, 4)))
+        joint = "<freejoint/>" if rng.random() < 0.5 else ""
+        place, attitude = rng.uniform(-6, 6, 3), reference.random_quaternion(rng)
+        bodies.append(Body(inside, tuple(place), tuple(attitude), joint))
+    if ghosts:
+        geoms = [ghost(geom) if rng.random() < 0.5 else geom for geom in geoms]
+        bodies = [
+            Body((*body.geoms[:1], *map(ghost, body.geoms[1:])), body.position, body.quaternion, body.inner)
+            for body in bodies
+        ]
+    return geoms, bodies
+
+
+def ghost(geom: Geom) -> Geom:
+    """The same geom without collisions."""
+    return Geom(geom.kind, geom.size, geom.position, geom.quaternion, GHOST)
+
+
+# ------------------------------------------------------------------------------- the analytic references
+
+
+@pytest.mark.parametrize("kind", SOLIDS)
+def test_each_solid_returns_its_surface_to_a_micrometre(kind: str) -> None:
+    rng = np.random.default_rng(sum(map(ord, kind)))
+    returns = misses = 0
+    for _ in range(25):
+        geom = reference.random_geom(rng, (kind,), 6, largest=1.5)
+        position = rng.uniform(-2, 2, 3)
+        rays = aimed_rays(rng, position, geom.position, 0.5, 200)
+        expected = reference.ranges([geom], [], position, rays, 20.0)
+        got = caster_of(reference.world_xml([geom])).cast(position, rays, 20.0)
+        assert_same_ranges(got, expected, returns_at_least=0)
+        returns += np.isfinite(expected).sum()
+        misses += np.isinf(expected).sum()
+    assert returns > 1000
+    assert misses > 500
+
+
+@pytest.mark.parametrize("kind", SOLIDS)
+def test_from_inside_a_solid_its_far_wall_is_seen(kind: str) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        geom = reference.random_geom(rng, (kind,), 5)
+        position = np.array(geom.position) + 0.02 * rng.normal(size=3)
+        rays = random_rays(rng, 100)
+        expected = reference.ranges([geom], [], position, rays, 20.0)
+        got = caster_of(reference.world_xml([geom])).cast(position, rays, 20.0)
+        assert_same_ranges(got, expected, returns_at_least=100)
+
+
+def test_a_plane_is_seen_from_its_front_only_and_within_its_size() -> None:
+    """MuJoCo's planes have a front, +z, and half sizes of which 0 means without end."""
+    floor = Geom("plane", (0.0, 0.0, 1.0))
+    tile = Geom("plane", (1.0, 2.0, 1.0))
+    down = np.array([[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.6, -0.8], [0.8, 0.0, -0.6], [0.0, 0.0, 1.0]])
+    above, below = np.array([0.0, 0.0, 1.5]), np.array([0.0, 0.0, -1.5])
+    ends = [1.5, 1.875, 1.875, 2.5, np.inf]
+    on_floor, on_tile = caster_of(reference.world_xml([floor])), caster_of(reference.world_xml([tile]))
+    np.testing.assert_allclose(on_floor.cast(above, down, 9.0), ends, rtol=1e-12)
+    ends[1] = ends[3] = np.inf
+    np.testing.assert_allclose(on_tile.cast(above, down, 9.0), ends, rtol=1e-12)
+    assert np.isinf(on_floor.cast(below, -down, 9.0)).all()
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_worlds_match_the_analytic_ranges_in_random_directions(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    geoms, bodies = random_world(rng)
+    caster = caster_of(reference.world_xml(geoms, bodies))
+    for _ in range(2):
+        position, reach = rng.uniform(-5, 5, 3), float(rng.uniform(8, 20))
+        rays = random_rays(rng, 600)
+        expected = reference.ranges(geoms, bodies, position, rays, reach)
+        assert_same_ranges(caster.cast(position, rays, reach), expected, returns_at_least=20)
+
+
+@pytest.mark.parametrize("level", [True, False])
+@pytest.mark.parametrize("seed", range(8))
+def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed: int, level: bool) -> None:
+    """The whole way from pose to float32 ranges; layout and intersections both come from the reference."""
+    rng = np.random.default_rng(1000 + seed)
+    geoms, bodies = random_world(rng)
+    position, yaw = rng.uniform(-4, 4, 3), float(rng.uniform(-4, 4))
+    quaternion = reference.level_quaternion(yaw) if level else reference.random_quaternion(rng)
+    pose = Pose.level(position, yaw) if level else Pose(position=position, quaternion=quaternion)
+    scan = cast(caster_of(reference.world_xml(geoms, bodies)), Lidar(), pose)
+    rays = reference.lidar_directions(quaternion)
+    expected = reference.ranges(geoms, bodies, position, rays, 10.0)
+    assert scan.ranges.dtype == np.float32
+    assert scan.ranges.shape == (16, 120)
+    seen = np.isfinite(expected)
+    assert seen.sum() >= 50
+    np.testing.assert_array_equal(np.isfinite(scan.ranges), seen)
+    assert np.all(np.isposinf(scan.ranges[~seen]))
+    # a micrometre, and half a float32's last bit at 10 m
+    np.testing.assert_allclose(scan.ranges[seen], expected[seen], rtol=0, atol=1.5e-6)
+    points = position + expected[seen][:, None] * rays[seen]
+    np.testing.assert_allclose(scan.points(), points, rtol=0, atol=2e-6)
+
+
+def test_a_scan_keeps_the_float32_of_each_range_and_its_points_lie_at_that_range() -> None:
+    rng = np.random.default_rng(8)
+    geoms, bodies = random_world(rng)
+    caster, lidar = caster_of(reference.world_xml(geoms, bodies)), Lidar()
+    pose = Pose(position=np.array([0.3, 0.1, -0.7]), quaternion=reference.random_quaternion(rng))
+    scan = cast(caster, lidar, pose)
+    directions = lidar.directions(pose.quaternion)
+    exact = caster.cast(pose.position, directions, 10.0)
+    np.testing.assert_array_equal(scan.ranges, exact.astype(np.float32))
+    seen = np.isfinite(scan.ranges)
+    assert 100 < seen.sum() < seen.size
+    expected = pose.position + scan.ranges[seen].astype(np.float64)[:, None] * directions[seen]
+    assert scan.points().dtype == np.float64
+    np.testing.assert_array_equal(scan.points(), expected)
+    assert scan.pose is pose
+    assert scan.lidar is lidar
+
+
+# -------------------------------------------------------------------------------------------- no returns
+
+
+def test_an_empty_world_returns_infinity_everywhere() -> None:
+    scan = cast(caster_of(reference.world_xml()), Lidar(), Pose.level((0, 0, 1)))
+    assert np.all(np.isposinf(scan.ranges))
+    assert scan.points().shape == (0, 3)
+
+
+def test_the_maximum_range_divides_returns_from_infinity() -> None:
+    """A wall 4 m ahead: seen with more range than that, not with less, along slanted rays farther away."""
+    wall = Geom("box", (0.5, 20.0, 20.0), (4.5, 0.0, 0.0))
+    caster = caster_of(reference.world_xml([wall]))
+    angles = np.radians(np.arange(0, 80, 5))
+    rays = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+    for reach in (3.999999, 4.000001, 4.5, 6.0, 15.0):
+        got = caster.cast(np.zeros(3), rays, reach)
+        exact = 4.0 / np.cos(angles)
+        np.testing.assert_array_equal(np.isfinite(got), exact <= reach)
+        np.testing.assert_allclose(got[exact <= reach], exact[exact <= reach], rtol=0, atol=1e-9)
+
+
+def test_a_world_without_end_is_cut_at_the_maximum_range() -> None:
+    """A floor without end returns out to the range and no farther, also far from the plane's own origin."""
+    floor = Geom("plane", (0.0, 0.0, 1.0))
+    far_box = Geom("box", (0.1, 0.1, 0.1), (1.0, 0.0, 0.1))
+    for geoms in ([floor], [floor, far_box], [ghost(floor)], [ghost(floor), far_box]):
+        caster = caster_of(reference.world_xml(geoms))
+        for position in ((0.0, 0.0, 1.0), (300.0, -200.0, 2.0)):
+            rays = reference.lidar_directions(reference.level_quaternion(0.1))
+            expected = reference.ranges(geoms, [], position, rays, 10.0)
+            assert np.isinf(expected).sum() > 500
+            assert_same_ranges(caster.cast(np.array(position), rays, 10.0), expected, returns_at_least=500)
+
+
+def test_ranges_take_the_leading_shape_of_the_directions_and_any_memory_layout() -> None:
+    rng = np.random.default_rng(4)
+    geoms, bodies = random_world(rng)
+    caster = caster_of(reference.world_xml(geoms, bodies))
+    position = np.array([0.5, -0.25, 0.125])
+    rays = random_rays(rng, 60)
+    flat = caster.cast(position, rays, 12.0)
+    assert_same_ranges(flat, reference.ranges(geoms, bodies, position, rays, 12.0), returns_at_least=10)
+    blocks = caster.cast(position, rays.reshape(3, 4, 5, 3), 12.0)
+    np.testing.assert_array_equal(blocks, flat.reshape(3, 4, 5))
+    np.testing.assert_array_equal(caster.cast(position, np.asfortranarray(rays), 12.0), flat)
+    np.testing.assert_array_equal(caster.cast(position, rays[::-2], 12.0), flat[::-2])
+    np.testing.assert_array_equal(caster.cast(position.tolist(), rays[7].tolist(), 12.0), flat[7])
+    assert caster.cast(position, rays[7], 12.0).shape == ()
+    assert caster.cast(position, np.empty((0, 3)), 12.0).shape == (0,)
+    fixed = rays.copy()
+    fixed.setflags(write=False)
+    np.testing.assert_array_equal(caster.cast(position, fixed, 12.0), flat)
+
+
+def test_a_caster_has_no_memory_and_casters_do_not_share_worlds() -> None:
+    rng = np.random.default_rng(6)
+    worlds = [random_world(rng) for _ in range(3)]
+    casters = [caster_of(reference.world_xml(*world)) for world in worlds]
+    rays = random_rays(rng, 200)
+    for turn in range(6):
+        world, caster = worlds[turn % 3], casters[turn % 3]
+        position, reach = rng.uniform(-3, 3, 3), (15.0, 4.0)[turn % 2]
+        expected = reference.ranges(*world, position, rays, reach)
+        assert_same_ranges(caster.cast(position, rays, reach), expected)
+
+
+# ------------------------------------------------------------------------------------- traps of mj_multiRay
+
+
+def test_large_thin_slabs_beside_the_sensor_are_seen_to_their_seam() -> None:
+    """MuJoCo up to 3.4 lost steep rays onto slabs that do not contain the sensor's foot point."""
+    rng = np.random.default_rng(11)
+    for gap in (0.0, 0.01, 0.5):
+        slabs = [Geom("box", (20.0, 20.0, 0.05), (side * (20.0 + gap), 0.0, -1.0)) for side in (-1.0, 1.0)]
+        yawed = tuple(reference.level_quaternion(0.4))
+        turned = [Geom("box", (15.0, 0.04, 15.0), (0.0, 1.3, 15.0 + gap), yawed)]
+        for geoms in (slabs, turned, slabs + turned):
+            position = np.array([0.001, 0.2, 0.0])
+            rays = random_rays(rng, 3000)
+            expected = reference.ranges(geoms, [], position, rays, 10.0)
+            got = caster_of(reference.world_xml(geoms)).cast(position, rays, 10.0)
+            assert_same_ranges(got, expected, returns_at_least=300)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed: int) -> None:
+    """Edges reach beyond the angles that the corners span, most near the zenith; azimuth wraps behind."""
+    rng = np.random.default_rng(seed)
+    aims = [(0.3, 0.1, 4.0), (0.2, -0.4, -3.0), (-4.0, 0.0, 0.3), (-3.0, 0.4, -2.0), (3.0, 3.0, 0.0)]
+    for aim in aims:
+        geom = reference.random_geom(rng, ("box",), 0.0, largest=2.0)
+        geom = Geom("box", geom.size, tuple(np.add(aim, 0.3 * rng.normal(size=3))), geom.quaternion)
+        on_edges = rng.uniform(-1, 1, size=(400, 3))
+        fixed = rng.permuted(np.tile([True, True, False], (400, 1)), axis=1)
+        on_edges = np.where(fixed, np.sign(on_edges) * (1 - 1e-4), on_edges) * np.array(geom.size)
+        rays = reference.rotation(geom.quaternion).apply(on_edges) + np.array(geom.position)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        expected = reference.ranges([geom], [], np.zeros(3), rays, 30.0)
+        got = caster_of(reference.world_xml([geom])).cast(np.zeros(3), rays, 30.0)
+        assert_same_ranges(got, expected, returns_at_least=400)
+
+
+@pytest.mark.parametrize("kind", SOLIDS)
+@pytest.mark.parametrize("owner", ["world", "body", "free body"])
+def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(
+    kind: str, owner: str
+) -> None:
+    """`mj_multiRay` never tests these: it sets bodies aside by a sphere about colliding geoms alone."""
+    rng = np.random.default_rng(21)
+    size = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2, "ellipsoid": 3}[kind]
+    attitude = tuple(reference.random_quaternion(rng))
+    pair = (
+        Geom(kind, (0.9, 0.7, 0.8)[:size], (-5.0, 1.0, 0.5), attitude, GHOST),
+        Geom("box", (0.1, 0.1, 0.1), (4.0, 0.0, 0.0)),
+    )
+    joint = "<freejoint/>" if owner == "free body" else ""
+    yawed = tuple(reference.level_quaternion(0.1))
+    geoms, bodies = (
+        (list(pair), []) if owner == "world" else ([], [Body(pair, (0.2, 0.3, 0.4), yawed, joint)])
+    )
+    position = np.array([0.1, 0.0, 0.2])
+    rays = np.concatenate([aimed_rays(rng, position, pair[0].position, 0.8, 300), random_rays(rng, 500)])
+    expected = reference.ranges(geoms, bodies, position, rays, 10.0)
+    got = caster_of(reference.world_xml(geoms, bodies)).cast(position, rays, 10.0)
+    assert_same_ranges(got, expected, returns_at_least=150)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_random_worlds_with_geoms_without_collisions_match_the_analytic_ranges(seed: int) -> None:
+    rng = np.random.default_rng(500 + seed)
+    geoms, bodies = random_world(rng, ghosts=True)
+    position = rng.uniform(-5, 5, 3)
+    rays = random_rays(rng, 1000)
+    expected = reference.ranges(geoms, bodies, position, rays, 12.0)
+    got = caster_of(reference.world_xml(geoms, bodies)).cast(position, rays, 12.0)
+    assert_same_ranges(got, expected, returns_at_least=50)
+
+
+@pytest.mark.parametrize("colliding", ["", GHOST])
+def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding: str) -> None:
+    """Glass walls around the sensor, invisible in both ways, and a visible sphere behind each of them."""
+    materials = '<material name="clear" rgba="1 0 0 0"/><material name="faint" rgba="1 0 0 0.01"/>'
+    looks = {
+        (1, 0, 0): ('rgba="0.5 0.5 0.5 0"', False),
+        (-1, 0, 0): ('material="clear"', False),
+        (0, 1, 0): ('rgba="0.5 0.5 0.5 0.01"', True),
+        (0, -1, 0): ('material="faint"', True),
+    }
+    walls = [
+        Geom("sphere", (0.5,), tuple(2.0 * np.array(side)), attributes=f"{look} {colliding}")
+        for side, (look, _) in looks.items()
+    ]
+    behind = [Geom("sphere", (0.5,), tuple(5.0 * np.array(side))) for side in looks]
+    rays = np.array(list(looks), dtype=np.float64)
+    caster = caster_of(reference.world_xml(walls + behind, assets=materials))
+    expected = [1.5 if seen else 4.5 for _, seen in looks.values()]
+    np.testing.assert_allclose(caster.cast(np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
+    alone = caster_of(reference.world_xml(walls, assets=materials))
+    expected = [1.5 if seen else np.inf for _, seen in looks.values()]
+    np.testing.assert_allclose(alone.cast(np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
+
+
+def test_every_one_of_many_bodies_is_seen() -> None:
+    """400 small bodies all around the sensor, none hiding another: a ray at each must return from it."""
+    rng = np.random.default_rng(31)
+    at = np.arange(400)
+    height = 1 - (2 * at + 1) / 400
+    turn = at * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - height**2)
+    rays = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=-1)
+    reach = rng.uniform(4, 9, 400)
+    bodies = [
+        Body(
+            (reference.random_geom(rng, SOLIDS, 0.0, largest=0.15),),
+            tuple(ray * far),
+            tuple(reference.random_quaternion(rng)),
+            "<freejoint/>" if index % 20 == 0 else "",
+        )
+        for index, (ray, far) in enumerate(zip(rays, reach, strict=True))
+    ]
+    expected = reference.ranges([], bodies, np.zeros(3), rays, 10.0)
+    assert np.abs(expected - reach).max() < 0.4
+    got = caster_of(reference.world_xml([], bodies)).cast(np.zeros(3), rays, 10.0)
+    assert_same_ranges(got, expected, returns_at_least=400)
+
+
+def test_a_mesh_cube_returns_what_a_box_geom_does() -> None:
+    """A mesh against the analytic box, off the mesh's own origin and at random attitudes."""
+    rng = np.random.default_rng(41)
+    for _ in range(10):
+        half, shift = rng.uniform(0.2, 1.5, 3), rng.uniform(-2, 2, 3)
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half + shift
+        place, attitude = rng.uniform(-3, 3, 3), reference.random_quaternion(rng)
+        asset = f'<mesh name="cube" vertex="{reference.numbers(corners.ravel())}"/>'
+        pose = f'pos="{reference.numbers(place)}" quat="{reference.numbers(attitude)}"'
+        geom = f'<geom type="mesh" mesh="cube" {pose}/>'
+        xml = f"<mujoco><asset>{asset}</asset><worldbody>{geom}</worldbody></mujoco>"
+        centre = place + reference.rotation(attitude).apply(shift)
+        box = Geom("box", tuple(half), tuple(centre), tuple(attitude))
+        position = rng.uniform(-3, 3, 3)
+        rays = np.concatenate([aimed_rays(rng, position, centre, 0.5, 150), random_rays(rng, 150)])
+        expected = reference.ranges([box], [], position, rays, 12.0)
+        got = caster_of(xml).cast(position, rays, 12.0)
+        assert_same_ranges_of_float32_mesh(got, expected)
+
+
+def assert_same_ranges_of_float32_mesh(got: np.ndarray, expected: np.ndarray) -> None:
+    """As `assert_same_ranges`, for meshes, whose vertices MuJoCo keeps in float32: a ray may pass an edge."""
+    flipped = np.isinf(got) != np.isinf(expected)
+    assert flipped.sum() <= 1
+    seen = np.isfinite(got) & np.isfinite(expected)
+    assert seen.sum() > 20
+    error = np.abs(got[seen] - expected[seen])
+    assert np.quantile(error, 0.98) < 5e-6
+    assert error.max() < 1e-3  # rays almost along a face
+
+
+def random_mesh(rng: np.random.Generator, name: str) -> str:
+    """A bumpy closed surface, not convex: an octahedron refined once, each corner at its own radius."""
+    corners = np.array(
+        [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64
+    )
+    faces = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    faces = [(a, b, c) if (a + b + c) % 2 == 0 else (a, c, b) for a, b, c in faces]
+    points, index, fine = list(corners), {}, []
+    for a, b, c in faces:
+        middle = []
+        for edge in (frozenset((a, b)), frozenset((b, c)), frozenset((c, a))):
+            if edge not in index:
+                index[edge] = len(points)
+                points.append(sum(corners[v] for v in edge) / np.sqrt(2))
+            middle.append(index[edge])
+        ab, bc, ca = middle
+        fine += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    radii = rng.uniform(0.5, 1.5, len(points)) * rng.uniform(0.4, 1.2)
+    vertices = np.array(points) * radii[:, None] + rng.uniform(-1, 1, 3)
+    return (
+        f'<mesh name="{name}" inertia="shell" vertex="{reference.numbers(vertices.ravel())}" '
+        f'face="{" ".join(str(v) for face in fine for v in face)}"/>'
+    )
+
+
+@pytest.mark.parametrize("collide", [True, False])
+@pytest.mark.parametrize("seed", range(4))
+def test_mesh_and_height_field_worlds_match_mj_ray_ray_by_ray(seed: int, collide: bool) -> None:
+    """Meshes that are not convex, height fields, and primitives among them, in the world and in bodies."""
+    rng = np.random.default_rng(60 + seed)
+    heights = rng.uniform(0, 1, (9, 12))
+    elevation = reference.numbers(heights.ravel())
+    assets = "".join(random_mesh(rng, f"m{i}") for i in range(3)) + (
+        f'<hfield name="hills" nrow="9" ncol="12" size="8 6 1.5 0.3" elevation="{elevation}"/>'
+    )
+    look = "" if collide else GHOST
+
+    def mesh(spread: float) -> str:
+        place = reference.numbers(rng.uniform(-spread, spread, 3))
+        attitude = reference.numbers(reference.random_quaternion(rng))
+        return f'<geom type="mesh" mesh="m{rng.integers(3)}" pos="{place}" quat="{attitude}" {look}/>'
+
+    yawed = reference.numbers(reference.level_quaternion(float(rng.uniform(0, 6))))
+    field = f'<geom type="hfield" hfield="hills" pos="0.5 -0.3 -3" quat="{yawed}" {look}/>'
+    inside = field + mesh(4) + mesh(4) + reference.random_geom(rng, SOLIDS, 4, largest=0.5).xml()
+    for joint in ("", "<freejoint/>"):
+        attitude = reference.numbers(reference.random_quaternion(rng))
+        solid = reference.random_geom(rng, SOLIDS, 1, largest=0.5).xml()
+        place = reference.numbers(rng.uniform(-4, 4, 3))
+        inside += f'<body pos="{place}" quat="{attitude}">{joint}{mesh(2)}{solid}</body>'
+    xml = f"<mujoco><asset>{assets}</asset><worldbody>{inside}</worldbody></mujoco>"
+    position = rng.uniform(-1, 1, 3)
+    rays = reference.lidar_directions(reference.random_quaternion(rng))
+    expected = mj_ray_ranges(xml, position, rays, 10.0)
+    assert_same_ranges(caster_of(xml).cast(position, rays, 10.0), expected, returns_at_least=400)

@@ -1,0 +1,481 @@
+"""Laws of the voxel grids: observed by the floor formula, free by overlap of segments with boxes.
+
+The truth comes from `reference`: a slab test of every voxel against every ray, in float64 with a margin
+(voxels that must and voxels that may be free) and in rational arithmetic. Where these tests accept either
+answer, they do so only within 1e-9 m of a grid plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from lidarsim import GridSpec, Lidar, MujocoCaster, ObservedGrid, Pose, Scan, cast, voxelize
+from tests.lidarsim import reference
+
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+SMALL = GridSpec(shape=(6, 5, 4), voxel_m=0.3)
+DYADIC = GridSpec(shape=(8, 8, 8), voxel_m=0.25)
+"""A grid whose planes are exact in float64 about the origin: no rounding can excuse a wrong side."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rays(Lidar):
+    """A lidar with rays of one's own choosing, in the world, whatever the attitude."""
+
+    rays: np.ndarray = field(default_factory=lambda: np.zeros((1, 1, 3)))
+
+    def directions(self, quaternion: object) -> np.ndarray:
+        """The chosen rays."""
+        return self.rays
+
+
+def scan_of(
+    rays: object, ranges: object, position: object = (0.0, 0.0, 0.0), max_range_m: float = 10.0
+) -> Scan:
+    """A scan with given world directions (n, 3), made unit, and ranges (n,)."""
+    directions = np.asarray(rays, dtype=np.float64).reshape(-1, 1, 3)
+    longest = np.abs(directions).max(axis=-1, keepdims=True)
+    directions = directions / longest
+    directions = directions / np.sqrt(np.sum(directions**2, axis=-1, keepdims=True))
+    reach = np.broadcast_to(np.asarray(ranges, dtype=np.float32).reshape(-1, 1), (len(directions), 1))
+    lidar = Rays(rows=len(directions), columns=1, max_range_m=max_range_m, rays=directions)
+    return Scan(
+        ranges=reach.copy(), pose=Pose(position=np.asarray(position, float), quaternion=LEVEL), lidar=lidar
+    )
+
+
+def inputs(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple:
+    """What every reference takes first: origin, voxel, shape, position, directions."""
+    directions = scan.lidar.directions(scan.pose.quaternion)
+    return got.origin, grid.voxel_m, grid.shape, scan.pose.position, directions
+
+
+def disagreements(free: np.ndarray, must: np.ndarray, may: np.ndarray) -> int:
+    """How many voxels are free that may not be, or are not free that must be."""
+    return int((must & ~free).sum() + (free & ~may).sum())
+
+
+def assert_right(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple[np.ndarray, np.ndarray]:
+    """The grids of a scan against the references; the enclosing free grids are handed back."""
+    given_ = inputs(scan, grid, got)
+    assert got.observed.shape == got.free.shape == grid.shape
+    assert got.observed.dtype == got.free.dtype == np.bool_
+    np.testing.assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
+    must, may = reference.free_bounds(*given_, scan.ranges, scan.lidar.max_range_m)
+    missed, extra = np.argwhere(must & ~got.free), np.argwhere(got.free & ~may)
+    assert len(missed) == 0, f"not free but crossed: {missed[:5].tolist()} and more, {len(missed)} in all"
+    assert len(extra) == 0, f"free but not crossed: {extra[:5].tolist()} and more, {len(extra)} in all"
+    assert not (got.free & got.observed).any()
+    return must, may
+
+
+def random_lidar_scan(rng: np.random.Generator, lidar: Lidar, position: object = None) -> Scan:
+    """Ranges drawn at random, three in ten without return, from a random place and attitude."""
+    reach = rng.uniform(0.05, lidar.max_range_m, (lidar.rows, lidar.columns)).astype(np.float32)
+    reach[rng.random(reach.shape) < 0.3] = np.inf
+    place = rng.uniform(-50, 50, 3) if position is None else np.asarray(position, float)
+    return Scan(
+        ranges=reach, pose=Pose(position=place, quaternion=reference.random_quaternion(rng)), lidar=lidar
+    )
+
+
+# ------------------------------------------------------------------------------------ the whole definition
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scan = random_lidar_scan(rng, Lidar(), position=(0.0, 0.0, 0.0) if seed == 0 else None)
+    grid = GridSpec()
+    got = voxelize(scan, grid)
+    np.testing.assert_array_equal(got.origin, grid.origin_at(scan.pose.position))
+    must, may = assert_right(scan, grid, got)
+    assert must.sum() > 20_000
+    assert (may & ~must).sum() < 200  # the margin excuses next to nothing
+    assert got.observed.sum() > 500
+
+
+@pytest.mark.parametrize("mount", ["tilt", "band"])
+@pytest.mark.parametrize("yaw_deg", [0.0, 45.0, 90.0, -90.0, 180.0, 30.0])
+def test_level_scans_whose_rays_run_along_grid_planes_match(yaw_deg: float, mount: str) -> None:
+    """Here many rays have components of 0 or 1e-17 and run in or along the planes through the sensor."""
+    rng = np.random.default_rng(7)
+    lidar = Lidar(mount=mount, rows=4, columns=24, vertical_fov_deg=90.0 if mount == "tilt" else 60.0)
+    reach = rng.uniform(0.05, 10, (4, 24)).astype(np.float32)
+    reach[rng.random(reach.shape) < 0.5] = np.inf
+    for position in ((0.0, 0.0, 0.0), (8.0, 6.0, 1.5), (1.7, -33.3, 0.9)):
+        scan = Scan(ranges=reach, pose=Pose.level(position, np.radians(yaw_deg)), lidar=lidar)
+        must, _ = assert_right(scan, GridSpec(), voxelize(scan, GridSpec()))
+        assert must.sum() > 1000
+
+
+@pytest.mark.parametrize("seed", range(150))
+def test_random_rays_on_small_grids_of_any_shape_match(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = GridSpec(
+        shape=tuple(rng.integers(1, 12, 3)), voxel_m=float(rng.choice([0.1, 0.2, 0.25, 0.37, 1.0, 3.0]))
+    )
+    count = int(rng.integers(1, 40))
+    rays = rng.normal(size=(count, 3))
+    reach = np.where(rng.random(count) < 0.3, np.inf, rng.exponential(grid.extent_m.max(), count))
+    scan = scan_of(rays, reach, rng.uniform(-9, 9, 3), max_range_m=float(rng.uniform(0.1, 20)))
+    assert_right(scan, grid, voxelize(scan, grid))
+
+
+component = st.one_of(
+    st.sampled_from(
+        [0.0, -0.0, 1.0, -1.0, 1e-17, -1e-17, 1e-12, -1e-12, 1e-9, 0.5, -2.0, 1e-300, -1e-300, 1 / 3]
+    ),
+    st.floats(-1, 1),
+)
+ray = st.tuples(component, component, component).filter(lambda d: max(map(abs, d)) > 1e-3)
+reach = st.one_of(
+    st.sampled_from([np.inf, 0.0, 1e-30, 1e-12, 1e-7, 1e-3, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 50.0]),
+    st.floats(0, 4, width=32),
+)
+place = st.sampled_from([(0.0, 0.0, 0.0), (0.1, 0.2, 0.3), (-7.3, 100.7, 1.5), (0.15, 0.15, -0.15)])
+grids = st.sampled_from([SMALL, DYADIC, GridSpec(shape=(4, 4, 4)), GridSpec(shape=(3, 5, 1), voxel_m=0.2)])
+
+
+@settings(max_examples=250, deadline=None, derandomize=True)
+@given(rays=st.lists(st.tuples(ray, reach), min_size=1, max_size=4), position=place, grid=grids)
+def test_special_rays_on_small_grids_match_rational_arithmetic(
+    rays: list, position: tuple, grid: GridSpec
+) -> None:
+    """Parallel, all but parallel, diagonal, tiny and endless rays. The exact answer lies between the two
+    float64 references, which are thereby checked too, and so must the answer under test."""
+    scan = scan_of([d for d, _ in rays], [r for _, r in rays], position)
+    got = voxelize(scan, grid)
+    must, may = assert_right(scan, grid, got)
+    given_ = inputs(scan, grid, got)
+    exact = reference.exact_swept(*given_, reference.lengths(scan.ranges, 10.0)) & ~got.observed
+    assert not (must & ~exact).any()
+    assert not (exact & ~may).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_rays_free_exactly_the_voxels_that_rational_arithmetic_finds(seed: int) -> None:
+    """No margin here: random rays do not come within 1e-9 m of an edge, so there is one answer."""
+    rng = np.random.default_rng(100 + seed)
+    grid = GridSpec(shape=(11, 9, 7))
+    reach = np.where(rng.random(25) < 0.3, np.inf, rng.uniform(0, 2, 25))
+    scan = scan_of(rng.normal(size=(25, 3)), reach, rng.uniform(-9, 9, 3))
+    got = voxelize(scan, grid)
+    given_, length = inputs(scan, grid, got), reference.lengths(scan.ranges, 10.0)
+    exact = reference.exact_swept(*given_, length)
+    assert exact.sum() > 60
+    np.testing.assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
+    np.testing.assert_array_equal(got.free, exact & ~got.observed)
+
+
+# ------------------------------------------------------------------- the comparison can tell right from wrong
+
+
+@pytest.mark.parametrize("step_m", [0.2, 0.1, 0.02])
+def test_points_sampled_along_rays_would_be_found_out(step_m: float) -> None:
+    """Sampling, even at a tenth of a voxel, misses voxels that rays cross at a corner."""
+    rng = np.random.default_rng(0)
+    scan, grid = random_lidar_scan(rng, Lidar(rows=8, columns=60)), GridSpec()
+    got = voxelize(scan, grid)
+    given_ = inputs(scan, grid, got)
+    length = reference.lengths(scan.ranges, 10.0)
+    must, may = reference.free_bounds(*given_, scan.ranges, 10.0)
+    assert disagreements(got.free, must, may) == 0
+    wrong = reference.sampled(*given_, length, step_m) & ~got.observed
+    assert (must & ~wrong).sum() > 100
+    assert not (wrong & ~may).any()  # its only fault is what it misses
+
+
+@pytest.mark.parametrize(
+    "fault", ["short", "long", "no clearing beyond the map", "observed left in", "all neighbours"]
+)
+def test_other_wrong_walks_would_be_found_out(fault: str) -> None:
+    rng = np.random.default_rng(1)
+    scan, grid = (
+        random_lidar_scan(rng, Lidar(rows=6, columns=40, max_range_m=15.0)),
+        GridSpec(shape=(40, 40, 20)),
+    )
+    got = voxelize(scan, grid)
+    given_ = inputs(scan, grid, got)
+    length = reference.lengths(scan.ranges, 15.0)
+    must, may = reference.free_bounds(*given_, scan.ranges, 15.0)
+    assert disagreements(got.free, must, may) == 0
+    if fault == "short":
+        length = np.maximum(length - 2 * grid.voxel_m, 0)
+    elif fault == "long":
+        length = length + grid.voxel_m
+    elif fault == "no clearing beyond the map":
+        length = np.where(length > 4.0, 0.0, length)
+    wrong = reference.swept(*given_, length, 0.0)
+    if fault == "all neighbours":
+        wrong = reference.swept(*given_, length, 0.01)
+    if fault != "observed left in":
+        wrong &= ~got.observed
+    assert disagreements(wrong, must, may) > 20
+
+
+# ------------------------------------------------------------------------------------------- single rays
+
+
+def free_set(scan: Scan, grid: GridSpec) -> set[tuple[int, ...]]:
+    """Indices of the free voxels, after the check against the references."""
+    got = voxelize(scan, grid)
+    assert_right(scan, grid, got)
+    return {tuple(index) for index in np.argwhere(got.free).tolist()}
+
+
+@pytest.mark.parametrize("tiny", [0.0, -0.0])
+def test_a_ray_within_the_plane_between_voxels_belongs_to_the_upper_one(tiny: float) -> None:
+    """On a grid exact in float64 the sensor's planes are no matter of rounding: voxels are half-open."""
+    ahead = free_set(scan_of([[1.0, tiny, tiny]], np.inf), DYADIC)
+    assert ahead == {(i, 4, 4) for i in range(4, 8)}
+    behind = free_set(scan_of([[-1.0, tiny, tiny]], np.inf), DYADIC)
+    assert behind == {(i, 4, 4) for i in range(4)}
+    up = free_set(scan_of([[tiny, tiny, 1.0]], np.inf), DYADIC)
+    assert up == {(4, 4, k) for k in range(4, 8)}
+    down = free_set(scan_of([[tiny, tiny, -1.0]], 0.6), DYADIC)  # the return itself lies in voxel 1
+    assert down == {(4, 4, 3), (4, 4, 2)}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_slanted_ray_within_a_plane_frees_upper_voxels_only(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rays = rng.normal(size=(6, 3))
+    rays[np.arange(6), rng.integers(0, 3, 6)] = rng.choice([0.0, -0.0], 6)
+    scan = scan_of(rays, np.where(rng.random(6) < 0.5, np.inf, rng.uniform(0.1, 1.5, 6)))
+    got = voxelize(scan, DYADIC)
+    given_, length = inputs(scan, DYADIC, got), reference.lengths(scan.ranges, 10.0)
+    exact = reference.exact_swept(*given_, length)
+    np.testing.assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
+    np.testing.assert_array_equal(got.free, exact & ~got.observed)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_component_of_1e_17_does_not_divert_a_ray(sign: float) -> None:
+    """In the middle of a voxel's face, not along its edge: the row of voxels has one answer."""
+    grid = GridSpec(shape=(9, 9, 9))  # odd: the sensor is at a voxel's centre
+    for axis in range(3):
+        for direction in (1.0, -1.0):
+            rays = np.full(3, sign * 1e-17)
+            rays[axis] = direction
+            expected = set()
+            for step in range(5):
+                index = [4, 4, 4]
+                index[axis] += int(direction) * step
+                expected.add(tuple(index))
+            assert free_set(scan_of([rays], np.inf), grid) == expected
+
+
+@pytest.mark.parametrize("signs", [(a, b, c) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
+def test_a_diagonal_ray_through_corners_frees_the_diagonal(signs: tuple[int, int, int]) -> None:
+    """It touches other voxels at corners only; these are accepted either way, the diagonal itself is not."""
+    inside = {tuple((4 + n if s > 0 else 3 - n) for s in signs) for n in range(4)}
+    got = free_set(scan_of([signs], np.inf), DYADIC)
+    assert inside <= got
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_rays_through_edges_and_corners_of_voxels_match(seed: int) -> None:
+    """Every ray leaves the sensor for a lattice point of the grid: it meets edges and corners all the way."""
+    rng = np.random.default_rng(seed)
+    for grid in (DYADIC, GridSpec(shape=(8, 8, 8)), GridSpec(shape=(7, 8, 9), voxel_m=0.1)):
+        steps = rng.integers(-3, 4, size=(12, 3))
+        steps = steps[np.any(steps != 0, axis=1)]
+        reach = np.where(rng.random(len(steps)) < 0.5, np.inf, np.linalg.norm(steps, axis=1) * grid.voxel_m)
+        scan = scan_of(steps, reach, rng.choice([0.0, 1.5, -0.7], 3))
+        assert_right(scan, grid, voxelize(scan, grid))
+
+
+@pytest.mark.parametrize("max_range_m", [0.05, 0.3, 0.75, 3.0, 10.0, 1e6])
+def test_rays_without_return_free_up_to_the_range_or_the_maps_border(max_range_m: float) -> None:
+    rng = np.random.default_rng(2)
+    grid = GridSpec(shape=(10, 10, 6))
+    scan = scan_of(rng.normal(size=(30, 3)), np.inf, (3.0, 2.0, 1.0), max_range_m)
+    got = voxelize(scan, grid)
+    must, _ = assert_right(scan, grid, got)
+    assert must.any()
+    assert not got.observed.any()
+    centres = (np.argwhere(got.free) + 0.5) * grid.voxel_m + got.origin
+    assert np.linalg.norm(centres - scan.pose.position, axis=1).max() < max_range_m + grid.voxel_m
+    border = got.free.copy()
+    border[1:-1, 1:-1, 1:-1] = False
+    assert border.any() == (max_range_m > 0.5)
+
+
+def test_a_return_beyond_the_map_is_dropped_and_its_ray_still_frees_to_the_border() -> None:
+    rays = [
+        [1.0, 0.3, 0.2],
+        [-1.0, 0.3, 0.2],
+        [0.1, 1.0, 0.2],
+        [0.1, -1.0, 0.2],
+        [0.1, 0.2, 1.0],
+        [0.1, 0.2, -1.0],
+    ]
+    beyond = voxelize(scan_of(rays, 5.0), DYADIC)
+    never = voxelize(scan_of(rays, np.inf), DYADIC)
+    assert not beyond.observed.any()
+    np.testing.assert_array_equal(beyond.free, never.free)
+    assert_right(scan_of(rays, 5.0), DYADIC, beyond)
+    assert beyond.free.sum() >= 6 * 4
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_returns_just_outside_the_map_are_dropped_and_just_inside_are_kept(axis: int) -> None:
+    """Floor, not truncation: below the lower border is voxel -1, not 0. The upper border itself is out."""
+    for sign, reach, expected in [
+        (-1, 1.0, 0),  # on the lower border: inside
+        (-1, 1.0 + 2**-20, None),
+        (-1, 1.1, None),
+        (-1, 1.24, None),
+        (1, 1.0 - 2**-20, 7),
+        (1, 1.0, None),  # on the upper border: outside
+        (1, 1.1, None),
+    ]:
+        rays = np.zeros(3)
+        rays[axis] = sign
+        scan = scan_of([rays], reach)
+        got = voxelize(scan, DYADIC)
+        assert_right(scan, DYADIC, got)
+        index = [4, 4, 4]
+        index[axis] = expected if expected is not None else -1
+        assert np.argwhere(got.observed).tolist() == ([] if expected is None else [index])
+        assert got.free.sum() == 4 - (expected is not None)
+
+
+@pytest.mark.parametrize("reach", [0.0, 1e-45, 1e-30, 1e-12, 1e-7, 1e-3])
+def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing_beyond(reach: float) -> None:
+    """Along a ray into the upper voxels the return is in the sensor's own voxel, which is not free then."""
+    for grid, index in ((DYADIC, (4, 4, 4)), (GridSpec(shape=(9, 9, 9)), (4, 4, 4))):
+        scan = scan_of([[0.6, 0.5, 0.4]], reach)
+        got = voxelize(scan, grid)
+        assert_right(scan, grid, got)
+        assert np.argwhere(got.observed).tolist() == [list(index)]
+        assert not got.free.any()
+
+
+def test_a_voxel_with_a_return_is_not_free_however_many_rays_cross_it() -> None:
+    """The return's ray comes last, then first, among rays that pass through its voxel without return."""
+    rays = [[1.0, 0.1 + 0.01 * n, 0.1] for n in range(5)]
+    ends = [np.inf, np.inf, np.inf, np.inf, 0.6]
+    for order in (slice(None), slice(None, None, -1)):
+        got = voxelize(scan_of(rays[order], ends[order]), DYADIC)
+        assert got.observed[6, 4, 4]
+        assert not got.free[6, 4, 4]
+        assert got.free[7, 4, 4]
+
+
+# ------------------------------------------------------------------------------------------- observed
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed: int) -> None:
+    """Returns at multiples of the voxel along axes and diagonals: the last bit decides, by the formula."""
+    rng = np.random.default_rng(seed)
+    grid = GridSpec(shape=(20, 20, 20), voxel_m=float(rng.choice([0.1, 0.2, 0.3, 0.25])))
+    rays = np.concatenate([np.eye(3), -np.eye(3), rng.choice([-1.0, 1.0, 0.5], (60, 3))])
+    rays = np.tile(rays, (6, 1))
+    reach = rng.integers(1, 12, len(rays)) * np.float32(grid.voxel_m) * np.linalg.norm(rays, axis=1)
+    scan = scan_of(rays, reach, rng.choice([0.0, 1.0, 0.1, -7.7], 3))
+    got = voxelize(scan, grid)
+    given_ = inputs(scan, grid, got)
+    np.testing.assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
+    index = np.floor((scan.points() - got.origin) / grid.voxel_m).astype(int)
+    index = index[np.all((index >= 0) & (index < 20), axis=1)]
+    assert len(index) > 50
+    assert {tuple(i) for i in np.argwhere(got.observed).tolist()} == {tuple(i) for i in index.tolist()}
+
+
+def test_a_scan_without_returns_observes_nothing_and_frees_its_rays() -> None:
+    rng = np.random.default_rng(3)
+    reach = np.full((16, 120), np.inf, dtype=np.float32)
+    scan = Scan(
+        ranges=reach, pose=Pose(np.array([1.0, 2.0, 3.0]), reference.random_quaternion(rng)), lidar=Lidar()
+    )
+    got = voxelize(scan, GridSpec())
+    assert not got.observed.any()
+    must, _ = assert_right(scan, GridSpec(), got)
+    assert must.sum() > 40_000
+    assert scan.points().shape == (0, 3)
+
+
+def test_voxelize_leaves_the_scan_alone_and_repeats_itself() -> None:
+    scan = random_lidar_scan(np.random.default_rng(9), Lidar(rows=4, columns=30))
+    before = scan.ranges.copy()
+    first, second = voxelize(scan, GridSpec()), voxelize(scan, GridSpec())
+    np.testing.assert_array_equal(scan.ranges, before)
+    np.testing.assert_array_equal(first.free, second.free)
+    np.testing.assert_array_equal(first.observed, second.observed)
+    assert first.free is not second.free
+
+
+# ------------------------------------------------------------------------------- an origin of one's own
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside(seed: int) -> None:
+    """With `origin` given, rays may enter the map from outside, miss it, or start on its border."""
+    rng = np.random.default_rng(seed)
+    grid = GridSpec(shape=(7, 6, 5), voxel_m=0.25)
+    position = rng.uniform(-1, 1, 3)
+    origin = position - grid.extent_m / 2 + rng.uniform(-2, 2, 3)
+    if seed % 4 == 0:  # on a border plane
+        origin[seed % 3] = position[seed % 3] - (grid.extent_m[seed % 3] if seed % 8 else 0.0)
+    aim = origin + rng.uniform(0, 1, (20, 3)) * grid.extent_m - position
+    rays = np.concatenate([aim, rng.normal(size=(10, 3)), np.eye(3), -np.eye(3)])
+    scan = scan_of(rays, np.where(rng.random(36) < 0.4, np.inf, rng.uniform(0.1, 4, 36)), position)
+    got = voxelize(scan, grid, origin)
+    np.testing.assert_array_equal(got.origin, origin)
+    must, _ = assert_right(scan, grid, got)
+    assert must.any()
+
+
+# ---------------------------------------------------------------------------------------- turning the scene
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_quarter_turn_of_scene_and_sensor_turns_the_grids(seed: int) -> None:
+    """The whole way from MJCF to grids, twice. A turn by +90 degrees about the vertical takes x to y and y
+    to -x, and so voxel (i, j, k) to (n - 1 - j, i, k). Left out: voxels within 1e-6 m of whose boundary a ray
+    runs or a return lies (two float32 ranges of one ray may differ in the last bit, 1e-6 m at 10 m)."""
+    rng = np.random.default_rng(seed)
+    kinds = ("sphere", "box", "cylinder", "capsule", "ellipsoid")
+    geoms = [reference.random_geom(rng, kinds, 7) for _ in range(25)]
+    quarter = Rotation.from_euler("z", 90, degrees=True)
+
+    def turned(geom: reference.Geom) -> reference.Geom:
+        attitude = (quarter * reference.rotation(geom.quaternion)).as_quat()[[3, 0, 1, 2]]
+        return reference.Geom(geom.kind, geom.size, tuple(quarter.apply(geom.position)), tuple(attitude))
+
+    position, yaw, grid = rng.uniform(-2, 2, 3), 0.3 + seed, GridSpec()
+    worlds = (geoms, position, yaw), ([turned(g) for g in geoms], quarter.apply(position), yaw + np.pi / 2)
+    scans, grids = [], []
+    for world, place, heading in worlds:
+        caster = MujocoCaster(mujoco.MjModel.from_xml_string(reference.world_xml(world)))
+        scans.append(cast(caster, Lidar(), Pose.level(place, heading)))
+        grids.append(voxelize(scans[-1], grid))
+
+    given_ = inputs(scans[0], grid, grids[0])
+    must, may = reference.free_bounds(*given_, scans[0].ranges, 10.0, margin_m=1e-6)
+    unsure = may & ~must
+    relative = (scans[0].points() - grids[0].origin) / grid.voxel_m
+    for offset in np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]):
+        index = np.floor(relative + offset * 1e-6 / grid.voxel_m).astype(int)
+        near = np.any(np.abs(relative - np.round(relative)) < 1e-6 / grid.voxel_m, axis=1)
+        near &= np.all((index >= 0) & (index < grid.shape), axis=1)
+        unsure[tuple(index[near].T)] = True
+    assert unsure.sum() < 0.01 * must.sum()
+    assert grids[0].observed.sum() > 100
+
+    count = grid.shape[0]
+    i, j, k = np.nonzero(~unsure)
+    for name in ("observed", "free"):
+        before, after = getattr(grids[0], name), getattr(grids[1], name)
+        np.testing.assert_array_equal(after[count - 1 - j, i, k], before[i, j, k], err_msg=name)
+    assert (grids[1].free != grids[0].free).sum() > 1000  # the scene is not symmetric

@@ -1,0 +1,649 @@
+"""An occupancy oracle that shares neither code nor method with ``scenegen.truth``.
+
+Every verdict on a voxel rests on a certificate, never on how the search that found it behaves:
+
+* *occupied* - two points, one a convex combination of points of the solid and one of corners of the cube, lie
+  at most ``NEAR`` apart (or a corner of the cube is inside the solid by its defining inequality);
+* *free* - a plane keeps the cube and the solid at least ``FAR`` apart (support functions of both);
+* *either* - both certificates place the distance inside (``NEAR``, ``FAR``), the band around the 1e-6 m of
+  the contract in which rounding may decide.
+
+The search is GJK (Gilbert, Johnson, Keerthi 1988) on support functions; spheres and capsules are a point
+and a segment with a margin. A voxel for which it finds neither certificate is UNDECIDED, and the tests
+insist that there is none. Non-convex things are unions: a triangle mesh is its triangles, plus the voxel
+centres whose winding number (solid angles after Van Oosterom and Strackee 1983) is not zero; a height field
+is one prism per triangle of MuJoCo's own triangulation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+NEAR = 0.5e-6
+FAR = 3e-6
+
+FREE, OCCUPIED, EITHER, UNDECIDED = 0, 1, 2, 3
+
+SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, PLANE, HULL = range(7)
+KINDS: dict[str, int] = {
+    "sphere": SPHERE,
+    "capsule": CAPSULE,
+    "ellipsoid": ELLIPSOID,
+    "cylinder": CYLINDER,
+    "box": BOX,
+    "plane": PLANE,
+}
+
+Floats = NDArray[np.float64]
+
+
+def rotation(quat: ArrayLike) -> Floats:
+    """The matrix of a quaternion w, x, y, z (normalised here), from its textbook expansion."""
+    w, x, y, z = np.asarray(quat, float) / np.linalg.norm(quat)
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One primitive: MuJoCo's name and size numbers, and its pose in the world."""
+
+    kind: str
+    size: tuple[float, float, float]
+    pos: Floats = field(default_factory=lambda: np.zeros(3))
+    quat: Floats = field(default_factory=lambda: np.array([1.0, 0, 0, 0]))
+
+    @property
+    def rot(self) -> Floats:
+        return rotation(self.quat)
+
+    def at(self, pos: ArrayLike) -> Shape:
+        return Shape(self.kind, self.size, np.asarray(pos, float), self.quat)
+
+    def add_to(self, body: mujoco.MjsBody, rgba: Sequence[float] = (0.5, 0.5, 0.5, 1)) -> mujoco.MjsGeom:
+        return body.add_geom(
+            type=getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"),
+            size=list(self.size),
+            pos=list(self.pos),
+            quat=list(self.quat),
+            rgba=list(rgba),
+        )
+
+
+def world_of(*shapes: Shape) -> mujoco.MjModel:
+    """A compiled model whose world body holds these shapes and nothing else."""
+    spec = mujoco.MjSpec()
+    for shape in shapes:
+        shape.add_to(spec.worldbody)
+    return spec.compile()
+
+
+# ---------------------------------------------------------------------------------------------------------
+# Support functions, membership and distance bounds of the convex solids
+# ---------------------------------------------------------------------------------------------------------
+
+
+@numba.njit(cache=True, nogil=True)
+def _support(kind, size, rot, pos, hull, dx, dy, dz):
+    """A point of the solid (of its core, where it has a margin) farthest along d, in the world."""
+    if kind == HULL:
+        best, top = 0, -np.inf
+        for i in range(hull.shape[0]):
+            s = hull[i, 0] * dx + hull[i, 1] * dy + hull[i, 2] * dz
+            if s > top:
+                best, top = i, s
+        return hull[best, 0], hull[best, 1], hull[best, 2]
+    lx = rot[0, 0] * dx + rot[1, 0] * dy + rot[2, 0] * dz
+    ly = rot[0, 1] * dx + rot[1, 1] * dy + rot[2, 1] * dz
+    lz = rot[0, 2] * dx + rot[1, 2] * dy + rot[2, 2] * dz
+    px, py, pz = 0.0, 0.0, 0.0
+    if kind == CAPSULE:
+        pz = math.copysign(size[1], lz)
+    elif kind == ELLIPSOID:
+        a, b, c = size[0] * lx, size[1] * ly, size[2] * lz
+        norm = math.sqrt(a * a + b * b + c * c)
+        if norm > 0.0:
+            px, py, pz = size[0] * a / norm, size[1] * b / norm, size[2] * c / norm
+    elif kind == CYLINDER:
+        norm = math.sqrt(lx * lx + ly * ly)
+        if norm > 0.0:
+            px, py = size[0] * lx / norm, size[0] * ly / norm
+        pz = math.copysign(size[1], lz)
+    elif kind == BOX:
+        px = math.copysign(size[0], lx)
+        py = math.copysign(size[1], ly)
+        pz = math.copysign(size[2], lz)
+    return (
+        pos[0] + rot[0, 0] * px + rot[0, 1] * py + rot[0, 2] * pz,
+        pos[1] + rot[1, 0] * px + rot[1, 1] * py + rot[1, 2] * pz,
+        pos[2] + rot[2, 0] * px + rot[2, 1] * py + rot[2, 2] * pz,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _inside(kind, size, rot, pos, x, y, z):
+    """Whether a world point satisfies the inequality that defines the solid."""
+    x, y, z = x - pos[0], y - pos[1], z - pos[2]
+    lx = rot[0, 0] * x + rot[1, 0] * y + rot[2, 0] * z
+    ly = rot[0, 1] * x + rot[1, 1] * y + rot[2, 1] * z
+    lz = rot[0, 2] * x + rot[1, 2] * y + rot[2, 2] * z
+    if kind == SPHERE:
+        return lx * lx + ly * ly + lz * lz <= size[0] * size[0]
+    if kind == CAPSULE:
+        over = max(abs(lz) - size[1], 0.0)
+        return lx * lx + ly * ly + over * over <= size[0] * size[0]
+    if kind == ELLIPSOID:
+        return (lx / size[0]) ** 2 + (ly / size[1]) ** 2 + (lz / size[2]) ** 2 <= 1.0
+    if kind == CYLINDER:
+        return lx * lx + ly * ly <= size[0] * size[0] and abs(lz) <= size[1]
+    if kind == BOX:
+        return abs(lx) <= size[0] and abs(ly) <= size[1] and abs(lz) <= size[2]
+    if kind == PLANE:
+        return lz <= 0.0
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _at_least(kind, size, rot, pos, x, y, z):
+    """A lower bound of the distance from a world point to the solid.
+
+    Exact for all but the ellipsoid, for which the gauge G is convex, so that G(y) >= G(x) + dG(x)(y - x) puts
+    the surface G = 1 at least (G(x) - 1) / |dG(x)| away.
+    """
+    x, y, z = x - pos[0], y - pos[1], z - pos[2]
+    lx = abs(rot[0, 0] * x + rot[1, 0] * y + rot[2, 0] * z)
+    ly = abs(rot[0, 1] * x + rot[1, 1] * y + rot[2, 1] * z)
+    lz = rot[0, 2] * x + rot[1, 2] * y + rot[2, 2] * z
+    if kind == PLANE:
+        return lz
+    lz = abs(lz)
+    if kind == SPHERE:
+        return math.sqrt(lx * lx + ly * ly + lz * lz) - size[0]
+    if kind == CAPSULE:
+        over = max(lz - size[1], 0.0)
+        return math.sqrt(lx * lx + ly * ly + over * over) - size[0]
+    if kind == CYLINDER:
+        over = max(lz - size[1], 0.0)
+        side = max(math.sqrt(lx * lx + ly * ly) - size[0], 0.0)
+        return math.sqrt(side * side + over * over)
+    ex, ey, ez = max(lx - size[0], 0.0), max(ly - size[1], 0.0), max(lz - size[2], 0.0)
+    bound = math.sqrt(ex * ex + ey * ey + ez * ez)
+    if kind == ELLIPSOID:
+        gx, gy, gz = lx / size[0], ly / size[1], lz / size[2]
+        gauge = math.sqrt(gx * gx + gy * gy + gz * gz)
+        if gauge > 1.0:
+            slope = math.sqrt((gx / size[0]) ** 2 + (gy / size[1]) ** 2 + (gz / size[2]) ** 2) / gauge
+            bound = max(bound, (gauge - 1.0) / slope)
+    return bound
+
+
+# ---------------------------------------------------------------------------------------------------------
+# GJK: the search for certificates
+# ---------------------------------------------------------------------------------------------------------
+
+
+@numba.njit(cache=True, nogil=True)
+def _dot(w, i, j):
+    return w[i, 0] * w[j, 0] + w[i, 1] * w[j, 1] + w[i, 2] * w[j, 2]
+
+
+@numba.njit(cache=True, nogil=True)
+def _offer(w, lam, best_lam, best):
+    """Keep the weights ``lam`` if they name a point of the simplex nearer to the origin than the best."""
+    x = lam[0] * w[0, 0] + lam[1] * w[1, 0] + lam[2] * w[2, 0] + lam[3] * w[3, 0]
+    y = lam[0] * w[0, 1] + lam[1] * w[1, 1] + lam[2] * w[2, 1] + lam[3] * w[3, 1]
+    z = lam[0] * w[0, 2] + lam[1] * w[1, 2] + lam[2] * w[2, 2] + lam[3] * w[3, 2]
+    n = x * x + y * y + z * z
+    if n < best:
+        best = n
+        best_lam[:] = lam
+    return best
+
+
+@numba.njit(cache=True, nogil=True)
+def _triple(w, i, j, nx, ny, nz):
+    """n . (w_i x w_j)"""
+    return (
+        nx * (w[i, 1] * w[j, 2] - w[i, 2] * w[j, 1])
+        + ny * (w[i, 2] * w[j, 0] - w[i, 0] * w[j, 2])
+        + nz * (w[i, 0] * w[j, 1] - w[i, 1] * w[j, 0])
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest_on_simplex(w, n, lam, best_lam):
+    """Squared distance from the origin to the hull of the first n points, its weights left in ``best_lam``.
+
+    Tries every corner, edge, face and the inside in turn, and believes none of them: what counts is the
+    length of the combination that the weights name.
+    """
+    best = np.inf
+    for i in range(n):
+        lam[:] = 0.0
+        lam[i] = 1.0
+        best = _offer(w, lam, best_lam, best)
+        for j in range(i + 1, n):
+            ii, ij, jj = _dot(w, i, i), _dot(w, i, j), _dot(w, j, j)
+            length = ii - 2.0 * ij + jj
+            if length > 0.0 and 0.0 < ii - ij < length:
+                t = (ii - ij) / length
+                lam[:] = 0.0
+                lam[i], lam[j] = 1.0 - t, t
+                best = _offer(w, lam, best_lam, best)
+            for k in range(j + 1, n):
+                ax, ay, az = w[j, 0] - w[i, 0], w[j, 1] - w[i, 1], w[j, 2] - w[i, 2]
+                bx, by, bz = w[k, 0] - w[i, 0], w[k, 1] - w[i, 1], w[k, 2] - w[i, 2]
+                nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+                li = _triple(w, j, k, nx, ny, nz)
+                lj = _triple(w, k, i, nx, ny, nz)
+                lk = _triple(w, i, j, nx, ny, nz)
+                total = li + lj + lk
+                if total > 0.0 and li >= 0.0 and lj >= 0.0 and lk >= 0.0:
+                    lam[:] = 0.0
+                    lam[i], lam[j], lam[k] = li / total, lj / total, lk / total
+                    best = _offer(w, lam, best_lam, best)
+    if n == 4:
+        a = _triple(w, 2, 3, w[1, 0], w[1, 1], w[1, 2])
+        b = -_triple(w, 2, 3, w[0, 0], w[0, 1], w[0, 2])
+        c = _triple(w, 1, 3, w[0, 0], w[0, 1], w[0, 2])
+        d = -_triple(w, 1, 2, w[0, 0], w[0, 1], w[0, 2])
+        total = a + b + c + d
+        if total < 0.0:
+            a, b, c, d, total = -a, -b, -c, -d, -total
+        if total > 0.0 and a >= 0.0 and b >= 0.0 and c >= 0.0 and d >= 0.0:
+            lam[0], lam[1], lam[2], lam[3] = a / total, b / total, c / total, d / total
+            best = _offer(w, lam, best_lam, best)
+    return best
+
+
+@numba.njit(cache=True, nogil=True)
+def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_lam, near, far):
+    """Certified bounds (low, high) of the distance of solid and cube, as tight as a verdict needs.
+
+    ``high`` is |sum lam_i w_i| for weights >= 0 that add up to 1 and w_i differences of points of the two;
+    ``low`` is the width of the slab that separates them. The search ends when they decide the verdict.
+    """
+    low, high = -np.inf, np.inf
+    vx, vy, vz = pos[0] - cx, pos[1] - cy, pos[2] - cz
+    if kind == HULL:
+        vx, vy, vz = hull[0, 0] - cx, hull[0, 1] - cy, hull[0, 2] - cz
+    if vx == 0.0 and vy == 0.0 and vz == 0.0:
+        vx = 1.0
+    w[:] = 0.0
+    n = 0
+    for _ in range(400):
+        sx, sy, sz = _support(kind, size, rot, pos, hull, -vx, -vy, -vz)
+        sx -= cx + math.copysign(half, vx)
+        sy -= cy + math.copysign(half, vy)
+        sz -= cz + math.copysign(half, vz)
+        norm = math.sqrt(vx * vx + vy * vy + vz * vz)
+        low = max(low, (vx * sx + vy * sy + vz * sz) / norm - margin)
+        if low >= far or (low >= near and high <= far):
+            return low, high
+        for i in range(n):
+            if w[i, 0] == sx and w[i, 1] == sy and w[i, 2] == sz:
+                return low, high
+        w[n, 0], w[n, 1], w[n, 2] = sx, sy, sz
+        n += 1
+        square = _nearest_on_simplex(w, n, lam, best_lam)
+        kept = 0
+        for i in range(n):
+            if best_lam[i] > 0.0:
+                w[kept, 0], w[kept, 1], w[kept, 2] = w[i, 0], w[i, 1], w[i, 2]
+                best_lam[kept] = best_lam[i]
+                kept += 1
+        for i in range(kept, 4):
+            w[i, 0] = w[i, 1] = w[i, 2] = 0.0
+        high = min(high, math.sqrt(square) - margin)
+        if high <= near or kept == 4:
+            return low, high
+        n = kept
+        vx = vy = vz = 0.0
+        for i in range(n):
+            vx += best_lam[i] * w[i, 0]
+            vy += best_lam[i] * w[i, 1]
+            vz += best_lam[i] * w[i, 2]
+        if vx == 0.0 and vy == 0.0 and vz == 0.0:
+            return low, high
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _verdict(low, high, near, far):
+    if high <= near:
+        return OCCUPIED
+    if low >= far:
+        return FREE
+    if low >= near and high <= far:
+        return EITHER
+    return UNDECIDED
+
+
+@numba.njit(cache=True, nogil=True)
+def _sweep(kind, size, rot, pos, hull, margin, shape, voxel, origin, near, far, verdict, boundary):
+    """Judge every voxel of a map against one convex solid, and mark those near its surface.
+
+    A voxel is off the boundary when all its corners are inside (the solid is convex) or its centre is farther
+    away than a corner of it is; only boundary voxels need the search.
+    """
+    w = np.zeros((4, 3))
+    lam = np.zeros(4)
+    best_lam = np.zeros(4)
+    half = voxel / 2
+    reach = math.sqrt(3.0) * half + far
+    nx, ny, nz = shape
+    corner = np.zeros((nx + 1, ny + 1, nz + 1), np.bool_)
+    if kind != HULL:
+        for i in range(nx + 1):
+            for j in range(ny + 1):
+                for k in range(nz + 1):
+                    corner[i, j, k] = _inside(
+                        kind,
+                        size,
+                        rot,
+                        pos,
+                        origin[0] + i * voxel,
+                        origin[1] + j * voxel,
+                        origin[2] + k * voxel,
+                    )
+    for i in range(nx):
+        cx = origin[0] + (i + 0.5) * voxel
+        for j in range(ny):
+            cy = origin[1] + (j + 0.5) * voxel
+            for k in range(nz):
+                cz = origin[2] + (k + 0.5) * voxel
+                boundary[i, j, k] = False
+                if kind != HULL:
+                    if _at_least(kind, size, rot, pos, cx, cy, cz) > reach:
+                        verdict[i, j, k] = FREE
+                        continue
+                    if (
+                        corner[i, j, k]
+                        and corner[i + 1, j, k]
+                        and corner[i, j + 1, k]
+                        and corner[i, j, k + 1]
+                        and corner[i + 1, j + 1, k]
+                        and corner[i + 1, j, k + 1]
+                        and corner[i, j + 1, k + 1]
+                        and corner[i + 1, j + 1, k + 1]
+                    ):
+                        verdict[i, j, k] = OCCUPIED
+                        continue
+                boundary[i, j, k] = True
+                if kind == PLANE:
+                    low = np.inf
+                    for corner_id in range(8):
+                        sx = half if corner_id & 1 else -half
+                        sy = half if corner_id & 2 else -half
+                        sz = half if corner_id & 4 else -half
+                        low = min(low, _at_least(kind, size, rot, pos, cx + sx, cy + sy, cz + sz))
+                    verdict[i, j, k] = _verdict(low, max(low, 0.0), near, far)
+                    continue
+                low, high = _bracket(
+                    kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_lam, near, far
+                )
+                verdict[i, j, k] = _verdict(low, high, near, far)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A verdict for every voxel of a map, and which voxels lie near the surface."""
+
+    verdict: NDArray[np.uint8]
+    boundary: NDArray[np.bool_]
+
+    @staticmethod
+    def of_nothing(shape: tuple[int, int, int]) -> Judged:
+        return Judged(np.full(shape, FREE, np.uint8), np.zeros(shape, bool))
+
+    def __or__(self, other: Judged) -> Judged:
+        """The union of two solids: occupied wherever either is, free only where both are."""
+        rank = np.array([0, 3, 1, 2], np.uint8)  # FREE < EITHER < UNDECIDED < OCCUPIED
+        a, b = self.verdict, other.verdict
+        return Judged(np.where(rank[a] >= rank[b], a, b), self.boundary | other.boundary)
+
+    @property
+    def undecided(self) -> int:
+        return int((self.verdict == UNDECIDED).sum())
+
+
+def disagreements(answer: NDArray[np.bool_], truth: Judged) -> NDArray[np.intp]:
+    """The indices of the voxels at which an occupancy map contradicts the reference."""
+    if answer.shape != truth.verdict.shape or answer.dtype != np.bool_:
+        raise AssertionError(f"not an occupancy map of {truth.verdict.shape}: {answer.dtype}{answer.shape}")
+    wrong = (answer & (truth.verdict == FREE)) | (~answer & (truth.verdict == OCCUPIED))
+    return np.argwhere(wrong)
+
+
+_NO_HULL = np.zeros((1, 3))
+
+
+def _core(shape: Shape) -> tuple[int, float]:
+    kind = KINDS[shape.kind]
+    return kind, (shape.size[0] if kind in (SPHERE, CAPSULE) else 0.0)
+
+
+def judge(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Judged:
+    """The truth about one primitive, for every voxel of a map."""
+    kind, margin = _core(shape)
+    result = Judged.of_nothing(grid_shape)
+    _sweep(
+        kind,
+        np.asarray(shape.size, float),
+        shape.rot,
+        np.asarray(shape.pos, float),
+        _NO_HULL,
+        margin,
+        grid_shape,
+        float(voxel),
+        np.asarray(origin, float),
+        NEAR,
+        FAR,
+        result.verdict,
+        result.boundary,
+    )
+    return result
+
+
+def bracket(shape: Shape, centre: ArrayLike, half: float, width: float = 1e-9) -> tuple[float, float]:
+    """Certified bounds of the distance from a primitive to one cube, about ``width`` apart.
+
+    Both are at most ``width`` when the two touch or overlap.
+    """
+    kind, margin = _core(shape)
+    if kind == PLANE:
+        signs = np.array(np.meshgrid(*[[-half, half]] * 3)).reshape(3, -1).T
+        low = float(((np.asarray(centre, float) + signs - shape.pos) @ shape.rot[:, 2]).min())
+        return low, max(low, 0.0)
+    size, pos = np.asarray(shape.size, float), np.asarray(shape.pos, float)
+    cx, cy, cz = (float(c) for c in np.asarray(centre, float))
+    scratch = np.zeros((4, 3)), np.zeros(4), np.zeros(4)
+    # A first call with the widest band finds rough bounds; then halve the question "above or below?".
+    low, high = 0.0, float(np.linalg.norm(pos - [cx, cy, cz]))
+    lo, hi = low, high
+    while hi - lo > width:
+        mid = (lo + hi) / 2
+        low, high = _bracket(
+            kind, size, shape.rot, pos, _NO_HULL, margin, cx, cy, cz, half, *scratch, mid, mid + width / 2
+        )
+        lo, hi = max(lo, low), min(hi, high)
+        if low < mid + width / 2 and high > mid and not (low >= mid and high <= mid + width / 2):
+            break
+    return lo, hi
+
+
+def support_point(shape: Shape, direction: ArrayLike) -> Floats:
+    """The point of a primitive (margin included) farthest along a unit direction."""
+    kind, margin = _core(shape)
+    if kind == PLANE:
+        raise ValueError("a half-space has a support point along its normal only")
+    d = np.asarray(direction, float)
+    size, pos = np.asarray(shape.size, float), np.asarray(shape.pos, float)
+    core = _support(kind, size, shape.rot, pos, _NO_HULL, float(d[0]), float(d[1]), float(d[2]))
+    return np.array(core) + margin * d
+
+
+def points_inside(shape: Shape, points: Floats) -> NDArray[np.bool_]:
+    """Whether world points (..., 3) satisfy the inequality that defines a primitive."""
+    local = (points - shape.pos) @ shape.rot
+    x, y, z = np.moveaxis(local, -1, 0)
+    s = shape.size
+    match shape.kind:
+        case "sphere":
+            return x * x + y * y + z * z <= s[0] ** 2
+        case "capsule":
+            return x * x + y * y + np.maximum(np.abs(z) - s[1], 0) ** 2 <= s[0] ** 2
+        case "ellipsoid":
+            return (x / s[0]) ** 2 + (y / s[1]) ** 2 + (z / s[2]) ** 2 <= 1
+        case "cylinder":
+            return (x * x + y * y <= s[0] ** 2) & (np.abs(z) <= s[1])
+        case "box":
+            return (np.abs(x) <= s[0]) & (np.abs(y) <= s[1]) & (np.abs(z) <= s[2])
+        case "plane":
+            return z <= 0
+    raise ValueError(shape.kind)
+
+
+def voxel_centres(grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Floats:
+    """The centres of the voxels, (nx, ny, nz, 3)."""
+    axes = [
+        o + (np.arange(n) + 0.5) * voxel for o, n in zip(np.asarray(origin, float), grid_shape, strict=True)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+# ---------------------------------------------------------------------------------------------------------
+# Unions of convex pieces: meshes and height fields
+# ---------------------------------------------------------------------------------------------------------
+
+
+@numba.njit(cache=True, nogil=True)
+def _sweep_hulls(hulls, shape, voxel, origin, near, far, verdict):
+    """Judge the voxels that the bounding box of each hull (n, points, 3) meets; a hit is final."""
+    w = np.zeros((4, 3))
+    lam = np.zeros(4)
+    best_lam = np.zeros(4)
+    half = voxel / 2
+    zero = np.zeros(3)
+    eye = np.eye(3)
+    low_index = np.zeros(3, np.int64)
+    high_index = np.zeros(3, np.int64)
+    for t in range(hulls.shape[0]):
+        hull = hulls[t]
+        for axis in range(3):
+            bottom, top = hull[:, axis].min() - 2 * far, hull[:, axis].max() + 2 * far
+            low_index[axis] = max(math.floor((bottom - origin[axis]) / voxel) - 1, 0)
+            high_index[axis] = min(math.floor((top - origin[axis]) / voxel) + 2, shape[axis])
+        for i in range(low_index[0], high_index[0]):
+            cx = origin[0] + (i + 0.5) * voxel
+            for j in range(low_index[1], high_index[1]):
+                cy = origin[1] + (j + 0.5) * voxel
+                for k in range(low_index[2], high_index[2]):
+                    if verdict[i, j, k] == OCCUPIED:
+                        continue
+                    cz = origin[2] + (k + 0.5) * voxel
+                    low, high = _bracket(
+                        HULL, zero, eye, zero, hull, 0.0, cx, cy, cz, half, w, lam, best_lam, near, far
+                    )
+                    found = _verdict(low, high, near, far)
+                    if found == OCCUPIED or (found != FREE and verdict[i, j, k] != UNDECIDED):
+                        verdict[i, j, k] = found
+
+
+def judge_hulls(hulls: Floats, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Judged:
+    """The truth about a union of convex hulls of equally many points, (n, points, 3) in the world.
+
+    Every occupied voxel counts as boundary, and so do its neighbours.
+    """
+    result = Judged.of_nothing(grid_shape)
+    _sweep_hulls(
+        np.ascontiguousarray(hulls, float),
+        grid_shape,
+        float(voxel),
+        np.asarray(origin, float),
+        NEAR,
+        FAR,
+        result.verdict,
+    )
+    padded = np.pad(result.verdict != FREE, 1)
+    near = np.zeros(grid_shape, bool)
+    for shift in np.ndindex(3, 3, 3):
+        near |= padded[tuple(slice(s, s + n) for s, n in zip(shift, grid_shape, strict=True))]
+    return Judged(result.verdict, near)
+
+
+def winding_number(triangles: Floats, points: Floats) -> Floats:
+    """How often a closed surface (f, 3, 3) winds around each point (n, 3): the sum of solid angles."""
+    total = np.zeros(len(points))
+    for start in range(0, len(points), 2048):
+        a, b, c = (triangles[None, :, i] - points[start : start + 2048, None] for i in range(3))
+        la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+        numerator = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
+        denominator = (
+            la * lb * lc
+            + np.einsum("ijk,ijk->ij", a, b) * lc
+            + np.einsum("ijk,ijk->ij", b, c) * la
+            + np.einsum("ijk,ijk->ij", c, a) * lb
+        )
+        total[start : start + 2048] = 2 * np.arctan2(numerator, denominator).sum(axis=1)
+    return total / (4 * np.pi)
+
+
+def judge_mesh(
+    triangles: Floats, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike, *, filled: bool
+) -> Judged:
+    """The truth about a triangle mesh given in the world: its surface, and what it encloses if ``filled``.
+
+    A voxel that no triangle touches is inside or outside as a whole: the winding number at its centre tells.
+    """
+    surface = judge_hulls(triangles, grid_shape, voxel, origin)
+    if not filled:
+        return surface
+    clear = surface.verdict != OCCUPIED
+    verdict = surface.verdict.copy()
+    centres = voxel_centres(grid_shape, voxel, origin)
+    corners = triangles.reshape(-1, 3)
+    clear &= np.all((centres >= corners.min(axis=0)) & (centres <= corners.max(axis=0)), axis=-1)
+    inside = np.abs(winding_number(triangles, centres[clear])) > 0.5
+    verdict[clear] = np.where(inside, OCCUPIED, verdict[clear])
+    return Judged(verdict, surface.boundary)
+
+
+def hfield_prisms(heights: Floats, size: Sequence[float], pos: ArrayLike, quat: ArrayLike) -> Floats:
+    """A height field as prisms (n, 6, 3) in the world, from its surface down to z = -size[3].
+
+    ``heights`` (rows along y, columns along x) are metres above the geom's frame. Each cell is cut along the
+    diagonal from its (low x, low y) corner to its (high x, high y) corner; ``test_occupancy`` establishes
+    with rays that MuJoCo cuts it there.
+    """
+    rows, cols = heights.shape
+    xs = np.linspace(-size[0], size[0], cols)
+    ys = np.linspace(-size[1], size[1], rows)
+    prisms = []
+    for r in range(rows - 1):
+        for c in range(cols - 1):
+            low, high = (r, c), (r + 1, c + 1)
+            for third in ((r, c + 1), (r + 1, c)):
+                top = [(xs[j], ys[i], heights[i, j]) for i, j in (low, high, third)]
+                prisms.append(top + [(x, y, -size[3]) for x, y, _ in top])
+    return np.asarray(prisms) @ rotation(quat).T + np.asarray(pos, float)
+
+
+def union(judged: Iterable[Judged], grid_shape: tuple[int, int, int]) -> Judged:
+    """The truth about several solids together."""
+    total = Judged.of_nothing(grid_shape)
+    for one in judged:
+        total = total | one
+    return total

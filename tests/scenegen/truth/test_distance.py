@@ -1,0 +1,145 @@
+"""The distance field is the exact distance between voxel centres, truncated, rounded once to float32."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lidarsim import GridSpec
+from scenegen.truth import distance_field
+
+VOXELS = (0.1, 0.2, 0.25)
+TRUNCATIONS = (1.0, 2.0, 3.4)
+
+
+def expected_field(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> NDArray[np.float32]:
+    """scipy's transform of the free voxels, from which the integer squared distance is recovered exactly.
+
+    ``distance_transform_edt`` computes sqrt(k) in float64 for an integer k; rounding its square returns k.
+    """
+    if not occupancy.any():
+        return np.full(occupancy.shape, truncation, np.float32)
+    k = np.rint(ndimage.distance_transform_edt(~occupancy) ** 2)
+    return np.minimum(voxel * np.sqrt(k), truncation).astype(np.float32)
+
+
+def brute_field(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> NDArray[np.float32]:
+    """By the definition: every voxel against every occupied one, in integers."""
+    hits = np.argwhere(occupancy)
+    out = np.full(occupancy.shape, truncation, np.float32)
+    for index in np.ndindex(*occupancy.shape):
+        if len(hits):
+            k = int(((hits - index) ** 2).sum(axis=1).min())
+            out[index] = np.float32(min(voxel * math.sqrt(k), truncation))
+    return out
+
+
+def field(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> NDArray[np.float32]:
+    """The answer under test, and that it leaves its argument alone."""
+    before = occupancy.copy()
+    grid = GridSpec(shape=occupancy.shape, voxel_m=voxel, truncation_m=truncation)
+    answer = distance_field(occupancy, grid)
+    assert answer.dtype == np.float32
+    assert answer.shape == occupancy.shape
+    np.testing.assert_array_equal(occupancy, before)
+    return answer
+
+
+@pytest.mark.parametrize("voxel", VOXELS)
+@pytest.mark.parametrize("truncation", TRUNCATIONS)
+@pytest.mark.parametrize("density", [0.0001, 0.001, 0.02, 0.3, 0.97])
+def test_the_field_is_scipys_to_the_last_bit(voxel: float, truncation: float, density: float) -> None:
+    rng = np.random.default_rng(31)
+    for shape in ((23, 31, 17), (40, 9, 26), (5, 60, 40), (1, 33, 8), (12, 1, 1)):
+        occupancy = rng.random(shape) < density
+        np.testing.assert_array_equal(
+            field(occupancy, voxel, truncation), expected_field(occupancy, voxel, truncation)
+        )
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    hnp.arrays(np.bool_, hnp.array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=7)),
+    st.sampled_from(VOXELS),
+    st.sampled_from(TRUNCATIONS),
+)
+def test_the_field_is_the_definitions(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> None:
+    np.testing.assert_array_equal(
+        field(occupancy, voxel, truncation), brute_field(occupancy, voxel, truncation)
+    )
+
+
+def test_the_map_at_the_size_of_use_is_exact() -> None:
+    """80 x 80 x 40: scattered voxels, and walls with a floor."""
+    rng = np.random.default_rng(32)
+    walls = np.zeros((80, 80, 40), bool)
+    walls[:, :, :3] = walls[0] = walls[:, 70:73, :20] = True
+    for occupancy in (rng.random((80, 80, 40)) < 2e-4, walls):
+        answer = field(occupancy, 0.2, 2.0)
+        np.testing.assert_array_equal(answer, expected_field(occupancy, 0.2, 2.0))
+        assert (answer == np.float32(2.0)).any()
+
+
+@pytest.mark.parametrize("truncation", TRUNCATIONS)
+def test_an_empty_map_is_truncated_everywhere_and_a_full_one_zero(truncation: float) -> None:
+    empty = np.zeros((6, 11, 4), bool)
+    assert (field(empty, 0.2, truncation) == np.float32(truncation)).all()
+    assert (field(~empty, 0.2, truncation) == 0).all()
+
+
+@pytest.mark.parametrize("voxel", VOXELS)
+def test_a_single_voxel_spreads_by_pythagoras(voxel: float) -> None:
+    """From corners, sides and the middle of a map, computed here one voxel at a time."""
+    shape = (9, 14, 6)
+    for seed in ((0, 0, 0), (8, 13, 5), (4, 7, 3), (0, 13, 2)):
+        occupancy = np.zeros(shape, bool)
+        occupancy[seed] = True
+        answer = field(occupancy, voxel, 1.0)
+        for index in np.ndindex(*shape):
+            k = sum((a - b) ** 2 for a, b in zip(index, seed, strict=True))
+            assert answer[index] == np.float32(min(voxel * math.sqrt(k), 1.0))
+        assert answer[seed] == 0
+
+
+def test_the_field_is_zero_exactly_where_it_is_occupied() -> None:
+    rng = np.random.default_rng(33)
+    occupancy = rng.random((30, 20, 25)) < 0.01
+    np.testing.assert_array_equal(field(occupancy, 0.2, 2.0) == 0, occupancy)
+
+
+@pytest.mark.parametrize("voxel", VOXELS)
+def test_neighbours_differ_by_no_more_than_their_distance(voxel: float) -> None:
+    """1-Lipschitz over all 13 neighbour directions, to the rounding of float32; and not flat by mistake."""
+    rng = np.random.default_rng(34)
+    occupancy = rng.random((30, 24, 28)) < 0.002
+    answer = field(occupancy, voxel, 3.4).astype(float)
+    for step in itertools.product((-1, 0, 1), repeat=3):
+        if step <= (0, 0, 0):
+            continue
+        here = answer[
+            tuple(slice(max(-s, 0), n - max(s, 0)) for s, n in zip(step, answer.shape, strict=True))
+        ]
+        there = answer[
+            tuple(slice(max(s, 0), n - max(-s, 0)) for s, n in zip(step, answer.shape, strict=True))
+        ]
+        slope = np.abs(here - there).max() / (voxel * math.hypot(*step))
+        assert slope <= 1 + 1e-6
+        assert slope > 0.9
+
+
+def test_the_field_ignores_how_the_map_lies_in_memory() -> None:
+    """Fortran order and reversed views of one map give one answer."""
+    rng = np.random.default_rng(35)
+    occupancy = rng.random((13, 17, 11)) < 0.01
+    answer = field(occupancy, 0.25, 2.0)
+    np.testing.assert_array_equal(field(np.asfortranarray(occupancy), 0.25, 2.0), answer)
+    np.testing.assert_array_equal(field(occupancy[::-1, :, ::-1], 0.25, 2.0), answer[::-1, :, ::-1])
+    np.testing.assert_array_equal(field(occupancy.transpose(2, 0, 1), 0.25, 2.0), answer.transpose(2, 0, 1))
