@@ -88,11 +88,11 @@ def _fly(
 def _look(world: World, pose: Pose, recipe: Recipe, rejected: Rejections) -> tuple[Scan, np.ndarray] | None:
     """The scan and the occupancy at a viewpoint; None, with the reason counted, where there is next to nothing."""
     scan = cast(world.caster, recipe.lidar, pose)
-    if np.isfinite(scan.ranges).sum() < recipe.accept.min_returns:
+    if np.isfinite(scan.ranges).mean() < recipe.accept.min_returned_share:
         rejected.viewpoints["few_returns"] += 1
         return None
     occupancy = rasterize(world.solids, recipe.grid, recipe.grid.origin_at(pose.position))
-    if occupancy.sum() < recipe.accept.min_occupied:
+    if occupancy.mean() < recipe.accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
     return scan, occupancy
@@ -145,7 +145,7 @@ def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> 
         "few_solids": f"worlds are too empty: raise {given or 'the solids'}, or lower accept.min_solids = "
         f"{recipe.accept.min_solids}",
         "few_viewpoints": f"flights give too few viewpoints: lower flight.viewpoints = {recipe.flight.viewpoints}, "
-        f"flight.spacing_m = {recipe.flight.spacing_m}, accept.min_occupied = {recipe.accept.min_occupied} or "
-        f"accept.min_returns = {recipe.accept.min_returns}",
+        f"flight.spacing_m = {recipe.flight.spacing_m}, accept.min_occupied_share = {recipe.accept.min_occupied_share} or "
+        f"accept.min_returned_share = {recipe.accept.min_returned_share}",
     }[reason]
     return f"{split} world {number}: all {sum(rejected.worlds.values())} draws rejected ({counted}); {advice}"

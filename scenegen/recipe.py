@@ -12,7 +12,8 @@ import pydantic
 from lidarsim import GridSpec, Lidar
 from scenegen.errors import RecipeError
 from scenegen.flight import Flight
-from scenegen.recipes import WorldKind, find_kind, kind_names
+from scenegen.recipes import find_kind, kind_names
+from scenegen.recipes.kind import WorldKind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,17 +25,19 @@ class Acceptance:
 
     min_solids: float = 1.0
     """A world is rejected when, averaged along its flight, fewer solids than this reach into the map."""
-    min_occupied: int = 50
-    """A viewpoint is rejected when its map holds fewer occupied voxels than this."""
-    min_returns: int = 20
-    """A viewpoint is rejected when fewer rays than this return."""
+    min_occupied_share: float = 0.0005
+    """A viewpoint is rejected when a smaller share of its map's voxels than this is occupied."""
+    min_returned_share: float = 0.01
+    """A viewpoint is rejected when a smaller share of its rays than this returns."""
     max_draws: int = 50
     """Draws of one world after which generation gives up."""
 
     def __post_init__(self) -> None:
-        for name in ("min_solids", "min_occupied", "min_returns"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected at least 0")
+        if not self.min_solids >= 0:
+            raise ValueError(f"min_solids = {self.min_solids}: expected at least 0")
+        for name in ("min_occupied_share", "min_returned_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: expected a share from 0 to 1")
         if self.max_draws < 1:
             raise ValueError(f"max_draws = {self.max_draws}: expected at least 1")
 

@@ -13,6 +13,7 @@ from scenegen.dataset import manifest
 from scenegen.dataset.files import disk_error, remove_drafts
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
 from scenegen.dataset.workers import run
+from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
 from scenegen.recipe import Recipe
 from scenegen.source import SPLITS, Source
@@ -104,11 +105,13 @@ def build(
     workers: int = 1,
     shard_range: tuple[int, int] | None = None,
     force: bool = False,
+    on_start: Callable[[], None] = lambda: None,
     on_shard: Callable[[ShardReport, bool], None] = lambda report, fresh: None,
 ) -> Summary:
     """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
 
-    `on_shard` is told of every shard that is there (False) or was written (True). A run that ends in any way leaves whole
+    `on_shard` is told of every shard that is there (False) or was written (True), `on_start` that the workers, if any,
+    have been started. A run that ends in any way leaves whole
     shards, and the next one goes on from there. The manifest is signed complete by the run that finds every shard.
     Raises DatasetError for a folder that holds something else, and what writing shards raises.
     """
@@ -123,7 +126,9 @@ def build(
     missing = [shard for shard in plan.shards[first:stop] if shard.file not in reports]
     _check_space(plan, missing)
     written = 0
-    for report in run(write_shard, missing, workers):
+    if len(missing) > 1 and workers > 1:  # kernels compile here once, and hopeless parameters end here, before workers start
+        _first_unit(missing[0])
+    for report in run(write_shard, missing, workers, on_start):
         reports[plan.folder / report.file] = report
         written += report.samples
         on_shard(report, True)
@@ -134,6 +139,12 @@ def build(
     final = manifest.assemble(plan.parameters, ordered, complete=len(ordered) == len(plan.shards))
     manifest.write(plan.folder, final)
     return _summarise(plan, ordered, final, written)
+
+
+def _first_unit(shard: ShardSpec) -> None:
+    draw_unit(
+        shard.source, shard.recipe, seed=shard.seed, split=shard.split, unit=shard.first_unit, derived=not shard.compact
+    )
 
 
 def check_folder(plan: Plan, *, force: bool = False) -> None:

@@ -89,14 +89,15 @@ def write_shard(spec: ShardSpec) -> ShardReport:
 
     Raises GenerationError, DatasetError.
     """
-    content = _ShardContent(spec)
-    for unit in range(spec.first_unit, spec.first_unit + spec.units):
-        content.add(
-            draw_unit(spec.source, spec.recipe, seed=spec.seed, split=spec.split, unit=unit, derived=not spec.compact)
-        )
-    worlds = content.worlds()
+    with _ShardContent(spec) as content:
+        for unit in range(spec.first_unit, spec.first_unit + spec.units):
+            content.add(
+                draw_unit(
+                    spec.source, spec.recipe, seed=spec.seed, split=spec.split, unit=unit, derived=not spec.compact
+                )
+            )
+        worlds, samples = content.worlds(), content.samples()
     write_whole(spec.worlds_file, worlds)
-    samples = content.samples()
     write_whole(spec.file, samples)
     return ShardReport(
         file=spec.file.name,
@@ -163,6 +164,12 @@ class _ShardContent:
             name: [] for name in stored_fields(spec.compact) if SCHEMA[name]["axes"] not in ("grid", "rays")
         }
 
+    def __enter__(self) -> "_ShardContent":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
     @property
     def first_world(self) -> int:
         """Least number of the shard's worlds."""
@@ -202,9 +209,7 @@ class _ShardContent:
             {"worlds": self.rejected.worlds, "viewpoints": self.rejected.viewpoints}, sort_keys=True
         )
         self._file.flush()
-        image = self._file.id.get_file_image()
-        self._file.close()
-        return image
+        return self._file.id.get_file_image()
 
     def worlds(self) -> bytes:
         """The finished archive: members sorted, dates and attributes fixed."""

@@ -17,20 +17,27 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
-def run(function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
+def run(
+    function: Callable[[Task], Result], tasks: Iterable[Task], workers: int, on_start: Callable[[], None] = lambda: None
+) -> Iterator[Result]:
     """Results of `function` over `tasks`, as they come; in this process where one worker is enough.
+
+    `on_start` is called when all workers have been started: from then on, this process may run threads.
 
     Raises GenerationError where a worker is killed, and whatever `function` raises. No process is left behind.
     """
     tasks = list(tasks)
     if workers == 1 or len(tasks) <= 1:
+        on_start()
         yield from map(function, tasks)
         return
     # forked workers share the compiled kernels and the imports; elsewhere forking is not safe
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     pool = ProcessPoolExecutor(min(workers, len(tasks)), context, _enter, (os.getpid(),))
     try:
-        for future in as_completed([pool.submit(function, task) for task in tasks]):
+        futures = [pool.submit(function, task) for task in tasks]
+        on_start()
+        for future in as_completed(futures):
             yield future.result()
     except BrokenProcessPool:
         raise GenerationError(

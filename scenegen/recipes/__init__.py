@@ -5,8 +5,10 @@ The file's name is the kind's name. Nothing else lists the kinds: a new file her
 
 import importlib
 import pkgutil
+from typing import TYPE_CHECKING
 
-from scenegen.recipes.kind import WorldKind
+if TYPE_CHECKING:  # the command line asks for the kinds' names on every start, and must not load MuJoCo for that
+    from scenegen.recipes.kind import WorldKind
 
 
 def kind_names() -> tuple[str, ...]:
@@ -14,8 +16,10 @@ def kind_names() -> tuple[str, ...]:
     return tuple(sorted(info.name for info in pkgutil.iter_modules(__path__) if info.name != "kind"))
 
 
-def find_kind(name: str) -> type[WorldKind]:
+def find_kind(name: str) -> "type[WorldKind]":
     """The class of the kind called `name`, which must be one of `kind_names()`."""
+    from scenegen.recipes.kind import WorldKind
+
     module = importlib.import_module(f"{__name__}.{name}")
     (found,) = (
         item
@@ -23,6 +27,3 @@ def find_kind(name: str) -> type[WorldKind]:
         if isinstance(item, type) and issubclass(item, WorldKind) and item.__module__ == module.__name__
     )
     return found
-
-
-__all__ = ["WorldKind", "find_kind", "kind_names"]

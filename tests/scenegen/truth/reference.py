@@ -133,6 +133,24 @@ def _support(kind, size, rot, pos, hull, dx, dy, dz):
 
 
 @numba.njit(cache=True, nogil=True)
+def _beside(size, rot, pos, dx, dy, dz, cx, cy, cz):
+    """The point of a cylinder's side that is farthest along d, at the height of the world point c."""
+    x, y, z = cx - pos[0], cy - pos[1], cz - pos[2]
+    height = min(max(rot[0, 2] * x + rot[1, 2] * y + rot[2, 2] * z, -size[1]), size[1])
+    lx = rot[0, 0] * dx + rot[1, 0] * dy + rot[2, 0] * dz
+    ly = rot[0, 1] * dx + rot[1, 1] * dy + rot[2, 1] * dz
+    norm = math.sqrt(lx * lx + ly * ly)
+    px, py = 0.0, 0.0
+    if norm > 0.0:
+        px, py = size[0] * lx / norm, size[0] * ly / norm
+    return (
+        pos[0] + rot[0, 0] * px + rot[0, 1] * py + rot[0, 2] * height,
+        pos[1] + rot[1, 0] * px + rot[1, 1] * py + rot[1, 2] * height,
+        pos[2] + rot[2, 0] * px + rot[2, 1] * py + rot[2, 2] * height,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
 def _inside(kind, size, rot, pos, x, y, z):
     """Whether a world point satisfies the inequality that defines the solid."""
     x, y, z = x - pos[0], y - pos[1], z - pos[2]
@@ -285,13 +303,20 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
     n = 0
     for _ in range(400):
         sx, sy, sz = _support(kind, size, rot, pos, hull, -vx, -vy, -vz)
-        sx -= cx + math.copysign(half, vx)
-        sy -= cy + math.copysign(half, vy)
-        sz -= cz + math.copysign(half, vz)
+        ox, oy, oz = cx + math.copysign(half, vx), cy + math.copysign(half, vy), cz + math.copysign(half, vz)
+        sx, sy, sz = sx - ox, sy - oy, sz - oz
         norm = math.sqrt(vx * vx + vy * vy + vz * vz)
         low = max(low, (vx * sx + vy * sy + vz * sz) / norm - margin)
         if low >= far or (low >= near and high <= far):
             return low, high
+        if kind == CYLINDER:
+            # All along the side that faces the cube points are nearly as far; one at an end, metres away,
+            # would bring the search forward by less than rounding.
+            bx, by, bz = _beside(size, rot, pos, -vx, -vy, -vz, cx, cy, cz)
+            bx, by, bz = bx - ox, by - oy, bz - oz
+            most = norm * norm - (vx * sx + vy * sy + vz * sz)
+            if norm * norm - (vx * bx + vy * by + vz * bz) > 0.5 * most:
+                sx, sy, sz = bx, by, bz
         for i in range(n):
             if w[i, 0] == sx and w[i, 1] == sy and w[i, 2] == sz:
                 return low, high

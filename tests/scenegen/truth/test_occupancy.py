@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
 from scenegen.truth import rasterize, solids_of
@@ -172,9 +173,17 @@ def cube_feature(
     return origin + (index + 0.5 + spread) * voxel, normal / np.linalg.norm(normal)
 
 
+def squarely(shape: Shape, normal: Floats, rng: np.random.Generator) -> Shape:
+    """The shape turned until one of its axes, or a direction 1e-9 to 0.1 rad from it, points along -normal."""
+    along = np.eye(3)[rng.integers(3)] + rng.normal(size=3) * 10.0 ** rng.uniform(-9, -1)
+    turn, _ = Rotation.align_vectors([-normal], [along / np.linalg.norm(along)])
+    x, y, z, w = (Rotation.from_rotvec(normal * rng.uniform(0, 2 * math.pi)) * turn).as_quat()
+    return Shape(shape.kind, shape.size, shape.pos, np.array([w, x, y, z]))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_gaps_of_a_micrometre_decide(kind: str) -> None:
-    """Cubes at a distance known by construction, from solids at random attitudes.
+    """Cubes at a distance known by construction, from solids at random attitudes, flat against them or nearly.
 
     The point of the solid that is farthest along -n is put the gap away along n from a point of the cube
     where n is an outward normal: the plane between the two separates them, so the gap is their distance.
@@ -182,7 +191,7 @@ def test_gaps_of_a_micrometre_decide(kind: str) -> None:
     """
     rng = np.random.default_rng(12)
     cubes = 0
-    for _ in range(100):
+    for _ in range(250):
         voxel = float(rng.choice(VOXELS))
         grid_shape = (3, 2, 4)
         shape = random_shape(kind, rng)
@@ -195,6 +204,8 @@ def test_gaps_of_a_micrometre_decide(kind: str) -> None:
             normal = -normal
         else:
             touch, normal = cube_feature(index, voxel, origin, rng)
+            if rng.random() < 0.5:
+                shape = squarely(shape, normal, rng)
             lowest = reference.support_point(shape, -normal)
         shape = shape.at(touch - lowest)
         solids = solids_of(reference.world_of(shape))
@@ -210,7 +221,7 @@ def test_gaps_of_a_micrometre_decide(kind: str) -> None:
             assert answer[tuple(index)] == expected, where
             assert not len(disagreements(answer, truth)), where
             cubes += 1
-    assert cubes > 600
+    assert cubes > 1500
 
 
 # ---------------------------------------------------------------------------------------------------------
@@ -417,13 +428,19 @@ def test_a_hair_off_upright_is_not_upright(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", CONVEX)
 def test_solids_smaller_than_a_voxel_leave_a_mark(kind: str) -> None:
-    """Millimetres across: one voxel when inside it, and all those around a corner it sits on."""
+    """From 0.2 mm to 4 cm across: one voxel when inside it, and all those around a corner it sits on.
+
+    Inside means anywhere inside, close to faces, edges and corners too.
+    """
     rng = np.random.default_rng(19)
     for voxel in VOXELS:
-        for _ in range(20):
-            size = tuple(float(v) for v in log_uniform(rng, 1e-4, 4e-3))
+        for _ in range(40):
+            size = tuple(float(v) for v in log_uniform(rng, 1e-4, 2e-2))
             index = rng.integers(0, 4, 3)
-            shape = Shape(kind, size, (index + rng.uniform(0.2, 0.8, 3)) * voxel, rng.normal(size=4))
+            shape = Shape(kind, size, quat=rng.normal(size=4))
+            reach = [reference.support_point(shape, axis)[k] for k, axis in enumerate(np.eye(3))]
+            room = voxel / 2 - np.array(reach) - 1e-5
+            shape = shape.at((index + 0.5) * voxel + room * rng.uniform(-1, 1, 3))
             answer = occupied(reference.world_of(shape), (4, 4, 4), voxel, np.zeros(3))
             np.testing.assert_array_equal(np.argwhere(answer), [index])
             on_corner = shape.at(np.array([1, 2, 3]) * voxel)
@@ -639,7 +656,7 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str) -> 
 
 @pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
 def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name: str) -> None:
-    """Small maps anywhere in and around it: what is inside does not depend on how much of it the map shows."""
+    """Small maps anywhere in and around it: what is inside does not depend on how much of it is in the map."""
     rng = np.random.default_rng(26)
     closed = name in WATERTIGHT
     mesh = (WATERTIGHT | OPEN)[name]()

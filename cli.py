@@ -1,0 +1,393 @@
+"""The command line: parse, call one function, print. What a command needs is imported inside it, so that help is instant."""
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any, NoReturn
+
+import rich_click as click
+from click.shell_completion import CompletionItem, get_completion_class
+
+from scenegen import __version__
+from scenegen.errors import Interrupted, ScenegenError
+from scenegen.recipes import kind_names
+
+SPLITS = ("train", "val", "test")
+
+
+def main() -> NoReturn:
+    """Run the command line. What goes wrong ends in one line on standard error: 1 bad input, 2 bad usage, 130 stopped."""
+    try:
+        app.main(prog_name="scenegen", standalone_mode=False)
+        code, line = 0, ""
+    except click.UsageError as error:
+        name = error.ctx.command_path if error.ctx else "scenegen"
+        code, line = 2, f"{' '.join(error.format_message().split())} (see {name} --help)"
+    except click.ClickException as error:
+        code, line = 1, error.format_message()
+    except ScenegenError as error:
+        code, line = (130 if isinstance(error, Interrupted) else 1), str(error)
+    except (click.Abort, KeyboardInterrupt):
+        code, line = 130, "stopped; what is finished is kept, and the same command goes on from there"
+    except BrokenPipeError:
+        code, line = 0, ""
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (nobody reads any more; keeps the interpreter from complaining)
+    if line:
+        print(f"scenegen: {line}", file=sys.stderr)
+    sys.exit(code)
+
+
+class KindName(click.ParamType):
+    """A kind of world; suggests the nearest where there is none of that name."""
+
+    name = "kind"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """The name, if there is such a kind."""
+        if value not in kind_names():
+            import difflib
+
+            near = difflib.get_close_matches(value, kind_names(), n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(kind_names())}"
+            self.fail(f"unknown kind {value!r}; {hint}", param, ctx)
+        return str(value)
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        """Kinds that begin with what is typed."""
+        return [CompletionItem(name) for name in kind_names() if name.startswith(incomplete)]
+
+
+class ShardRange(click.ParamType):
+    """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
+
+    name = "first:stop"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
+        """The two numbers."""
+        first, colon, stop = str(value).partition(":")
+        if not (colon and first.isdigit() and stop.isdigit() and int(first) < int(stop)):
+            self.fail(f"{value!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx)
+        return int(first), int(stop)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="scenegen")
+def app() -> None:
+    """Worlds, LiDAR scans and exact truth: datasets for 3D scene completion."""
+
+
+@app.command()
+@click.option("--kind", type=KindName(), help=f"Kind of random worlds: {', '.join(kind_names())}.")
+@click.option("--scene", type=click.Path(path_type=Path), help="An MJCF world drawn by hand, or a folder of them.")
+@click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
+@click.option("--n", type=click.IntRange(min=1), default=2500, show_default=True, help="Training samples.")
+@click.option("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")
+@click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth of --n]")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed, the same dataset.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder of the dataset.  [default: data/<kind>]")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--compact", is_flag=True, help="Leave out what readers can derive: free space and distances.")
+@click.option("--shard-samples", type=click.IntRange(min=1), default=100, show_default=True, help="Samples in a file.")
+@click.option("--split-range", type=ShardRange(), help="Only these shards, for a cluster; --dry-run counts them.")
+@click.option("--allow-unseen", is_flag=True, help="Take scenes with geoms that rays cannot see; leave these out.")
+@click.option("--force", is_flag=True, help="Replace another dataset in the same folder.")
+@click.option("--dry-run", is_flag=True, help="Say what would be made, and make nothing.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def generate(
+    kind: str | None,
+    scene: Path | None,
+    recipe: Path | None,
+    n: int,
+    val: int | None,
+    test: int | None,
+    workers: int | None,
+    dry_run: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where it was."""
+    begin = time.perf_counter()
+    single = scene is not None and not scene.is_dir()
+    counts = {
+        "train": n,
+        "val": val if val is not None else 0 if single else max(n // 10, 1),
+        "test": test if test is not None else 0 if single else max(n // 5, 1),
+    }
+    talk = not (quiet or as_json)
+    if talk:
+        _announce_compilation()
+    from scenegen.dataset.build import build, check_folder
+
+    plan = _plan(kind, scene, recipe, counts, options)
+    shard_range = options["split_range"]
+    if shard_range and shard_range[1] > len(plan.shards):
+        raise click.UsageError(f"--split-range {shard_range[0]}:{shard_range[1]}: there are {len(plan.shards)} shards")
+    check_folder(plan, force=options["force"])
+    if dry_run:
+        _print_plan(plan, as_json)
+        return
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _stop)
+    with _Progress(plan, shard_range, shown=talk) as progress:
+        summary = build(
+            plan,
+            workers=workers or _cores(),
+            shard_range=shard_range,
+            force=options["force"],
+            on_start=progress.start,
+            on_shard=progress.advance,
+        )
+    if as_json:
+        print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": time.perf_counter() - begin}))
+    elif talk:
+        _print_summary(summary, time.perf_counter() - begin)
+
+
+def _plan(kind: str | None, scene: Path | None, recipe_file: Path | None, counts: dict[str, int], options: Any) -> Any:
+    """What the options ask for, resolved."""
+    from scenegen.dataset.build import plan_dataset
+    from scenegen.recipe import preset, read_recipe
+    from scenegen.source import DrawnWorlds, Source, read_scenes
+
+    if kind is None and scene is None and recipe_file is None:
+        raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
+    if kind is not None and scene is not None:
+        raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
+    named = "scene" if scene is not None else kind
+    recipe = read_recipe(recipe_file, named) if recipe_file is not None else preset(str(named))
+    source: Source = DrawnWorlds(recipe)
+    if scene is not None:
+        source = read_scenes(scene, counts, seed=options["seed"], allow_unseen=options["allow_unseen"])
+    return plan_dataset(
+        options["out"] or Path("data") / (scene.stem if scene is not None else recipe.kind),
+        recipe,
+        source,
+        seed=options["seed"],
+        counts=counts,
+        compact=options["compact"],
+        shard_samples=options["shard_samples"],
+    )
+
+
+@app.command()
+@click.argument("dataset", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def inspect(dataset: Path, as_json: bool) -> None:
+    """Print what is in a dataset: counts, sizes, and statistics of scans and truth."""
+    from scenegen.inspect import inspect as examine
+
+    found = examine(dataset)
+    if as_json:
+        print(json.dumps(found))
+    else:
+        _print_inspection(dataset, found)
+
+
+@app.command()
+@click.argument("dataset", type=click.Path(path_type=Path))
+@click.argument("number", type=click.IntRange(min=0))
+@click.option("--split", type=click.Choice(SPLITS), default="train", show_default=True)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="MJCF file to write.  [default: standard output]")
+def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
+    """Take one world's MJCF, and the files it refers to, out of a dataset."""
+    from scenegen.dataset.files import write_whole
+    from scenegen.dataset.read import Dataset
+
+    files = Dataset(dataset, partial=True).world(split, number)
+    document = files.pop("world.xml")
+    if output is None:
+        if files:
+            raise click.UsageError(f"this world refers to {len(files)} other files; give -o, they go beside it")
+        sys.stdout.buffer.write(document)
+        return
+    if not output.parent.is_dir():
+        raise click.UsageError(f"-o {output}: there is no folder {output.parent}")
+    for name, content in files.items():
+        write_whole(output.parent / name, content)
+    write_whole(output, document)
+
+
+@app.command()
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def doctor(as_json: bool) -> None:
+    """Check this machine: versions, cores, disk, GPU, and a two-second self-test."""
+    if not as_json:
+        _announce_compilation()
+    from scenegen.doctor import examine
+
+    found = examine()
+    if as_json:
+        print(json.dumps(found))
+    else:
+        _print_table("", _flat(found))
+    if not found["ok"]:
+        raise ScenegenError("the self-test failed: samples made here cannot be trusted; reinstall, then run it again")
+
+
+@app.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
+    """Print a completion script: eval "$(scenegen completion bash)"."""
+    found = get_completion_class(shell)
+    assert found is not None
+    print(found(app, {}, "scenegen", "_SCENEGEN_COMPLETE").source())
+
+
+def _stop(number: int, frame: Any) -> NoReturn:
+    raise Interrupted("stopped by a signal; what is finished is kept, and the same command goes on from there")
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _announce_compilation() -> None:
+    """Say why the first run takes longer."""
+    from lidarsim.jit import cache_folder
+
+    if not any(cache_folder(package).exists() for package in ("lidarsim", "scenegen")):
+        print("compiling kernels: once on this machine, about 20 seconds …", file=sys.stderr)
+
+
+class _Progress:
+    """Progress on standard error: samples, rate, time left. Begins when the workers have started, since it runs a thread."""
+
+    def __init__(self, plan: Any, shard_range: tuple[int, int] | None, *, shown: bool):
+        first, stop = shard_range or (0, len(plan.shards))
+        self._total = sum(shard.samples for shard in plan.shards[first:stop])
+        self._names = {shard.file.name for shard in plan.shards[first:stop]}
+        self._label = plan.parameters["kind"]
+        self._shown = shown
+        self._done = 0
+        self._bar: Any = None
+
+    def __enter__(self) -> "_Progress":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def start(self) -> None:
+        """Show the bar."""
+        if not self._shown:
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self._begin = time.perf_counter()
+        self._at_begin = self._done
+        self._task = self._bar.add_task(self._label, total=self._total, completed=self._done, rate="")
+        self._bar.start()
+
+    def advance(self, report: Any, fresh: bool) -> None:
+        """Count a shard."""
+        if report.file not in self._names:
+            return
+        self._done += report.samples
+        if self._bar is not None:
+            rate = (self._done - self._at_begin) / max(time.perf_counter() - self._begin, 1e-9)
+            self._bar.update(self._task, completed=self._done, rate=f"{rate:.0f} samples/s")
+
+
+def _print_table(title: str, rows: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title or None, show_header=False, box=None, pad_edge=False, title_justify="left")
+    for name, value in rows.items():
+        table.add_row(f"[bold]{name}", str(value).replace("[", "\\["))
+    Console(soft_wrap=True).print(table)
+
+
+def _print_plan(plan: Any, as_json: bool) -> None:
+    rows = {
+        "folder": str(plan.folder),
+        "samples": plan.samples,
+        "shards": len(plan.shards),
+        "bytes_expected": plan.bytes_expected,
+        "parameters": plan.parameters,
+    }
+    if as_json:
+        print(json.dumps(rows))
+    else:
+        _print_table("would make", _flat(rows))
+
+
+def _print_summary(summary: Any, seconds: float) -> None:
+    present = sum(summary.samples.values())
+    rows = {
+        "folder": summary.folder,
+        "samples": f"{present}  ({_per_split(summary.samples)})",
+        "worlds": f"{sum(summary.worlds.values())}  ({_per_split(summary.worlds)})",
+        "rejected": _rejections(summary.rejected),
+        "size": f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(present, 1) / 1e3:.1f} KB a sample",
+        "time": f"{seconds:.1f} s, {summary.samples_written / seconds:.0f} samples a second, start-up included",
+        "digest": summary.digest or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
+        "next": f"scenegen inspect {summary.folder}",
+    }
+    _print_table("", rows)
+
+
+def _print_inspection(folder: Path, found: dict[str, Any]) -> None:
+    _print_table(
+        "",
+        {
+            "dataset": folder,
+            "kind": found["kind"],
+            "seed": found["seed"],
+            "complete": "yes" if found["complete"] else "no",
+            "digest": found["digest"],
+            "grid": f"{found['grid']['shape']} voxels of {found['grid']['voxel']} m",
+            "fields": ", ".join(found["fields"]),
+            "samples": found["samples"],
+            "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a sample",
+            "rejected": _rejections(found["rejected"]),
+        },
+    )
+    units = {"range_m": ("mean range", "m", 1), "tudf_m": ("mean distance", "m", 1)}
+    for name, split in found["splits"].items():
+        rows = {}
+        for key, value in split["statistics"].items():
+            label, unit, factor = units.get(key, (key, "%", 100))
+            rows[label] = (
+                f"{value['mean'] * factor:6.2f} ± {value['std'] * factor:5.2f} {unit}"
+                f"   from {value['min'] * factor:.2f} to {value['max'] * factor:.2f}"
+            )
+        print()
+        _print_table(f"{name}: {split['samples']} samples of {split['worlds']} worlds ({split['sampled']} measured)", rows)
+
+
+def _per_split(counts: dict[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.items())
+
+
+def _rejections(rejected: dict[str, dict[str, int]]) -> str:
+    parts = [f"{what} {_per_split(counts)}" for what, counts in rejected.items() if counts]
+    return "; ".join(parts) or "none"
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested tables as one, names joined by dots."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""Small worlds, grids and sensors, so that a whole dataset takes a second."""
+
+import pytest
+
+from scenegen.recipe import Recipe, make_recipe
+from scenegen.source import DrawnWorlds
+
+SMALL = {
+    "flight": {"viewpoints": 3, "margin_m": 2.0, "min_distance_m": 4.0, "iterations": 300},
+    "lidar": {"rows": 8, "columns": 24},
+    "grid": {"shape": (24, 24, 16)},
+    "accept": {"min_solids": 1.0},
+    "world": {"size_m": (16.0, 16.0, 8.0)},
+}
+
+
+def small_recipe(kind: str = "pillar", **tables: dict) -> Recipe:
+    """The preset of `kind` with everything made small, and `tables` put in."""
+    merged = {name: {**SMALL.get(name, {}), **tables.get(name, {})} for name in {*SMALL, *tables}}
+    return make_recipe(kind, merged, where="test")
+
+
+def picky_recipe() -> Recipe:
+    """A small recipe that rejects some worlds and some viewpoints of every shard of a few worlds."""
+    return small_recipe(
+        world={"density": (0.005, 0.06), "height_m": (3.0, 8.0)},
+        accept={"min_solids": 2.0, "min_occupied_share": 0.01, "min_returned_share": 0.03},
+        flight={"altitude_m": (1.5, 5.0)},
+    )
+
+
+@pytest.fixture(params=["pillar", "geometric"])
+def drawn(request: pytest.FixtureRequest) -> tuple[Recipe, DrawnWorlds]:
+    """A small recipe of each kind, and its source."""
+    recipe = small_recipe(request.param)
+    return recipe, DrawnWorlds(recipe)

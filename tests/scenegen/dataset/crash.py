@@ -1,0 +1,141 @@
+"""Kill a run between any two of its file operations, give the same command again, and look at what came out.
+
+Run as a script, in a process of its own without threads, since every run is forked: `python crash.py FOLDER`. Prints
+one JSON object: the digest of an undisturbed run, and for every place of the kill the digest after going on.
+"""
+
+import builtins
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from scenegen.dataset import files, manifest
+from scenegen.dataset.build import Plan, build, plan_dataset
+from scenegen.source import DrawnWorlds
+from tests.conftest import picky_recipe
+
+COUNTS = {"train": 12, "val": 0, "test": 5}
+
+
+def plan_at(folder: Path) -> Plan:
+    recipe = picky_recipe()
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=4, counts=COUNTS, shard_samples=12)
+
+
+class Killer:
+    """Counts file operations, and kills the process before the one numbered `at`; every write is two operations."""
+
+    def __init__(self, at: int):
+        self.at = at
+        self.count = 0
+
+    def tick(self) -> None:
+        self.count += 1
+        if self.count == self.at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def before(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        def ticking(*args: Any, **kwargs: Any) -> Any:
+            self.tick()
+            return function(*args, **kwargs)
+
+        return ticking
+
+    def open(self, path: Any, mode: str = "r") -> Any:
+        self.tick()
+        file = builtins.open(path, mode)
+        return HalvingFile(file, self) if "w" in mode else file
+
+
+class HalvingFile:
+    """A file whose writes reach the disk half by half."""
+
+    def __init__(self, file: Any, killer: Killer):
+        self._file, self._killer = file, killer
+
+    def __enter__(self) -> "HalvingFile":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
+    def write(self, content: bytes) -> None:
+        for half in (content[: len(content) // 2], content[len(content) // 2 :]):
+            self._killer.tick()
+            self._file.write(half)
+            self._file.flush()
+
+    def flush(self) -> None:
+        self._file.flush()
+
+    def fileno(self) -> int:
+        return int(self._file.fileno())
+
+
+def run_killed(folder: Path, at: int) -> int | None:
+    """Build in a forked process, killed before its operation `at`. None if killed, otherwise the count of operations."""
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        killer = Killer(at)
+        for name in ("fsync", "replace", "open"):
+            setattr(os, name, killer.before(getattr(os, name)))
+        files.open = killer.open  # type: ignore[attr-defined]
+        build(plan_at(folder))
+        os.write(write, str(killer.count).encode())
+        os._exit(0)
+    os.close(write)
+    _, status = os.waitpid(child, 0)
+    with os.fdopen(read) as pipe:
+        said = pipe.read()
+    if os.WIFSIGNALED(status):
+        return None
+    assert os.waitstatus_to_exitcode(status) == 0
+    return int(said)
+
+
+def main(root: Path) -> None:
+    whole = build(plan_at(root / "whole"))
+    rejected = [shard.rejected for shard in map(read, plan_at(root / "whole").shards)]
+    result: dict[str, Any] = {
+        "digest": whole.digest,
+        "manifest": manifest.read(root / "whole"),
+        "every_shard_rejects": all(sum(r.worlds.values()) and sum(r.viewpoints.values()) for r in rejected),
+        "kills": [],
+    }
+    at = 1
+    while True:
+        folder = root / f"killed-{at}"
+        if run_killed(folder, at) is not None:
+            break
+        halfway = sorted(path.name for path in folder.glob("[!.]*")) if folder.exists() else []
+        whole_files = all(not (folder / name).name.endswith(".h5") or readable(folder / name) for name in halfway)
+        resumed = build(plan_at(folder))
+        left = sorted(path.name for path in folder.iterdir() if path.name.startswith("."))
+        result["kills"].append(
+            {"at": at, "digest": resumed.digest, "same_manifest": manifest.read(folder) == result["manifest"],
+             "whole_files": whole_files, "left": left, "written": resumed.samples_written}
+        )  # fmt: skip
+        at += 1
+    print(json.dumps(result))
+
+
+def read(shard: Any) -> Any:
+    from scenegen.dataset.shard import read_report
+
+    return read_report(shard)
+
+
+def readable(path: Path) -> bool:
+    import h5py
+
+    with h5py.File(path) as file:
+        return len(file["world"]) > 0
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,291 @@
+"""Laws of a dataset: its content does not depend on how it was made, and a folder is never taken for another."""
+
+import errno
+import hashlib
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import h5py
+import mujoco
+import numpy as np
+import pytest
+
+from scenegen.dataset import manifest
+from scenegen.dataset.build import Plan, Summary, build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError, GenerationError
+from scenegen.recipe import Recipe
+from scenegen.sample import SCHEMA
+from scenegen.source import SPLITS, DrawnWorlds
+from tests.conftest import picky_recipe, small_recipe
+
+COUNTS = {"train": 13, "val": 3, "test": 4}
+
+
+def plan(folder: Path, *, recipe: Recipe | None = None, counts: dict[str, int] = COUNTS, **options: Any) -> Plan:
+    recipe = recipe or picky_recipe()
+    options = {"seed": 0, "shard_samples": 6, **options}
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), counts=counts, **options)
+
+
+def make(folder: Path, *, workers: int = 1, **options: Any) -> Summary:
+    return build(plan(folder, **options), workers=workers)
+
+
+def content(folder: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+
+
+def test_the_number_of_workers_changes_no_byte(tmp_path: Path) -> None:
+    assert make(tmp_path / "one").digest == make(tmp_path / "two", workers=2).digest
+    assert content(tmp_path / "one") == content(tmp_path / "two")
+
+
+def test_shard_size_and_compactness_change_no_sample(tmp_path: Path) -> None:
+    digests = {
+        make(tmp_path / "a").digest,
+        make(tmp_path / "b", shard_samples=1).digest,
+        make(tmp_path / "c", shard_samples=1000).digest,
+        make(tmp_path / "d", compact=True).digest,
+    }
+    assert len(digests) == 1
+    assert make(tmp_path / "e", seed=1).digest not in digests
+
+
+def test_a_smaller_dataset_is_the_beginning_of_a_larger_one(tmp_path: Path) -> None:
+    make(tmp_path / "small", counts={"train": 4, "val": 1, "test": 2})
+    make(tmp_path / "large", counts={"train": 14, "val": 3, "test": 5})
+    small, large = Dataset(tmp_path / "small"), Dataset(tmp_path / "large")
+    for split in SPLITS:
+        for a, b in zip(small.split(split), large.split(split), strict=False):
+            assert a.sha256() == b.sha256()
+
+
+def test_a_cluster_makes_the_same_folder_in_parts(tmp_path: Path) -> None:
+    make(tmp_path / "whole")
+    parts = plan(tmp_path / "parts")
+    count = len(parts.shards)
+    first = build(parts, shard_range=(2, count))
+    assert not first.complete
+    assert first.digest is None
+    with pytest.raises(DatasetError, match="incomplete"):
+        Dataset(tmp_path / "parts")
+    last = build(parts, shard_range=(0, 2))
+    assert last.complete
+    assert content(tmp_path / "parts") == content(tmp_path / "whole")
+
+
+def test_worlds_of_different_splits_differ_and_numbers_are_dense(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    dataset = Dataset(tmp_path / "d")
+    documents = {}
+    for split in SPLITS:
+        numbers = sorted({world for _, world, _ in dataset.split(split).names})
+        assert numbers == list(range(len(numbers)))
+        for number in numbers:
+            documents[split, number] = dataset.world(split, number)["world.xml"]
+    assert len(set(documents.values())) == len(documents)
+    each = picky_recipe().flight.viewpoints
+    names = dataset.split("train").names
+    assert names == [("train", n // each, n % each) for n in range(COUNTS["train"])]
+
+
+def test_the_format_is_the_contract(tmp_path: Path) -> None:
+    recipe = small_recipe()
+    make(tmp_path / "d", recipe=recipe)
+    there = manifest.read(tmp_path / "d")
+    assert (there["format"], there["version"], there["complete"]) == ("scenegen-dataset", 1, True)
+    assert there["grid"] == {"shape": [24, 24, 16], "voxel": 0.2, "truncation": 2.0}
+    expected = {
+        "observed": (bool, (24, 24, 16)),
+        "free": (bool, (24, 24, 16)),
+        "occupancy": (bool, (24, 24, 16)),
+        "tudf": (np.dtype("<f4"), (24, 24, 16)),
+        "ranges": (np.dtype("<f4"), (8, 24)),
+        "position": (np.dtype("<f8"), (3,)),
+        "quaternion": (np.dtype("<f8"), (4,)),
+        "origin": (np.dtype("<f8"), (3,)),
+        "world": (np.dtype("<i8"), ()),
+        "viewpoint": (np.dtype("<i8"), ()),
+    }
+    assert there["fields"] == list(expected)
+    samples = 0
+    for shard in there["shards"]:
+        path = tmp_path / "d" / shard["file"]
+        assert hashlib.sha256(path.read_bytes()).hexdigest() == shard["sha256"]
+        assert hashlib.sha256((tmp_path / "d" / shard["worlds"]).read_bytes()).hexdigest() == shard["worlds_sha256"]
+        with h5py.File(path) as file:
+            assert {item.shape[0] for item in file.values()} == {shard["samples"]}
+            assert file["world"][:].min() == shard["first_world"]
+            for name, (dtype, shape) in expected.items():
+                assert file[name].dtype == dtype
+                assert file[name].shape[1:] == shape
+                assert file[name].chunks == (1, *shape)
+                assert file[name].compression in (None, "gzip")
+                assert not file[name].external
+                assert not file[name].is_virtual
+        samples += shard["samples"]
+    assert samples == sum(COUNTS.values())
+
+
+def test_the_digest_is_what_the_contract_says(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    total = hashlib.sha256()
+    for shard in manifest.read(tmp_path / "d")["shards"]:
+        with h5py.File(tmp_path / "d" / shard["file"]) as file:
+            for row in range(shard["samples"]):
+                raw = b"".join(np.packbits(file[name][row]).tobytes() for name in ("observed", "occupancy"))
+                for name in ("ranges", "position", "quaternion", "origin", "world", "viewpoint"):
+                    raw += np.asarray(file[name][row]).tobytes()
+                total.update(hashlib.sha256(raw).digest())
+                assert file["sha256"][row].tobytes() == hashlib.sha256(raw).digest()
+    assert manifest.read(tmp_path / "d")["digest"] == total.hexdigest()
+
+
+def test_a_compact_dataset_reads_like_a_full_one(tmp_path: Path) -> None:
+    make(tmp_path / "full")
+    make(tmp_path / "compact", compact=True)
+    assert "tudf" not in manifest.read(tmp_path / "compact")["fields"]
+    for split in SPLITS:
+        for a, b in zip(Dataset(tmp_path / "full").split(split), Dataset(tmp_path / "compact").split(split), strict=True):
+            for name in SCHEMA:
+                np.testing.assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
+
+
+def test_archived_worlds_open_in_mujoco_and_archives_are_reproducible(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    for archive_path in (tmp_path / "d").glob("*.zip"):
+        with zipfile.ZipFile(archive_path) as archive:
+            assert archive.namelist() == sorted(archive.namelist())
+            for member in archive.infolist():
+                assert member.date_time == (1980, 1, 1, 0, 0, 0)
+                assert mujoco.MjModel.from_xml_string(archive.read(member).decode()).ngeom > 0
+
+
+def test_going_on_with_other_parameters_is_refused_by_name(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    before = content(tmp_path / "d")
+    for options, named in (
+        ({"seed": 5}, "seed is 0 there, 5 asked for"),
+        ({"counts": {**COUNTS, "train": 14}}, "counts.train is 13 there, 14 asked for"),
+        ({"recipe": small_recipe(flight={"robot_radius_m": 0.4})}, "recipe.flight"),
+        ({"compact": True}, "fields"),
+    ):
+        with pytest.raises(DatasetError, match=named):
+            make(tmp_path / "d", **options)
+    assert content(tmp_path / "d") == before
+
+
+def test_other_versions_of_what_numbers_depend_on_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(tmp_path / "d")
+    monkeypatch.setattr(manifest, "software", lambda: {"mujoco": "9.9"})
+    with pytest.raises(DatasetError, match=r"software\.mujoco"):
+        make(tmp_path / "d")
+
+
+def test_force_replaces_a_dataset_and_nothing_else(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    (tmp_path / "d" / "notes.txt").write_text("mine")
+    replaced = build(plan(tmp_path / "d", seed=5, counts={"train": 3, "val": 0, "test": 0}), force=True)
+    assert replaced.complete
+    assert replaced.digest == make(tmp_path / "fresh", seed=5, counts={"train": 3, "val": 0, "test": 0}).digest
+    names = {path.name for path in (tmp_path / "d").iterdir()}
+    assert names == {"notes.txt", "dataset.json", "train-00000.h5", "train-00000.worlds.zip"}
+
+
+def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    for force in (False, True):
+        with pytest.raises(DatasetError, match="holds other files"):
+            build(plan(tmp_path), force=force)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    with pytest.raises(DatasetError, match="is a file"):
+        build(plan(tmp_path / "thesis.tex"))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "dataset.json").write_text('{"format": "somebody else\'s"}')
+    with pytest.raises(DatasetError, match="not a scenegen dataset"):
+        build(plan(tmp_path / "other"))
+
+
+def test_a_damaged_or_foreign_shard_is_made_again(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    before = content(tmp_path / "d")
+    names = sorted(name for name in before if name.endswith(".h5"))
+    (tmp_path / "d" / names[0]).write_bytes((tmp_path / "d" / names[0]).read_bytes()[:1000])
+    make(tmp_path / "other", seed=9)
+    (tmp_path / "d" / names[1]).write_bytes((tmp_path / "other" / names[1]).read_bytes())
+    (tmp_path / "d" / names[2]).with_suffix(".worlds.zip").unlink()
+    again = make(tmp_path / "d")
+    assert content(tmp_path / "d") == before
+    assert 0 < again.samples_written < sum(COUNTS.values())
+
+
+@pytest.mark.parametrize(("code", "advice"), [(errno.ENOSPC, "disk is full"), (errno.EACCES, "no permission")])
+@pytest.mark.parametrize("nth", [3, 5, 8])
+def test_a_refusing_disk_ends_in_one_line_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, advice: str, nth: int
+) -> None:
+    calls = 0
+    sync = os.fsync
+
+    def refuse(handle: int) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == nth:
+            raise OSError(code, os.strerror(code))
+        sync(handle)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", refuse)
+        with pytest.raises(DatasetError, match=advice) as caught:
+            make(tmp_path / "d")
+    assert "\n" not in str(caught.value)
+    assert not list((tmp_path / "d").glob(".*.tmp"))
+    make(tmp_path / "d")
+    make(tmp_path / "undisturbed")
+    assert content(tmp_path / "d") == content(tmp_path / "undisturbed")
+
+
+def test_too_small_a_disk_is_noticed_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 10})())
+    with pytest.raises(DatasetError, match="MB are free"):
+        make(tmp_path / "d")
+
+
+def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from scenegen.dataset import build as module
+
+    def die_on_test_worlds(spec: Any) -> Any:
+        if spec.split == "test":
+            os.kill(os.getpid(), 9)
+        return original(spec)
+
+    original = module.write_shard
+    monkeypatch.setattr(module, "write_shard", die_on_test_worlds)
+    globals()["die_on_test_worlds"] = die_on_test_worlds  # so that workers can find it by name
+    die_on_test_worlds.__qualname__ = "die_on_test_worlds"
+    with pytest.raises(GenerationError, match="worker process was killed"):
+        make(tmp_path / "d", workers=2)
+    monkeypatch.undo()
+    assert make(tmp_path / "d").digest == make(tmp_path / "undisturbed").digest
+
+
+def test_reading_names_what_is_wrong(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="not a dataset"):
+        Dataset(tmp_path)
+    make(tmp_path / "d")
+    dataset = Dataset(tmp_path / "d")
+    with pytest.raises(DatasetError, match="no world 99 in its val split"):
+        dataset.world("val", 99)
+    with pytest.raises(IndexError, match="sample 99"):
+        dataset.split("val")[99]
+    next((tmp_path / "d").glob("val-*.h5")).unlink()
+    with pytest.raises(DatasetError, match="is missing"):
+        Dataset(tmp_path / "d").split("val")[0]
+    given = json.loads((tmp_path / "d" / "dataset.json").read_text())
+    (tmp_path / "d" / "dataset.json").write_text(json.dumps({**given, "version": 2}))
+    with pytest.raises(DatasetError, match="format version 2"):
+        Dataset(tmp_path / "d")

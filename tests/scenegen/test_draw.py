@@ -1,0 +1,174 @@
+"""Laws of a unit's samples: what was seen is there, and what was drawn once is drawn again."""
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+
+from lidarsim import GridSpec, Lidar, MujocoCaster, Pose, cast, voxelize
+from scenegen.draw import Unit, draw_unit
+from scenegen.errors import GenerationError
+from scenegen.recipe import Recipe, preset
+from scenegen.sample import SCHEMA, derive_free, derive_tudf
+from scenegen.source import DrawnWorlds
+from scenegen.truth import distance_field, rasterize, solids_of
+from scenegen.world import compile_world
+from tests.conftest import picky_recipe, small_recipe
+
+Drawn = tuple[Recipe, DrawnWorlds]
+
+
+def draw(drawn: Drawn, unit: int = 0, *, seed: int = 0, split: str = "train") -> Unit:
+    recipe, source = drawn
+    return draw_unit(source, recipe, seed=seed, split=split, unit=unit)
+
+
+def same(a: Unit, b: Unit) -> bool:
+    return a.world.mjcf == b.world.mjcf and all(
+        np.array_equal(getattr(x, name), getattr(y, name))
+        for x, y in zip(a.samples, b.samples, strict=True)
+        for name in SCHEMA
+    )
+
+
+@pytest.mark.parametrize("kind", ["pillar", "geometric"])
+def test_every_return_lies_in_an_occupied_voxel_at_full_size(kind: str) -> None:
+    recipe = preset(kind)
+    returned = 0
+    for unit in range(6):
+        for sample in draw((recipe, DrawnWorlds(recipe)), unit).samples:
+            assert not (sample.observed & ~sample.occupancy).any()
+            assert not (sample.observed & sample.free).any()
+            returned += int(sample.observed.sum())
+    assert returned > 6 * 5 * 50
+
+
+def test_distances_equal_an_independent_transform(drawn: Drawn) -> None:
+    recipe, _ = drawn
+    grid = recipe.grid
+    for unit in range(4):
+        for sample in draw(drawn, unit).samples:
+            squared = np.rint(ndimage.distance_transform_edt(~sample.occupancy) ** 2)
+            expected = np.minimum(grid.voxel_m * np.sqrt(squared), grid.truncation_m).astype(np.float32)
+            np.testing.assert_array_equal(sample.tudf, expected)
+
+
+def test_what_is_derived_follows_from_what_is_stored(drawn: Drawn) -> None:
+    recipe, _ = drawn
+    for sample in draw(drawn).samples:
+        pose = {name: getattr(sample, name) for name in ("ranges", "position", "quaternion", "origin")}
+        np.testing.assert_array_equal(sample.free, derive_free(**pose, lidar=recipe.lidar, grid=recipe.grid))
+        np.testing.assert_array_equal(sample.tudf, derive_tudf(sample.occupancy, grid=recipe.grid))
+
+
+def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn: Drawn) -> None:
+    recipe, _ = drawn
+    unit = draw(drawn)
+    model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
+    for sample in unit.samples:
+        scan = cast(MujocoCaster(model), recipe.lidar, Pose(sample.position, sample.quaternion))
+        np.testing.assert_array_equal(scan.ranges, sample.ranges)
+        np.testing.assert_array_equal(rasterize(solids_of(model), recipe.grid, sample.origin), sample.occupancy)
+
+
+def test_a_unit_depends_on_its_numbers_alone(drawn: Drawn) -> None:
+    alone = draw(drawn, 3)
+    for unit in (5, 0, 4):
+        draw(drawn, unit)
+    assert same(alone, draw(drawn, 3))
+    for other in (draw(drawn, 4), draw(drawn, 3, seed=1), draw(drawn, 3, split="val")):
+        assert not same(alone, other)
+        assert alone.world.mjcf != other.world.mjcf
+
+
+def test_viewpoints_are_level_apart_and_clear_of_solids(drawn: Drawn) -> None:
+    recipe, _ = drawn
+    for unit in range(5):
+        found = draw(drawn, unit)
+        positions = np.array([sample.position for sample in found.samples])
+        distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(-1))[np.triu_indices(len(positions), 1)]
+        assert distances.min() >= recipe.flight.spacing_m
+        assert (positions >= found.world.flight_bounds[0]).all()
+        assert (positions <= found.world.flight_bounds[1]).all()
+        for sample in found.samples:
+            assert sample.quaternion[1] == sample.quaternion[2] == 0
+            assert clearance_by_mujoco(found.world.mjcf, sample.position) >= recipe.flight.robot_radius_m - 2e-3
+
+
+def clearance_by_mujoco(mjcf: bytes, point: np.ndarray) -> float:
+    """Distance from a point to the nearest geom, as mj_geomDistance has it for a tiny sphere."""
+    spec = mujoco.MjSpec.from_string(mjcf.decode())
+    body = spec.worldbody.add_body(pos=point)
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-6, 0, 0])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return min(mujoco.mj_geomDistance(model, data, g, model.ngeom - 1, 2.0, None) for g in range(model.ngeom - 1))
+
+
+@pytest.mark.parametrize("kind", ["pillar", "geometric"])
+def test_turning_the_world_by_a_right_angle_turns_the_sample(kind: str) -> None:
+    recipe = preset(kind)
+    unit = draw((recipe, DrawnWorlds(recipe)), 1)
+    spec = mujoco.MjSpec.from_string(unit.world.mjcf.decode())
+    turn = Rotation.from_euler("z", 90, degrees=True)
+    for geom in spec.geoms:
+        geom.pos = turn.apply(geom.pos)
+        geom.quat = (turn * Rotation.from_quat(geom.quat, scalar_first=True)).as_quat(scalar_first=True)
+    turned = compile_world(spec.to_xml().encode())
+    cells = 0
+    for sample in unit.samples:
+        attitude = (turn * Rotation.from_quat(sample.quaternion.copy(), scalar_first=True)).as_quat(scalar_first=True)
+        scan = cast(turned.caster, recipe.lidar, Pose(turn.apply(sample.position.copy()), attitude))
+        seen = voxelize(scan, recipe.grid)
+        truth = rasterize(turned.solids, recipe.grid, seen.origin)
+        # MJCF prints six digits, so the turned world is off by some 1e-5 m and a few voxels may differ
+        for ours, theirs in ((seen.observed, sample.observed), (seen.free, sample.free), (truth, sample.occupancy)):
+            expected = np.rot90(theirs, axes=(0, 1))
+            assert (ours != expected).mean() < 2e-4
+            assert (ours & expected).sum() > 0.97 * expected.sum()
+        assert np.mean(distance_field(truth, recipe.grid) != np.rot90(sample.tudf, axes=(0, 1))) < 2e-3
+        cells += int((truth != truth[:, ::-1]).sum())
+    assert cells > 1000, "the world looks the same turned: the test shows nothing"
+
+
+def test_rejected_worlds_and_viewpoints_are_counted_by_reason() -> None:
+    recipe = picky_recipe()
+    source = DrawnWorlds(recipe)
+    units = [draw((recipe, source), unit) for unit in range(12)]
+    worlds = sum((unit.rejected.worlds for unit in units), start=type(units[0].rejected.worlds)())
+    viewpoints = sum((unit.rejected.viewpoints for unit in units), start=type(worlds)())
+    assert worlds["few_solids"] > 0
+    assert viewpoints["few_occupied"] + viewpoints["few_returns"] > 0
+    for unit in units:
+        for sample in unit.samples:
+            assert sample.occupancy.mean() >= recipe.accept.min_occupied_share
+            assert np.isfinite(sample.ranges).mean() >= recipe.accept.min_returned_share
+
+
+@pytest.mark.parametrize(
+    ("tables", "named"),
+    [
+        ({"world": {"density": (6.0, 6.0)}}, "world.density"),
+        ({"accept": {"min_solids": 1e6}}, "accept.min_solids"),
+        ({"accept": {"min_returned_share": 1.0}}, "accept.min_returned_share"),
+        ({"flight": {"viewpoints": 500}}, "flight.viewpoints"),
+    ],
+)
+def test_impossible_parameters_end_and_are_named(tables: dict, named: str) -> None:
+    recipe = small_recipe(**{**tables, "accept": {"max_draws": 4, **tables.get("accept", {})}})
+    with pytest.raises(GenerationError, match=named.replace(".", r"\.")):
+        draw((recipe, DrawnWorlds(recipe)))
+
+
+def test_other_grids_and_sensors_come_through() -> None:
+    recipe = small_recipe(grid={"shape": (10, 20, 30), "voxel_m": 0.1, "truncation_m": 0.5},
+                          lidar={"mount": "band"},
+                          accept={"min_solids": 0.0, "min_occupied_share": 0.0})
+    assert recipe.grid == GridSpec(shape=(10, 20, 30), voxel_m=0.1, truncation_m=0.5)
+    assert recipe.lidar == Lidar(rows=8, columns=24, mount="band")
+    for sample in draw((recipe, DrawnWorlds(recipe))).samples:
+        assert sample.occupancy.shape == (10, 20, 30)
+        assert sample.ranges.shape == (8, 24)
+        assert sample.tudf.max() <= np.float32(0.5)
