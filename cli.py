@@ -1,4 +1,7 @@
-"""The command line: parse, call one function, print. What a command needs is imported inside it, so that help is instant."""
+"""The command line: parse, call one function, print.
+
+What a command needs is imported inside it, so that help is instant.
+"""
 
 import json
 import os
@@ -12,14 +15,14 @@ import rich_click as click
 from click.shell_completion import CompletionItem, get_completion_class
 
 from scenegen import __version__
-from scenegen.errors import Interrupted, ScenegenError
+from scenegen.errors import ScenegenError, StoppedError
 from scenegen.recipes import kind_names
 
 SPLITS = ("train", "val", "test")
 
 
 def main() -> NoReturn:
-    """Run the command line. What goes wrong ends in one line on standard error: 1 bad input, 2 bad usage, 130 stopped."""
+    """Run the command line. What goes wrong ends in one line on standard error."""
     try:
         app.main(prog_name="scenegen", standalone_mode=False)
         code, line = 0, ""
@@ -29,7 +32,7 @@ def main() -> NoReturn:
     except click.ClickException as error:
         code, line = 1, error.format_message()
     except ScenegenError as error:
-        code, line = (130 if isinstance(error, Interrupted) else 1), str(error)
+        code, line = (130 if isinstance(error, StoppedError) else 1), str(error)
     except (click.Abort, KeyboardInterrupt):
         code, line = 130, "stopped; what is finished is kept, and the same command goes on from there"
     except BrokenPipeError:
@@ -86,7 +89,9 @@ def app() -> None:
 @click.option("--n", type=click.IntRange(min=1), default=2500, show_default=True, help="Training samples.")
 @click.option("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")
 @click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth of --n]")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed, the same dataset.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed, the same dataset."
+)
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the dataset.  [default: data/<kind>]")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option("--compact", is_flag=True, help="Leave out what readers can derive: free space and distances.")
@@ -224,7 +229,7 @@ def doctor(as_json: bool) -> None:
     if as_json:
         print(json.dumps(found))
     else:
-        _print_table("", _flat(found))
+        _print_table(_flat(found))
     if not found["ok"]:
         raise ScenegenError("the self-test failed: samples made here cannot be trusted; reinstall, then run it again")
 
@@ -239,7 +244,7 @@ def completion(shell: str) -> None:
 
 
 def _stop(number: int, frame: Any) -> NoReturn:
-    raise Interrupted("stopped by a signal; what is finished is kept, and the same command goes on from there")
+    raise StoppedError("stopped by a signal; what is finished is kept, and the same command goes on from there")
 
 
 def _cores() -> int:
@@ -256,7 +261,7 @@ def _announce_compilation() -> None:
 
 
 class _Progress:
-    """Progress on standard error: samples, rate, time left. Begins when the workers have started, since it runs a thread."""
+    """Progress on standard error: samples, rate, time left. It runs a thread, so it begins after the workers."""
 
     def __init__(self, plan: Any, shard_range: tuple[int, int] | None, *, shown: bool):
         first, stop = shard_range or (0, len(plan.shards))
@@ -304,14 +309,12 @@ class _Progress:
             self._bar.update(self._task, completed=self._done, rate=f"{rate:.0f} samples/s")
 
 
-def _print_table(title: str, rows: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title or None, show_header=False, box=None, pad_edge=False, title_justify="left")
+def _print_table(rows: dict[str, Any], title: str = "") -> None:
+    if title:
+        click.echo(f"\n{title}")
+    width = max(len(name) for name in rows)
     for name, value in rows.items():
-        table.add_row(f"[bold]{name}", str(value).replace("[", "\\["))
-    Console(soft_wrap=True).print(table)
+        click.echo(f"{click.style(name.ljust(width), bold=True)}  {value}")
 
 
 def _print_plan(plan: Any, as_json: bool) -> None:
@@ -325,7 +328,7 @@ def _print_plan(plan: Any, as_json: bool) -> None:
     if as_json:
         print(json.dumps(rows))
     else:
-        _print_table("would make", _flat(rows))
+        _print_table(_flat(rows), "would make")
 
 
 def _print_summary(summary: Any, seconds: float) -> None:
@@ -340,12 +343,11 @@ def _print_summary(summary: Any, seconds: float) -> None:
         "digest": summary.digest or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
         "next": f"scenegen inspect {summary.folder}",
     }
-    _print_table("", rows)
+    _print_table(rows)
 
 
 def _print_inspection(folder: Path, found: dict[str, Any]) -> None:
     _print_table(
-        "",
         {
             "dataset": folder,
             "kind": found["kind"],
@@ -368,8 +370,8 @@ def _print_inspection(folder: Path, found: dict[str, Any]) -> None:
                 f"{value['mean'] * factor:6.2f} ± {value['std'] * factor:5.2f} {unit}"
                 f"   from {value['min'] * factor:.2f} to {value['max'] * factor:.2f}"
             )
-        print()
-        _print_table(f"{name}: {split['samples']} samples of {split['worlds']} worlds ({split['sampled']} measured)", rows)
+        title = f"{name}: {split['samples']} samples of {split['worlds']} worlds ({split['sampled']} measured)"
+        _print_table(rows, title)
 
 
 def _per_split(counts: dict[str, int]) -> str:

@@ -1,7 +1,7 @@
 """`kernel`: numba's njit with a cache that cannot go stale.
 
 Numba keys a cached kernel on its own file alone, so a kernel that calls one in another file would go on running the
-old callee after an update. Here the cache lies in a folder named after the content of the whole package and numba's version.
+old callee after an update. Here the cache lies in a folder named after numba's version and the whole package's content.
 """
 
 import hashlib

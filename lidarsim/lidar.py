@@ -15,8 +15,8 @@ class Lidar:
     """A spinning LiDAR of `rows` x `columns` rays, all from one point, without lever arm to the body.
 
     Ray (r, c) has, in the sensor frame (x forward, y left, z up), elevation from ``-vertical_fov / 2`` (r = 0) to
-    ``+vertical_fov / 2``, both ends included, and azimuth from ``-horizontal_fov / 2`` (c = 0) counter-clockwise; a full
-    turn leaves its end out, a narrower field includes it. The defaults are the paper's sensor: 4 degrees
+    ``+vertical_fov / 2``, both ends included, and azimuth from ``-horizontal_fov / 2`` (c = 0) counter-clockwise; a
+    full turn leaves its end out, a narrower field includes it. The defaults are the paper's sensor: 4 degrees
     between lines, 3 degrees between columns.
     """
 
@@ -78,4 +78,4 @@ def _spread(fov_deg: float, count: int, *, closed: bool) -> NDArray[np.float64]:
     if count == 1:
         return np.zeros(1)
     step = fov_deg / (count - 1 if closed else count)
-    return -fov_deg / 2 + step * np.arange(count)
+    return -fov_deg / 2 + step * np.arange(count, dtype=np.float64)

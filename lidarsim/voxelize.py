@@ -38,14 +38,12 @@ def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = No
     directions = np.ascontiguousarray(scan.lidar.directions(scan.pose.quaternion)).reshape(-1, 3)
     observed = np.zeros(grid.shape, dtype=np.bool_)
     free = np.zeros(grid.shape, dtype=np.bool_)
-    _walk(
-        position, directions, scan.ranges.reshape(-1), scan.lidar.max_range_m, origin, grid.voxel_m, observed, free
-    )
+    _walk(position, directions, scan.ranges.reshape(-1), scan.lidar.max_range_m, origin, grid.voxel_m, observed, free)
     return ObservedGrid(observed, free, origin)
 
 
 @kernel
-def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, free):  # type: ignore[no-untyped-def]
+def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, free):
     """Mark `free` along every ray and `observed` at its end."""
     nx, ny, nz = observed.shape
     for ray in range(len(ranges)):
@@ -54,16 +52,16 @@ def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, 
     for ray in range(len(ranges)):
         if math.isfinite(ranges[ray]):
             reach = float(ranges[ray])
-            i = int(math.floor((position[0] + reach * directions[ray, 0] - origin[0]) / voxel_m))
-            j = int(math.floor((position[1] + reach * directions[ray, 1] - origin[1]) / voxel_m))
-            k = int(math.floor((position[2] + reach * directions[ray, 2] - origin[2]) / voxel_m))
+            i = math.floor((position[0] + reach * directions[ray, 0] - origin[0]) / voxel_m)
+            j = math.floor((position[1] + reach * directions[ray, 1] - origin[1]) / voxel_m)
+            k = math.floor((position[2] + reach * directions[ray, 2] - origin[2]) / voxel_m)
             if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
                 observed[i, j, k] = True
                 free[i, j, k] = False
 
 
 @kernel
-def _slab(start, direction, count, voxel_m):  # type: ignore[no-untyped-def]
+def _slab(start, direction, count, voxel_m):
     """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it enters and leaves."""
     if direction == 0.0:
         inside = 0 <= start < count
@@ -74,23 +72,27 @@ def _slab(start, direction, count, voxel_m):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _enter(start, t, pace, count):  # type: ignore[no-untyped-def]
+def _enter(start, t, pace, count):
     """The voxel's number along one axis at distance `t`, the boundary ahead of it, and where the ray crosses that."""
     if pace == 0.0:
-        return int(math.floor(start)), 0.0, math.inf
-    at = min(max(int(math.floor(start + t / pace)), 0), count - 1)
+        return math.floor(start), 0.0, math.inf
+    at = min(max(math.floor(start + t / pace), 0), count - 1)
     ahead = float(at + 1 if pace > 0.0 else at)
     return at, ahead, (ahead - start) * pace
 
 
 @kernel
-def _clear(position, direction, end, origin, voxel_m, free):  # type: ignore[no-untyped-def]
+def _clear(position, direction, end, origin, voxel_m, free):
     """Mark the voxels that the segment of length `end` from `position` along `direction` meets.
 
     Every crossing is computed from its boundary's own number, never by adding up steps, so that errors do not grow.
     """
     nx, ny, nz = free.shape
-    sx, sy, sz = (position[0] - origin[0]) / voxel_m, (position[1] - origin[1]) / voxel_m, (position[2] - origin[2]) / voxel_m
+    sx, sy, sz = (
+        (position[0] - origin[0]) / voxel_m,
+        (position[1] - origin[1]) / voxel_m,
+        (position[2] - origin[2]) / voxel_m,
+    )
     px, in_x, out_x = _slab(sx, direction[0], nx, voxel_m)
     py, in_y, out_y = _slab(sy, direction[1], ny, voxel_m)
     pz, in_z, out_z = _slab(sz, direction[2], nz, voxel_m)

@@ -63,7 +63,7 @@ class Clearance:
 
 
 @kernel
-def _sort_into_cells(first, last, cells):  # type: ignore[no-untyped-def]
+def _sort_into_cells(first, last, cells):
     """Compressed rows: item[start[c]:start[c + 1]] are the elements that reach into cell c, in rising order."""
     start = np.zeros(cells[0] * cells[1] + 1, np.int64)
     for sweep in range(2):
@@ -84,9 +84,9 @@ def _sort_into_cells(first, last, cells):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _clearance(x, y, z, low, cells, start, item, shape, size, position, rotation, triangles, owner, filled):  # type: ignore[no-untyped-def]
-    i = min(max(int(math.floor((x - low[0]) / CELL_M)), 0), cells[0] - 1)
-    j = min(max(int(math.floor((y - low[1]) / CELL_M)), 0), cells[1] - 1)
+def _clearance(x, y, z, low, cells, start, item, shape, size, position, rotation, triangles, owner, filled):
+    i = min(max(math.floor((x - low[0]) / CELL_M), 0), cells[0] - 1)
+    j = min(max(math.floor((y - low[1]) / CELL_M), 0), cells[1] - 1)
     cell = i * cells[1] + j
     nearest = CAP_M
     mesh, winding = -1, 0
@@ -119,7 +119,7 @@ def _clearance(x, y, z, low, cells, start, item, shape, size, position, rotation
 
 
 @kernel
-def _motion_is_free(p, q, radius, arguments):  # type: ignore[no-untyped-def]
+def _motion_is_free(p, q, radius, arguments):
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     t = 0.0

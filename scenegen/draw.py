@@ -145,7 +145,8 @@ def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> 
         "few_solids": f"worlds are too empty: raise {given or 'the solids'}, or lower accept.min_solids = "
         f"{recipe.accept.min_solids}",
         "few_viewpoints": f"flights give too few viewpoints: lower flight.viewpoints = {recipe.flight.viewpoints}, "
-        f"flight.spacing_m = {recipe.flight.spacing_m}, accept.min_occupied_share = {recipe.accept.min_occupied_share} or "
+        f"flight.spacing_m = {recipe.flight.spacing_m}, "
+        f"accept.min_occupied_share = {recipe.accept.min_occupied_share} or "
         f"accept.min_returned_share = {recipe.accept.min_returned_share}",
     }[reason]
     return f"{split} world {number}: all {sum(rejected.worlds.values())} draws rejected ({counted}); {advice}"

@@ -21,5 +21,5 @@ class DatasetError(ScenegenError):
     """A folder does not hold the dataset that it should, or cannot take it."""
 
 
-class Interrupted(ScenegenError):
+class StoppedError(ScenegenError):
     """The run was stopped from outside; what is finished stays."""

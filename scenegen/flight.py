@@ -62,7 +62,9 @@ class Flight:
         Raises ValueError where the margin leaves none.
         """
         low, high = self.altitude_m
-        box = np.array([[self.margin_m, self.margin_m, low], [size_m[0] - self.margin_m, size_m[1] - self.margin_m, high]])
+        box = np.array(
+            [[self.margin_m, self.margin_m, low], [size_m[0] - self.margin_m, size_m[1] - self.margin_m, high]]
+        )
         if not (box[0] < box[1]).all():
             raise ValueError(f"margin_m = {self.margin_m}: leaves no room to fly in a world of {list(size_m)} metres")
         return box
@@ -73,8 +75,8 @@ def plan(
 ) -> NDArray[np.float64] | None:
     """One collision-free path (n, 3) in world metres between a random start and goal in `bounds` (2, 3), or None.
 
-    RRT (LaValle 1998) as OMPL has it. The same `rng` state gives the same path: OMPL's own generator is seeded from it before
-    a fresh planner is made, and the search ends on a count of iterations, never on time.
+    RRT (LaValle 1998) as OMPL has it. The same `rng` state gives the same path: OMPL's own generator is seeded from it
+    before a fresh planner is made, and the search ends on a count of iterations, never on time.
     """
     ends = _start_and_goal(clearance, bounds, flight, rng=rng)
     seed = int(rng.integers(1, 2**31))
@@ -136,7 +138,9 @@ def _start_and_goal(
     return None
 
 
-def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator) -> Iterator[tuple[float, Pose]]:
+def viewpoints(
+    path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator
+) -> Iterator[tuple[float, Pose]]:
     """Candidate viewpoints on a path (n, 3): (metres flown, pose), in random order, `spacing_m` apart along the path.
 
     The body is level and looks along the flight; where the path climbs straight up, as it looked before.

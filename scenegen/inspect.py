@@ -15,7 +15,9 @@ def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:
     Shares are of all voxels or of all rays, {mean, std, min, max} over samples. Raises DatasetError.
     """
     dataset = Dataset(folder, partial=True)
-    found = {name: dataset.manifest[name] for name in ("kind", "seed", "complete", "digest", "fields", "grid", "rejected")}
+    found = {
+        name: dataset.manifest[name] for name in ("kind", "seed", "complete", "digest", "fields", "grid", "rejected")
+    }
     splits: dict[str, Any] = {}
     for name in SPLITS:
         split = dataset.split(name)
@@ -29,7 +31,9 @@ def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:
 def _describe(dataset: Dataset, name: str, most: int) -> dict[str, Any]:
     split = dataset.split(name)
     chosen = np.unique(np.linspace(0, len(split) - 1, min(most, len(split))).astype(int))
-    rows: dict[str, list[float]] = {key: [] for key in ("occupied", "observed", "free", "returned", "range_m", "tudf_m")}
+    rows: dict[str, list[float]] = {
+        key: [] for key in ("occupied", "observed", "free", "returned", "range_m", "tudf_m")
+    }
     for index in chosen:
         sample = split[int(index)]
         hit = np.isfinite(sample.ranges)

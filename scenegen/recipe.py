@@ -18,7 +18,7 @@ from scenegen.recipes.kind import WorldKind
 
 @dataclass(frozen=True, kw_only=True)
 class Acceptance:
-    """Which worlds and viewpoints are worth keeping (the paper removes "scenes with insufficient geometric complexity").
+    """Which worlds and viewpoints are worth keeping: the paper removes "scenes with insufficient geometric complexity".
 
     Maps that are poorly seen stay: they are the task.
     """
@@ -81,8 +81,11 @@ def preset(kind: str) -> Recipe:
 
 
 def read_recipe(path: Path, kind: str | None = None) -> Recipe:
-    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar] and [grid] of what differs from
-    the preset. `kind`, where given, stands in for the file's. Raises RecipeError naming file, table and parameter."""
+    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar] and [grid] of what differs
+    from the preset. `kind`, where given, stands in for the file's.
+
+    Raises RecipeError naming the file, the table and the parameter.
+    """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
@@ -91,7 +94,7 @@ def read_recipe(path: Path, kind: str | None = None) -> Recipe:
         raise RecipeError(f"{path}: not valid TOML: {error}") from None
     named = tables.pop("kind", None)
     if kind is None and named is None:
-        raise RecipeError(f"{path}: names no kind; add a line such as kind = \"pillar\", or give --kind")
+        raise RecipeError(f'{path}: names no kind; add a line such as kind = "pillar", or give --kind')
     if kind is not None and named is not None and kind != named:
         raise RecipeError(f"{path}: is a recipe for kind {named!r}, not for {kind!r}; leave one of the two out")
     return make_recipe(kind or str(named), tables, where=str(path))
@@ -103,8 +106,8 @@ def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
     defaults: dict[str, dict[str, Any]] = {}
     if kind != "scene":
         _check_name(kind, kind_names(), "kind", where)
-        parts["world"] = find_kind(kind)
-        defaults = {"flight": dict(parts["world"].flight_defaults), "accept": dict(parts["world"].accept_defaults)}
+        parts["world"] = found = find_kind(kind)
+        defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
     for name in tables:
         _check_name(name, tuple(sorted(parts)), "table", where)
     built = {

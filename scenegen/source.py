@@ -49,7 +49,9 @@ class DrawnWorlds:
         """See `Source.world`."""
         kind = self.recipe.world
         assert kind is not None
-        return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=self.recipe.flight.bounds(kind.size_m))
+        return write_world(
+            lambda spec: kind.add_to(spec, rng=rng), flight_bounds=self.recipe.flight.bounds(kind.size_m)
+        )
 
     def describe(self) -> dict[str, Any]:
         """See `Source.describe`."""
@@ -124,16 +126,18 @@ def read_scenes(path: Path, counts: Mapping[str, int], *, seed: int, allow_unsee
         return SceneWorlds({"train": (scenes[0],), "val": (), "test": ()})
     wanted = [split for split in SPLITS if counts[split]]
     if len(scenes) < len(wanted):
-        raise SceneError(f"{path}: {len(scenes)} worlds for {len(wanted)} splits; add worlds, or set --val or --test to 0")
+        raise SceneError(
+            f"{path}: {len(scenes)} worlds for {len(wanted)} splits; add worlds, or set --val or --test to 0"
+        )
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(scenes))
     share = {split: max(1, round(len(scenes) * counts[split] / sum(counts.values()))) for split in wanted}
     share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])
     if share[wanted[0]] < 1:
-        raise SceneError(f"{path}: {len(scenes)} worlds are too few for these counts; add worlds or ask for fewer samples")
+        raise SceneError(
+            f"{path}: {len(scenes)} worlds are too few for these counts; add worlds or ask for fewer samples"
+        )
     dealt = iter(order)
-    return SceneWorlds(
-        {split: tuple(scenes[next(dealt)] for _ in range(share.get(split, 0))) for split in SPLITS}
-    )
+    return SceneWorlds({split: tuple(scenes[next(dealt)] for _ in range(share.get(split, 0))) for split in SPLITS})
 
 
 def _read_scene(path: Path, allow_unseen: bool) -> Scene:

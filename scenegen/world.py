@@ -65,7 +65,7 @@ def write_world(add_to: Callable[[mujoco.MjSpec], None], *, flight_bounds: NDArr
 
 
 def load_scene(path: Path) -> tuple[bytes, dict[str, bytes]]:
-    """Read an MJCF file drawn by hand and make it self-contained: (document, the files it refers to by their new names).
+    """Read an MJCF file drawn by hand and make it self-contained: (document, files by their new names).
 
     Includes are resolved and every mesh, height field and texture is taken along. Two things are changed so that the
     sensor and the truth see the same world: planes become infinite, and geoms that collide with nothing take part in
@@ -122,7 +122,9 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> NDArray[
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
         data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, dtype=np.float64)
         if data.size != 6 or not (data[:3] < data[3:]).all():
-            raise SceneError(f"{name}: <numeric {FLIGHT_BOUNDS}> = {data}, expected xmin ymin zmin xmax ymax zmax, rising")
+            raise SceneError(
+                f"{name}: <numeric {FLIGHT_BOUNDS}> = {data}, expected xmin ymin zmin xmax ymax zmax, rising"
+            )
         return data.reshape(2, 3)
     bounded = np.isfinite(solids.lower).all(axis=1)
     corners = np.concatenate([solids.lower[bounded], solids.upper[bounded], solids.triangles.reshape(-1, 3)])

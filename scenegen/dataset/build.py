@@ -5,6 +5,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,9 +71,7 @@ def plan_dataset(
     shard_samples: int = 100,
 ) -> Plan:
     """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units."""
-    given = manifest.parameters(
-        recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples
-    )
+    given = manifest.parameters(recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples)
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints
     step = max(shard_samples // each, 1)
@@ -126,12 +125,18 @@ def build(
     missing = [shard for shard in plan.shards[first:stop] if shard.file not in reports]
     _check_space(plan, missing)
     written = 0
-    if len(missing) > 1 and workers > 1:  # kernels compile here once, and hopeless parameters end here, before workers start
+    if (
+        len(missing) > 1 and workers > 1
+    ):  # kernels compile here once, and hopeless parameters end here, before workers start
         _first_unit(missing[0])
-    for report in run(write_shard, missing, workers, on_start):
-        reports[plan.folder / report.file] = report
-        written += report.samples
-        on_shard(report, True)
+    try:
+        with closing(run(write_shard, missing, workers, on_start)) as results:
+            for report in results:
+                reports[plan.folder / report.file] = report
+                written += report.samples
+                on_shard(report, True)
+    finally:
+        remove_drafts(plan.folder)
     for shard in plan.shards:  # those that other runs wrote meanwhile
         if shard.file not in reports and (late := read_report(shard)) is not None:
             reports[shard.file] = late
@@ -172,7 +177,7 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
 
 
 def _open_folder(plan: Plan, *, force: bool) -> None:
-    """Make the folder ready to take the plan's shards. Nothing in it is touched unless it is this dataset's or `force`."""
+    """Make the folder ready for the plan's shards. Nothing in it is touched unless it is this dataset's or `force`."""
     check_folder(plan, force=force)
     folder = plan.folder
     try:
@@ -213,7 +218,8 @@ def _summarise(plan: Plan, reports: list[ShardReport], final: Mapping[str, Any],
         samples[report.split] += report.samples
     for shard in plan.shards:
         worlds[shard.split].update(
-            shard.source.number(shard.split, unit)[0] for unit in range(shard.first_unit, shard.first_unit + shard.units)
+            shard.source.number(shard.split, unit)[0]
+            for unit in range(shard.first_unit, shard.first_unit + shard.units)
         )
     return Summary(
         folder=plan.folder,
@@ -221,7 +227,7 @@ def _summarise(plan: Plan, reports: list[ShardReport], final: Mapping[str, Any],
         samples={split: samples[split] for split in SPLITS},
         worlds={split: len(worlds[split]) for split in SPLITS},
         rejected=final["rejected"],
-        bytes=sum(report.bytes for report in reports),
+        bytes=sum(report.size for report in reports),
         shards=len(plan.shards),
         shards_missing=len(plan.shards) - len(reports),
         samples_written=written,

@@ -112,7 +112,7 @@ def read(folder: Path) -> dict[str, Any]:
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
     if manifest.get("version") != VERSION:
         raise DatasetError(
-            f"{path}: format version {manifest.get('version')}, this scenegen reads {VERSION}; install a matching scenegen"
+            f"{path}: format version {manifest.get('version')}, this scenegen reads {VERSION}; install one that matches"
         )
     return manifest
 

@@ -17,17 +17,15 @@ from scenegen.sample import Sample, derive_free, derive_tudf
 class Dataset:
     """A dataset folder, opened for reading.
 
-    ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field. Raises DatasetError for a
-    folder that holds none, or, unless `partial`, an incomplete one.
+    ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field. Raises DatasetError
+    for a folder that holds none, or, unless `partial`, an incomplete one.
     """
 
     def __init__(self, folder: Path | str, *, partial: bool = False):
         self.folder = Path(folder)
         self.manifest = manifest.read(self.folder)
         if not (self.manifest["complete"] or partial):
-            raise DatasetError(
-                f"{self.folder}: incomplete; give the command that made it again to go on where it was"
-            )
+            raise DatasetError(f"{self.folder}: incomplete; give the command that made it again to go on where it was")
         self.grid = manifest.grid_of(self.manifest)
         self.lidar = manifest.lidar_of(self.manifest)
 
@@ -55,7 +53,9 @@ class Dataset:
     def _file(self, name: str) -> Path:
         path = self.folder / name
         if Path(name).name != name or not path.is_file():
-            raise DatasetError(f"{path}: is missing, though {manifest.NAME} lists it; copy the dataset again, or generate it")
+            raise DatasetError(
+                f"{path}: is missing, though {manifest.NAME} lists it; copy the dataset again, or generate it"
+            )
         return path
 
 

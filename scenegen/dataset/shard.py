@@ -68,7 +68,8 @@ class ShardReport:
     first_world: int
     sha256: str
     worlds_sha256: str
-    bytes: int
+    size: int
+    """Bytes on disk."""
     rejected: Rejections
     digests: bytes
     """The samples' own SHA-256s, 32 bytes each, in order."""
@@ -107,7 +108,7 @@ def write_shard(spec: ShardSpec) -> ShardReport:
         first_world=content.first_world,
         sha256=hashlib.sha256(samples).hexdigest(),
         worlds_sha256=hashlib.sha256(worlds).hexdigest(),
-        bytes=len(samples) + len(worlds),
+        size=len(samples) + len(worlds),
         rejected=content.rejected,
         digests=content.digests,
     )
@@ -129,7 +130,7 @@ def read_report(spec: ShardSpec) -> ShardReport | None:
                 first_world=int(file.attrs["first_world"]),
                 sha256=hashlib.sha256(samples).hexdigest(),
                 worlds_sha256=hashlib.sha256(worlds).hexdigest(),
-                bytes=len(samples) + len(worlds),
+                size=len(samples) + len(worlds),
                 rejected=Rejections(Counter(rejected["worlds"]), Counter(rejected["viewpoints"])),
                 digests=file[DIGEST][()].tobytes(),
             )

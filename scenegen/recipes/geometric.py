@@ -56,12 +56,13 @@ class Geometric(WorldKind):
             raise ValueError(f"density = {list(self.density)}: expected a lower bound above 0, its logarithm is drawn")
 
     def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
+        """See `WorldKind.add_to`."""
         self.add_ground(spec)
         area = self.size_m[0] * self.size_m[1]
         scale = rng.uniform(*self.scale)
-        self._add_solids(spec, int(round(area * np.exp(rng.uniform(*np.log(self.density))))), scale, rng=rng)
-        self._add_walls(spec, int(round(area * rng.uniform(*self.wall_density))), rng=rng)
-        self._add_clutter(spec, int(round(area * rng.uniform(*self.clutter_density))), rng=rng)
+        self._add_solids(spec, round(area * np.exp(rng.uniform(*np.log(self.density)))), scale, rng=rng)
+        self._add_walls(spec, round(area * rng.uniform(*self.wall_density)), rng=rng)
+        self._add_clutter(spec, round(area * rng.uniform(*self.clutter_density)), rng=rng)
 
     def _add_solids(self, spec: mujoco.MjSpec, count: int, scale: float, *, rng: np.random.Generator) -> None:
         """Standing, floating and stacked ones."""

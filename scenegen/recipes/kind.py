@@ -13,7 +13,10 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class WorldKind(ABC):
-    """Parameters of a kind of world, and how to draw one. Worlds span x and y from 0 to `size_m`, the ground is z = 0."""
+    """Parameters of a kind of world, and how to draw one.
+
+    Worlds span x and y from 0 to `size_m`; the ground is z = 0.
+    """
 
     version: ClassVar[int]
     """Of the preset: raised whenever the same parameters would give other worlds, or the defaults change."""
@@ -55,7 +58,7 @@ class WorldKind(ABC):
             )  # fmt: skip
 
 
-def add_geom(spec, shape, size, position, quaternion=(1.0, 0.0, 0.0, 0.0), rgba=(0.6, 0.65, 0.7, 1.0)):  # type: ignore[no-untyped-def]
+def add_geom(spec, shape, size, position, quaternion=(1.0, 0.0, 0.0, 0.0), rgba=(0.6, 0.65, 0.7, 1.0)):
     """Add one solid straight under the world body, where mj_multiRay is fastest."""
     spec.worldbody.add_geom(type=shape, size=size, pos=position, quat=quaternion, rgba=rgba)
 

@@ -39,9 +39,10 @@ class Pillar(WorldKind):
     """Heights of pillars, metres, from the ground up."""
 
     def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
+        """See `WorldKind.add_to`."""
         self.add_ground(spec)
         x_m, y_m, _ = self.size_m
-        count = max(int(round(rng.uniform(*self.density) * x_m * y_m)), 1)
+        count = max(round(rng.uniform(*self.density) * x_m * y_m), 1)
         section = rng.random(count)
         half = rng.uniform(*self.half_width_m, count)
         length = np.where(

@@ -31,11 +31,11 @@ def distance_field(occupancy: NDArray[np.bool_], grid: GridSpec) -> NDArray[np.f
 
 
 @kernel
-def _transform(occupancy, cap, table):  # type: ignore[no-untyped-def]
+def _transform(occupancy, cap, table):
     """Squared distances up to `cap`, one axis after the other, looked up in `table` (cap + 1,).
 
-    All in the type of `cap`, so that a vector register holds many. Lines along z are kept apart by a margin of `cap`, so
-    that a shift along y or z is one shift of a whole x-slice.
+    All in the type of `cap`, so that a vector register holds many. Lines along z are kept apart by a margin of `cap`,
+    so that a shift along y or z is one shift of a whole x-slice.
     """
     nx, ny, nz = occupancy.shape
     reach = 0  # offsets whose square alone stays below the cap
@@ -65,7 +65,7 @@ def _transform(occupancy, cap, table):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _steps_along_x(occupied, steps, most):  # type: ignore[no-untyped-def]
+def _steps_along_x(occupied, steps, most):
     """Set `steps` (nx, m) to the voxels from the nearest occupied one along x, at most `most`."""
     nx, m = steps.shape
     one = steps.dtype.type(1)
@@ -80,18 +80,18 @@ def _steps_along_x(occupied, steps, most):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _square(steps, squares, cap):  # type: ignore[no-untyped-def]
+def _square(steps, squares, cap):
     for q in range(len(steps)):
         squares[q] = min(squares.dtype.type(steps[q] * steps[q]), cap)
 
 
 @kernel
-def _lower(squares, source, added):  # type: ignore[no-untyped-def]
+def _lower(squares, source, added):
     for q in range(len(squares)):
         squares[q] = min(squares[q], squares.dtype.type(source[q] + added))
 
 
 @kernel
-def _look_up(index, table, values):  # type: ignore[no-untyped-def]
+def _look_up(index, table, values):
     for q in range(len(index)):
         values[q] = table[index[q]]

@@ -12,7 +12,7 @@ from scenegen.truth.solids import Solids
 from scenegen.truth.triangles import inside_columns, triangle_touches
 
 SLACK_M = 1e-6
-"""A cube touches a solid that comes within this distance, so that a return stored in float32 lies in an occupied voxel."""
+"""A cube touches a solid within this distance, so that a return stored in float32 lies in an occupied voxel."""
 
 
 def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.bool_]:
@@ -42,7 +42,7 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.b
 
 
 @kernel
-def _span(low, high, origin, voxel_m, count):  # type: ignore[no-untyped-def]
+def _span(low, high, origin, voxel_m, count):
     """First and one past the last voxel along an axis whose closed extent touches [low, high]."""
     first = math.ceil(max((low - SLACK_M - origin) / voxel_m - 1.0, 0.0))
     last = math.floor(min((high + SLACK_M - origin) / voxel_m, count - 1.0))
@@ -50,7 +50,7 @@ def _span(low, high, origin, voxel_m, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):  # type: ignore[no-untyped-def]
+def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):
     """Mark every primitive's voxels, the upright ones column by column."""
     half = 0.5 * voxel_m
     nx, ny, nz = occupancy.shape
@@ -83,7 +83,7 @@ def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxe
 
 
 @kernel
-def _column_touches(shape, size, axes, dx, dy, half):  # type: ignore[no-untyped-def]
+def _column_touches(shape, size, axes, dx, dy, half):
     """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches its section."""
     if shape == CYLINDER:
         u, v = max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0)
@@ -98,12 +98,12 @@ def _column_touches(shape, size, axes, dx, dy, half):  # type: ignore[no-untyped
 
 
 @kernel
-def _fill_column(shape, size, axes, dx, dy, dz, voxel_m, column):  # type: ignore[no-untyped-def]
+def _fill_column(shape, size, axes, dx, dy, dz, voxel_m, column):
     """Mark the voxels of one column, whose first centre lies at (dx, dy, dz) from the shape's.
 
     A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the distance of its centre
-    settles all but the cubes right at the surface; and since that distance cannot fall faster than one walks, far ones are
-    skipped.
+    settles all but the cubes right at the surface; and since that distance cannot fall faster than one walks, far ones
+    are skipped.
     """
     half = 0.5 * voxel_m
     outer = half * math.sqrt(3.0) + SLACK_M
@@ -124,7 +124,7 @@ def _fill_column(shape, size, axes, dx, dy, dz, voxel_m, column):  # type: ignor
 
 
 @kernel
-def _fill_surface(triangles, origin, voxel_m, occupancy):  # type: ignore[no-untyped-def]
+def _fill_surface(triangles, origin, voxel_m, occupancy):
     """Mark the voxels that triangles (T, 3, 3) pass through."""
     half = 0.5 * voxel_m
     nx, ny, nz = occupancy.shape

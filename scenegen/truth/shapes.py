@@ -17,7 +17,7 @@ PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
 
 
 @kernel
-def distance(shape, size, x, y, z):  # type: ignore[no-untyped-def]
+def distance(shape, size, x, y, z):
     """Distance in metres from the point (x, y, z) to the filled shape; 0 inside. A plane fills z <= 0."""
     if shape == SPHERE:
         return max(math.sqrt(x * x + y * y + z * z) - size[0], 0.0)
@@ -36,7 +36,7 @@ def distance(shape, size, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _ellipsoid_distance(size, x, y, z):  # type: ignore[no-untyped-def]
+def _ellipsoid_distance(size, x, y, z):
     """The nearest point of the surface is (a^2 x / (t + a^2), ...) with t > 0 the root of a convex, falling function
     (Eberly, "Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid"); Newton's method from 0 climbs
     to it from the left without overshooting."""
@@ -54,7 +54,7 @@ def _ellipsoid_distance(size, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def touches(shape, size, axes, x, y, z, half, slack):  # type: ignore[no-untyped-def]
+def touches(shape, size, axes, x, y, z, half, slack):
     """Whether the closed cube about (x, y, z) comes within `slack` metres of the filled shape."""
     if shape == SPHERE:
         return _point_to_cube2(axes, x, y, z, half) <= (size[0] + slack) ** 2
@@ -70,7 +70,7 @@ def touches(shape, size, axes, x, y, z, half, slack):  # type: ignore[no-untyped
 
 
 @kernel
-def _point_to_cube2(axes, x, y, z, half):  # type: ignore[no-untyped-def]
+def _point_to_cube2(axes, x, y, z, half):
     """Squared distance from the frame's origin to the cube."""
     total = 0.0
     for a in range(3):
@@ -80,7 +80,7 @@ def _point_to_cube2(axes, x, y, z, half):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _segment_to_cube2(axes, x, y, z, reach, half):  # type: ignore[no-untyped-def]
+def _segment_to_cube2(axes, x, y, z, reach, half):
     """Squared distance from the segment |z| <= reach of the frame's z axis to the cube.
 
     Along the segment the squared distance is convex and piecewise quadratic; its derivative is piecewise linear with a
@@ -110,7 +110,7 @@ def _segment_to_cube2(axes, x, y, z, reach, half):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _segment_slope(axes, x, y, z, t, half):  # type: ignore[no-untyped-def]
+def _segment_slope(axes, x, y, z, t, half):
     """Half the derivative of `_at_segment` by t."""
     total = 0.0
     for a in range(3):
@@ -123,13 +123,13 @@ def _segment_slope(axes, x, y, z, t, half):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _at_segment(axes, x, y, z, t, half):  # type: ignore[no-untyped-def]
+def _at_segment(axes, x, y, z, t, half):
     """Squared distance from the point (0, 0, t) to the cube."""
     return _point_to_cube2(axes, x, y, z - t, half)
 
 
 @kernel
-def _box_touches(size, axes, x, y, z, half, slack):  # type: ignore[no-untyped-def]
+def _box_touches(size, axes, x, y, z, half, slack):
     """Separating axes (Gottschalk 1996): the 3 faces of each box and the 9 products of their edges."""
     centre = (x, y, z)
     for b in range(3):
@@ -153,7 +153,7 @@ def _box_touches(size, axes, x, y, z, half, slack):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _ellipsoid_touches(size, axes, x, y, z, half, slack):  # type: ignore[no-untyped-def]
+def _ellipsoid_touches(size, axes, x, y, z, half, slack):
     """Scaled by its semi-axes the ellipsoid is the unit ball and the cube a parallelepiped, whose point nearest to the
     centre is found among the interiors of its faces and edges. There, the gap is at least (f - 1) / |grad f| with f
     the scaled length (f is convex), and equals it to first order."""
@@ -182,7 +182,11 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):  # type: ignore[no-unt
                 if length2 < least:
                     least, nx, ny, nz = length2, fx, fy, fz
             for r in (-1.0, 1.0):
-                u, v, w = m[3, 0] + s * m[j, 0] + r * m[k, 0], m[3, 1] + s * m[j, 1] + r * m[k, 1], m[3, 2] + s * m[j, 2] + r * m[k, 2]
+                u, v, w = (
+                    m[3, 0] + s * m[j, 0] + r * m[k, 0],
+                    m[3, 1] + s * m[j, 1] + r * m[k, 1],
+                    m[3, 2] + s * m[j, 2] + r * m[k, 2],
+                )
                 p = min(max(-(m[i, 0] * u + m[i, 1] * v + m[i, 2] * w) / ii, -1.0), 1.0)
                 fx, fy, fz = u + p * m[i, 0], v + p * m[i, 1], w + p * m[i, 2]
                 length2 = fx * fx + fy * fy + fz * fz
@@ -195,7 +199,7 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):  # type: ignore[no-unt
 
 
 @kernel
-def _cylinder_touches(radius, reach, axes, x, y, z, half):  # type: ignore[no-untyped-def]
+def _cylinder_touches(radius, reach, axes, x, y, z, half):
     """The part of the cube between the cylinder's two end planes is convex, so it touches when its shadow along the
     axis does: when the axis runs through it, or one of its edges (the cube's, cut at the planes, and the cuts
     themselves) passes the axis within the radius."""
@@ -210,7 +214,6 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):  # type: ignore[no-un
     if enter <= leave:
         return True
     limit = radius * radius
-    ends = np.empty((2, 12, 2))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         for sj in (-half, half):
@@ -239,7 +242,7 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):  # type: ignore[no-un
 
 
 @kernel
-def _segment_norm2(px, py, qx, qy):  # type: ignore[no-untyped-def]
+def _segment_norm2(px, py, qx, qy):
     """Squared distance from the plane's origin to the segment pq."""
     dx, dy = qx - px, qy - py
     length2 = dx * dx + dy * dy
@@ -249,7 +252,7 @@ def _segment_norm2(px, py, qx, qy):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _face_cut_norm2(axes, x, y, z, i, si, height, half):  # type: ignore[no-untyped-def]
+def _face_cut_norm2(axes, x, y, z, i, si, height, half):
     """Squared distance from the axis to the segment in which the plane z = height cuts one face; inf if it does not."""
     j, k = (i + 1) % 3, (i + 2) % 3
     cx, cy, cz = x + si * axes[i, 0], y + si * axes[i, 1], z + si * axes[i, 2] - height

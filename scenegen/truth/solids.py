@@ -118,7 +118,7 @@ def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[np.float64
 
 
 @kernel
-def _bounds(shape, size, position, rotation):  # type: ignore[no-untyped-def]
+def _bounds(shape, size, position, rotation):
     """Axis-aligned bounding boxes (n, 3), (n, 3)."""
     lower, upper = np.empty_like(position), np.empty_like(position)
     for n in range(len(shape)):
@@ -137,5 +137,3 @@ def _bounds(shape, size, position, rotation):  # type: ignore[no-untyped-def]
                 reach = np.sqrt((u * size[n, 0]) ** 2 + (v * size[n, 1]) ** 2 + (w * size[n, 2]) ** 2)
             lower[n, a], upper[n, a] = position[n, a] - reach, position[n, a] + reach
     return lower, upper
-
-

@@ -8,7 +8,7 @@ from lidarsim.jit import kernel
 
 
 @kernel
-def triangle_touches(a, b, c, x, y, z, half, slack):  # type: ignore[no-untyped-def]
+def triangle_touches(a, b, c, x, y, z, half, slack):
     """Whether the closed cube about (x, y, z) comes within `slack` metres of the triangle abc.
 
     Separating axes (Akenine-Moller 2001): the triangle's normal, the cube's faces, and the products of their edges.
@@ -40,7 +40,7 @@ def triangle_touches(a, b, c, x, y, z, half, slack):  # type: ignore[no-untyped-
 
 
 @kernel
-def triangle_distance(a, b, c, x, y, z):  # type: ignore[no-untyped-def]
+def triangle_distance(a, b, c, x, y, z):
     """Distance in metres from the point (x, y, z) to the triangle abc (Ericson 2005, section 5.1.5)."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -72,7 +72,7 @@ def triangle_distance(a, b, c, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _side(a, b, x, y):  # type: ignore[no-untyped-def]
+def _side(a, b, x, y):
     """On which side of the line ab, seen from above, (x, y) lies: +1 left, -1 right, never 0.
 
     The two triangles at an edge must agree, so the ends are put in order first, and a point right on the line counts
@@ -89,7 +89,7 @@ def _side(a, b, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def crossing(a, b, c, x, y):  # type: ignore[no-untyped-def]
+def crossing(a, b, c, x, y):
     """How the vertical line at (x, y) crosses the triangle abc: +1 upwards out of it seen with its normal, -1 down
     into it, 0 not at all; and the height of the crossing."""
     s = _side(a, b, x, y)
@@ -106,25 +106,25 @@ def crossing(a, b, c, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def inside_columns(triangles, origin, voxel_m, occupancy):  # type: ignore[no-untyped-def]
+def inside_columns(triangles, origin, voxel_m, occupancy):
     """Mark the voxels whose centre a closed, consistently wound soup (T, 3, 3) winds around.
 
-    With the voxels on its surface marked already, what is left lies wholly inside or wholly outside, so the centre decides.
+    With the voxels on its surface marked already, what is left lies wholly inside or outside, so the centre decides.
     """
     nx, ny, nz = occupancy.shape
     winding = np.zeros((nx, ny, nz), np.int32)
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        i0 = max(int(math.floor((min(a[0], b[0], c[0]) - origin[0]) / voxel_m - 0.5)), 0)
-        i1 = min(int(math.ceil((max(a[0], b[0], c[0]) - origin[0]) / voxel_m + 0.5)), nx)
-        j0 = max(int(math.floor((min(a[1], b[1], c[1]) - origin[1]) / voxel_m - 0.5)), 0)
-        j1 = min(int(math.ceil((max(a[1], b[1], c[1]) - origin[1]) / voxel_m + 0.5)), ny)
+        i0 = max(math.floor((min(a[0], b[0], c[0]) - origin[0]) / voxel_m - 0.5), 0)
+        i1 = min(math.ceil((max(a[0], b[0], c[0]) - origin[0]) / voxel_m + 0.5), nx)
+        j0 = max(math.floor((min(a[1], b[1], c[1]) - origin[1]) / voxel_m - 0.5), 0)
+        j1 = min(math.ceil((max(a[1], b[1], c[1]) - origin[1]) / voxel_m + 0.5), ny)
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):
                 sign, height = crossing(a, b, c, x, origin[1] + (j + 0.5) * voxel_m)
                 if sign != 0:
-                    k = max(int(math.ceil((height - origin[2]) / voxel_m - 0.5)), 0)
+                    k = max(math.ceil((height - origin[2]) / voxel_m - 0.5), 0)
                     if k < nz:
                         winding[i, j, k] += sign
     for i in range(nx):

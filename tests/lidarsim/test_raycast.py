@@ -4,10 +4,10 @@
 height fields, MuJoCo's own one-ray function `mj_ray` is the reference: it tests every geom, whereas the
 many-ray function `mj_multiRay` first sets geoms aside by bounding volumes.
 
-Facts found in MuJoCo 4.0.0 (the source of 3.12.1 reads the same): `mj_multiRay` looks at a body's geoms only
-if the ray meets the bounding sphere of the body's *colliding* geoms, so that geoms with contype = conaffinity
-= 0 outside of that sphere are lost; a body, the world body too, without any colliding geom is searched in
-full. Its cutoff sets far geoms aside and is no limit on the distances it returns.
+Facts found in MuJoCo 4.0.0: `mj_multiRay` looks at a body's geoms only if the ray meets the bounding sphere
+of the body's *colliding* geoms, so that geoms with contype = conaffinity = 0 are lost where they lie outside
+of that sphere; a body, the world body too, without any colliding geom is searched in full. Its cutoff sets
+far geoms aside, except planes and those of bodies without colliding geoms, and limits no distance.
 """
 
 from __future__ import annotations
@@ -250,6 +250,22 @@ def test_ranges_take_the_leading_shape_of_the_directions_and_any_memory_layout()
     np.testing.assert_array_equal(caster.cast(position, fixed, 12.0), flat)
 
 
+def test_a_caster_over_data_sees_the_configuration_of_the_data() -> None:
+    """A free body moved by its coordinates is seen where it went; without data it is seen where it began."""
+    rng = np.random.default_rng(12)
+    shape = Geom("box", (0.6, 0.9, 1.2), (0.3, -0.2, 0.1), tuple(reference.random_quaternion(rng)))
+    started = Body((shape,), (4.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), "<freejoint/>")
+    moved = Body((shape,), (-1.0, 5.0, 1.0), tuple(reference.random_quaternion(rng)))
+    model = mujoco.MjModel.from_xml_string(reference.world_xml([], [started]))
+    data = mujoco.MjData(model)
+    data.qpos[:] = (*moved.position, *moved.quaternion)
+    mujoco.mj_forward(model, data)
+    rays = random_rays(rng, 2000)
+    for caster, body in ((MujocoCaster(model, data), moved), (MujocoCaster(model), started)):
+        expected = reference.ranges([], [body], np.zeros(3), rays, 10.0)
+        assert_same_ranges(caster.cast(np.zeros(3), rays, 10.0), expected, returns_at_least=20)
+
+
 def test_a_caster_has_no_memory_and_casters_do_not_share_worlds() -> None:
     rng = np.random.default_rng(6)
     worlds = [random_world(rng) for _ in range(3)]
@@ -343,6 +359,8 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding: str) -> None:
         (-1, 0, 0): ('material="clear"', False),
         (0, 1, 0): ('rgba="0.5 0.5 0.5 0.01"', True),
         (0, -1, 0): ('material="faint"', True),
+        (0, 0, 1): ('material="faint" rgba="0.5 0.5 0.5 0"', True),  # the material rules
+        (0, 0, -1): ('material="clear" rgba="0.5 0.5 0.5 1"', False),
     }
     walls = [
         Geom("sphere", (0.5,), tuple(2.0 * np.array(side)), attributes=f"{look} {colliding}")

@@ -436,6 +436,25 @@ def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside(seed: int)
     assert must.any()
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_a_ray_within_the_maps_lower_border_is_inside_and_within_the_upper_one_outside(axis: int) -> None:
+    """The map is half-open as its voxels are; the planes of this grid are exact in float64."""
+    along = (axis + 1) % 3
+    for shift, inside in ((1.0, True), (-1.0, False)):
+        ray, origin, index = np.zeros(3), np.full(3, -1.0), [4, 4, 4]
+        ray[along] = 1.0
+        origin[axis] += shift  # puts the sensor on the lower or on the upper border of this axis
+        scan = scan_of([ray], np.inf)
+        got = voxelize(scan, DYADIC, origin)
+        assert_right(scan, DYADIC, got)
+        expected = set()
+        for step in range(4, 8):
+            index[axis], index[along] = 0, step
+            expected.add(tuple(index))
+        free = {tuple(i) for i in np.argwhere(got.free).tolist()}
+        assert free == (expected if inside else set())
+
+
 # ---------------------------------------------------------------------------------------- turning the scene
 
 

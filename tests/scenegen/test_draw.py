@@ -163,9 +163,11 @@ def test_impossible_parameters_end_and_are_named(tables: dict, named: str) -> No
 
 
 def test_other_grids_and_sensors_come_through() -> None:
-    recipe = small_recipe(grid={"shape": (10, 20, 30), "voxel_m": 0.1, "truncation_m": 0.5},
-                          lidar={"mount": "band"},
-                          accept={"min_solids": 0.0, "min_occupied_share": 0.0})
+    recipe = small_recipe(
+        grid={"shape": (10, 20, 30), "voxel_m": 0.1, "truncation_m": 0.5},
+        lidar={"mount": "band"},
+        accept={"min_solids": 0.0, "min_occupied_share": 0.0},
+    )
     assert recipe.grid == GridSpec(shape=(10, 20, 30), voxel_m=0.1, truncation_m=0.5)
     assert recipe.lidar == Lidar(rows=8, columns=24, mount="band")
     for sample in draw((recipe, DrawnWorlds(recipe))).samples:

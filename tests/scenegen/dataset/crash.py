@@ -47,7 +47,7 @@ class Killer:
 
     def open(self, path: Any, mode: str = "r") -> Any:
         self.tick()
-        file = builtins.open(path, mode)
+        file = builtins.open(path, mode)  # noqa: SIM115 (handed on open)
         return HalvingFile(file, self) if "w" in mode else file
 
 
@@ -77,13 +77,14 @@ class HalvingFile:
 
 
 def run_killed(folder: Path, at: int) -> int | None:
-    """Build in a forked process, killed before its operation `at`. None if killed, otherwise the count of operations."""
+    """Build in a forked process, killed before its operation `at`. None if killed, else the count."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
         killer = Killer(at)
-        for name in ("fsync", "replace", "open"):
+        for name in ("fsync", "open"):
             setattr(os, name, killer.before(getattr(os, name)))
+        Path.replace = killer.before(Path.replace)  # type: ignore[method-assign]
         files.open = killer.open  # type: ignore[attr-defined]
         build(plan_at(folder))
         os.write(write, str(killer.count).encode())

@@ -150,7 +150,9 @@ def test_a_compact_dataset_reads_like_a_full_one(tmp_path: Path) -> None:
     make(tmp_path / "compact", compact=True)
     assert "tudf" not in manifest.read(tmp_path / "compact")["fields"]
     for split in SPLITS:
-        for a, b in zip(Dataset(tmp_path / "full").split(split), Dataset(tmp_path / "compact").split(split), strict=True):
+        for a, b in zip(
+            Dataset(tmp_path / "full").split(split), Dataset(tmp_path / "compact").split(split), strict=True
+        ):
             for name in SCHEMA:
                 np.testing.assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
 

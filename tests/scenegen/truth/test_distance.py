@@ -68,13 +68,26 @@ def test_the_field_is_scipys_to_the_last_bit(voxel: float, truncation: float, de
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     hnp.arrays(np.bool_, hnp.array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=7)),
-    st.sampled_from(VOXELS),
-    st.sampled_from(TRUNCATIONS),
+    st.sampled_from(VOXELS) | st.floats(0.05, 1.0),
+    st.sampled_from(TRUNCATIONS) | st.floats(0.01, 40.0),
 )
 def test_the_field_is_the_definitions(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> None:
     np.testing.assert_array_equal(
         field(occupancy, voxel, truncation), brute_field(occupancy, voxel, truncation)
     )
+
+
+@pytest.mark.parametrize("voxel", VOXELS)
+def test_truncations_of_every_reach_are_exact(voxel: float) -> None:
+    """From less than one voxel to farther than map is wide, whole numbers of voxels and their neighbours."""
+    rng = np.random.default_rng(36)
+    occupancy = rng.random((19, 26, 22)) < 0.0005
+    occupancy[4, 20, 7] = True
+    lengths = [0.5, 1, 1.5, 2, 3, 7, 10, 11, 12, 15, 16, 17, 20, 25, 90, 127, 128, 180, 182, 300]
+    for reach in [*lengths, *np.sqrt([2, 3, 5, 126, 127, 128, 129, 255, 256, 257]), *rng.uniform(0, 40, 20)]:
+        for truncation in (reach * voxel, np.nextafter(reach * voxel, 0), np.nextafter(reach * voxel, 999)):
+            answer = field(occupancy, voxel, float(truncation))
+            np.testing.assert_array_equal(answer, expected_field(occupancy, voxel, float(truncation)))
 
 
 def test_the_map_at_the_size_of_use_is_exact() -> None:

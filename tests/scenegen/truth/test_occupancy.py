@@ -174,7 +174,7 @@ def cube_feature(
 
 
 def squarely(shape: Shape, normal: Floats, rng: np.random.Generator) -> Shape:
-    """The shape turned until one of its axes, or a direction 1e-9 to 0.1 rad from it, points along -normal."""
+    """The shape turned until one of its axes, or a direction up to 0.1 rad from it, points along -normal."""
     along = np.eye(3)[rng.integers(3)] + rng.normal(size=3) * 10.0 ** rng.uniform(-9, -1)
     turn, _ = Rotation.align_vectors([-normal], [along / np.linalg.norm(along)])
     x, y, z, w = (Rotation.from_rotvec(normal * rng.uniform(0, 2 * math.pi)) * turn).as_quat()
@@ -183,7 +183,7 @@ def squarely(shape: Shape, normal: Floats, rng: np.random.Generator) -> Shape:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_gaps_of_a_micrometre_decide(kind: str) -> None:
-    """Cubes at a distance known by construction, from solids at random attitudes, flat against them or nearly.
+    """Cubes at a distance known by construction, from solids at random attitudes or flat against them.
 
     The point of the solid that is farthest along -n is put the gap away along n from a point of the cube
     where n is an outward normal: the plane between the two separates them, so the gap is their distance.
@@ -238,7 +238,7 @@ SEEN_THROUGH = 1e-3
 def test_primitives_at_a_thousand_attitudes_occupy_the_cubes_they_touch(kind: str) -> None:
     """Random sizes, attitudes, positions and voxels; every voxel of every map, near the surface or not."""
     rng = np.random.default_rng([13, KINDS.index(kind)])
-    n = 20
+    n = 16
     boundary = filled = undecidable = 0
     for _ in range(ATTITUDES):
         shape, voxel, origin = placed(kind, rng, n)
@@ -656,7 +656,7 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str) -> 
 
 @pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
 def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name: str) -> None:
-    """Small maps anywhere in and around it: what is inside does not depend on how much of it is in the map."""
+    """Small maps anywhere in and around it: what is inside does not depend on how much the map shows."""
     rng = np.random.default_rng(26)
     closed = name in WATERTIGHT
     mesh = (WATERTIGHT | OPEN)[name]()

@@ -1,0 +1,269 @@
+"""The command line as users meet it: what it makes, what it prints, and how it ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import mujoco
+import pytest
+
+import cli
+from scenegen import __version__
+from scenegen.dataset.read import Dataset
+
+SMALL = """
+kind = "pillar"
+[world]
+size_m = [16, 16, 8]
+[flight]
+viewpoints = 3
+margin_m = 2
+min_distance_m = 4
+[accept]
+min_solids = 1
+[lidar]
+rows = 8
+columns = 24
+[grid]
+shape = [24, 24, 16]
+"""
+BOX = '<mujoco><worldbody><geom name="{name}" type="box" size="1 1 1" pos="{x} 0 0" {more}/></worldbody></mujoco>'
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A recipe file for a small dataset."""
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["scenegen", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    said = capsys.readouterr()
+    return int(ended.value.code or 0), said.out, said.err
+
+
+def test_generate_inspect_and_world_work_together(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "d"
+    code, said, _ = run(capsys, "generate", "--recipe", small, "--n", 12, "--out", out, "--workers", 1)
+    assert code == 0
+    digest = Dataset(out).manifest["digest"]
+    assert digest in said
+    assert f"scenegen inspect {out}" in said
+    code, said, _ = run(capsys, "inspect", out, "--json")
+    found = json.loads(said)
+    assert {name: split["samples"] for name, split in found["splits"].items()} == {"train": 12, "val": 1, "test": 2}
+    assert found["digest"] == digest
+    assert 0 < found["splits"]["train"]["statistics"]["occupied"]["mean"] < 0.5
+    code, said, _ = run(capsys, "inspect", out)
+    assert code == 0
+    assert "12 samples of 4 worlds" in said
+    code, _, _ = run(capsys, "world", out, 3, "--split", "train", "-o", tmp_path / "world.xml")
+    assert code == 0
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml")).ngeom > 0
+
+
+def test_json_and_quiet_and_dry_run_print_what_they_say(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("generate", "--recipe", small, "--n", 6, "--workers", 1, "--out", tmp_path / "d")
+    code, said, _ = run(capsys, *words, "--dry-run", "--json")
+    assert code == 0
+    assert json.loads(said)["samples"] == 8
+    assert not (tmp_path / "d").exists()
+    code, said, _error = run(capsys, *words, "--json")
+    assert json.loads(said)["complete"]
+    assert run(capsys, *words, "--quiet") == (0, "", "")
+
+
+def test_a_split_range_makes_its_shards_alone(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("generate", "--recipe", small, "--n", 9, "--shard-samples", 3, "--out", tmp_path / "d", "--json")
+    said = json.loads(run(capsys, *words, "--split-range", "1:3")[1])
+    assert (said["complete"], said["samples_written"], said["shards_missing"]) == (False, 6, 3)
+    said = json.loads(run(capsys, *words)[1])
+    assert (said["complete"], said["samples_written"]) == (True, 5)
+
+
+def test_a_scene_gives_training_samples_of_one_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(
+        SMALL.replace('kind = "pillar"', "").split("[world]")[0] + "[flight]" + SMALL.split("[flight]")[1]
+    )
+    room = Path(__file__).parents[1] / "scenes" / "room_with_gap.xml"
+    code, said, error = run(
+        capsys, "generate", "--scene", room, "--recipe", recipe, "--n", 7, "--out", tmp_path / "d", "--json"
+    )
+    assert (code, error) == (0, "")
+    assert json.loads(said)["samples"] == {"train": 7, "val": 0, "test": 0}
+    assert Dataset(tmp_path / "d").split("train").names == [("train", 0, n) for n in range(7)]
+
+
+BAD_USE = {
+    "an unknown kind": (("--kind", "piller"), "did you mean 'pillar'?"),
+    "no kind": ((), "give --kind, --scene or --recipe"),
+    "a negative count": (("--kind", "pillar", "--n", "-5"), "-5"),
+    "a count of zero": (("--kind", "pillar", "--n", "0"), "--n"),
+    "no workers": (("--kind", "pillar", "--workers", "0"), "--workers"),
+    "kind and scene": (("--kind", "pillar", "--scene", "x.xml"), "give one of the two"),
+    "a backward range": (("--kind", "pillar", "--split-range", "5:2"), "FIRST:STOP"),
+    "a range too far": (("--kind", "pillar", "--n", "10", "--split-range", "0:99"), "there are 3 shards"),
+    "an unknown option": (("--kin", "pillar"), "--kind"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_USE)
+def test_bad_use_ends_in_one_line(what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words, named = BAD_USE[what]
+    code, said, error = run(capsys, "generate", *words, "--out", tmp_path / "d", "--quiet")
+    assert code == 2
+    assert named in error
+    assert error.count("\n") == 1
+    assert said == ""
+    assert not (tmp_path / "d").exists()
+
+
+BAD_RECIPES = {
+    "unknown parameter": (
+        "[world]\ndensty = [0.1, 0.2]",
+        "[world]: unknown parameter 'densty'; did you mean 'density'?",
+    ),
+    "unknown table": ("[wrld]\ndensity = [0.1, 0.2]", "unknown table 'wrld'"),
+    "falling range": ("[world]\ndensity = [0.3, 0.2]", "expected [low, high]"),
+    "wrong type": ("[flight]\nviewpoints = 'five'", "viewpoints = 'five'"),
+    "share above one": ("[world]\nround_share = 1.5", "expected a share from 0 to 1"),
+    "no room": ("[flight]\nmargin_m = 30.0", "margin_m = 30"),
+    "no grid": ("[grid]\nshape = [80, 0, 40]", "shape"),
+    "no rays": ("[lidar]\nrows = 0", "rows"),
+    "wrong kind": ('kind = "geometric"', "is a recipe for kind 'geometric'"),
+    "not TOML": ("density = = 3", "not valid TOML"),
+    "too dense": ("[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2", "lower world.density = (4.0, 4.0)"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_RECIPES)
+def test_a_bad_recipe_ends_in_one_line(what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text, named = BAD_RECIPES[what]
+    (tmp_path / "r.toml").write_text(text)
+    words = ("--kind", "pillar", "--recipe", tmp_path / "r.toml", "--n", 5, "--out", tmp_path / "d", "--quiet")
+    code, said, error = run(capsys, "generate", *words)
+    assert code == 1
+    assert named in error
+    assert error.count("\n") == 1
+    assert said == ""
+
+
+BAD_SCENES = {
+    "not XML": ("<mujoco><worldbody>", "not valid MJCF"),
+    "no geometry": ("<mujoco/>", "no geom that rays can see"),
+    "all invisible": (BOX.format(name="a", x=0, more='rgba="1 1 1 0"'), "no geom that rays can see"),
+    "one invisible": (
+        BOX.format(name="ghost", x=9, more='rgba="1 1 1 0"').replace("</w", '<geom size="1"/></w'),
+        "cannot see geom ghost",
+    ),
+    "only a plane": ('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>', "flight_bounds"),
+    "no room to fly": (BOX.format(name="a", x=0, more=""), "no flight fits between the solids"),
+    "missing mesh": ('<mujoco><asset><mesh name="m" file="gone.obj"/></asset></mujoco>', "gone.obj"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_SCENES)
+def test_a_bad_scene_ends_in_one_line(what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    document, named = BAD_SCENES[what]
+    (tmp_path / "s.xml").write_text(document)
+    words = ("--scene", tmp_path / "s.xml", "--n", 5, "--out", tmp_path / "d", "--quiet")
+    code, said, error = run(capfd, "generate", *words)
+    assert code == 1
+    assert named in error
+    assert error.count("\n") == 1
+    assert said == ""
+
+
+def test_an_unwritable_folder_ends_in_one_line(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, error = run(capsys, "generate", "--recipe", small, "--n", 3, "--out", "/proc/nowhere/d", "--quiet")
+    assert code == 1
+    assert "--out" in error
+    assert error.count("\n") == 1
+
+
+def test_version_completion_and_doctor(capsys: pytest.CaptureFixture[str]) -> None:
+    assert __version__ in run(capsys, "--version")[1]
+    assert "_SCENEGEN_COMPLETE" in run(capsys, "completion", "bash")[1]
+    code, said, _ = run(capsys, "doctor", "--json")
+    found = json.loads(said)
+    assert code == 0
+    assert found["ok"]
+    assert found["self_test"]["returns_occupied"]
+    assert found["self_test"]["repeatable"]
+    assert found["software"]["mujoco"] == mujoco.__version__
+
+
+def start(small: Path, out: Path) -> subprocess.Popen[str]:
+    """A run with workers that lasts until it is stopped, well under way."""
+    command = [sys.executable, "-m", "cli", "generate", "--recipe", str(small), "--n", "200000", "--out", str(out)]
+    process = subprocess.Popen(
+        [*command, "--workers", "2", "--shard-samples", "30"],
+        cwd=Path(__file__).parents[1],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60
+    while len(list(out.glob("*.h5"))) < 3 and time.monotonic() < deadline:
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        time.sleep(0.05)
+    return process
+
+
+def descendants(pid: int) -> list[int]:
+    """Processes of the session that `pid` leads, itself left out."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == pid and int(entry.name) != pid and fields[0] != "Z":
+            found.append(int(entry.name))
+    return found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_stopped_run_leaves_no_process_and_whole_files(number: int, small: Path, tmp_path: Path) -> None:
+    out = tmp_path / "d"
+    process = start(small, out)
+    assert len(descendants(process.pid)) >= 2
+    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    _, error = process.communicate(timeout=20)
+    deadline = time.monotonic() + 10
+    while descendants(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert descendants(process.pid) == []
+    if number != signal.SIGKILL:
+        assert process.returncode == 130
+        assert "the same command goes on" in error
+        assert "Traceback" not in error
+        assert not list(out.glob(".*.tmp"))
+    for path in out.glob("*.h5"):
+        assert path.with_suffix(".worlds.zip").exists()
+
+
+def test_help_loads_nothing_heavy() -> None:
+    heavy = "mujoco", "numba", "h5py", "ompl", "scipy", "numpy", "pydantic"
+    code = f"import sys, cli; sys.exit(', '.join(name for name in {heavy!r} if name in sys.modules) or 0)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=Path(__file__).parents[1], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
