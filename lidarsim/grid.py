@@ -23,10 +23,9 @@ class GridSpec:
     """Distance at which distance fields on this grid saturate, metres."""
 
     def __post_init__(self) -> None:
-        shape = tuple(int(n) for n in self.shape)
-        object.__setattr__(self, "shape", shape)
-        if len(shape) != 3 or min(shape) < 1:
-            raise ValueError(f"grid: shape = {self.shape} must be three counts of at least 1")
+        if len(self.shape) != 3 or not all(np.isfinite(n) and n >= 1 and int(n) == n for n in self.shape):
+            raise ValueError(f"grid: shape = {self.shape} must be three whole numbers of at least 1")
+        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
         for name in ("voxel_m", "truncation_m"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):

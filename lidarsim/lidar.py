@@ -38,7 +38,8 @@ class Lidar:
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns"):
-            if int(getattr(self, name)) != getattr(self, name) or getattr(self, name) < 1:
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 1 and int(value) == value):
                 raise ValueError(f"lidar: {name} = {getattr(self, name)} must be a whole number of at least 1")
         for name, low, high in (
             ("vertical_fov_deg", 0.0, 180.0),

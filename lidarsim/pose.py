@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A body's position and attitude in the world frame (z up). Raises ValueError for a quaternion of no length."""
+    """A body's position and attitude in the world frame (z up). Raises ValueError for a quaternion that is not of unit length."""
 
     position: NDArray[np.float64]
     """(3,), metres."""
@@ -25,6 +25,10 @@ class Pose:
         length = float(np.sqrt((self.quaternion**2).sum()))
         if abs(length - 1.0) > 1e-6:
             raise ValueError(f"pose: quaternion has length {length:g}, expected 1 (w x y z)")
+        if abs(length - 1.0) > 1e-12:  # a unit quaternion keeps its bits, so that a stored pose reads as it was
+            unit = self.quaternion / length
+            unit.setflags(write=False)
+            object.__setattr__(self, "quaternion", unit)
 
     @classmethod
     def level(cls, position: ArrayLike, yaw_rad: float = 0.0) -> "Pose":

@@ -67,9 +67,8 @@ def write_world(add_to: Callable[[mujoco.MjSpec], None], *, flight_bounds: NDArr
 def load_scene(path: Path) -> tuple[bytes, dict[str, bytes]]:
     """Read an MJCF file drawn by hand and make it self-contained: (document, files by their new names).
 
-    Includes are resolved and every mesh, height field and texture is taken along. Two things are changed so that the
-    sensor and the truth see the same world: planes become infinite, and geoms that collide with nothing take part in
-    collisions, since mj_multiRay may pass over such ones. Raises SceneError.
+    Includes are resolved and every mesh, height field and texture is taken along. Planes become infinite, as they are
+    for collisions and for the truth: rays would pass beside the rectangle that is drawn. Raises SceneError.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -79,8 +78,6 @@ def load_scene(path: Path) -> tuple[bytes, dict[str, bytes]]:
     for geom in spec.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
             geom.size = [0.0, 0.0, geom.size[2] or 1.0]
-        if geom.contype == 0 and geom.conaffinity == 0:
-            geom.contype = 1
     assets: dict[str, bytes] = {}
     folders = {
         "mesh": Path(spec.modelfiledir) / (spec.compiler.meshdir or ""),

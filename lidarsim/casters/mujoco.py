@@ -1,5 +1,7 @@
 """Rays through MuJoCo's own ray caster, `mj_multiRay`."""
 
+import copy
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +18,7 @@ class MujocoCaster:
             data = mujoco.MjData(model)
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
-        self._model = model
+        self._model = _all_searched(model)
         self._data = data
 
     def cast(self, position: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
@@ -43,6 +45,21 @@ class MujocoCaster:
         )
         missed = (geoms < 0) | (distances > max_range_m)
         return np.where(missed, np.inf, distances).reshape(shape)
+
+
+def _all_searched(model: mujoco.MjModel) -> mujoco.MjModel:
+    """`model`, or where it has visible geoms that collide with nothing, a copy in which rays find these too.
+
+    mj_multiRay searches a body only if the ray meets the ball around the body's *colliding* geoms (mj_ray has no such
+    shortcut). The copy's balls are as good as infinite.
+    """
+    ghosts = visible_geoms(model) & (model.geom_contype == 0) & (model.geom_conaffinity == 0)
+    if not ghosts.any():
+        return model
+    model = copy.copy(model)
+    roots = model.body_bvhadr[model.body_bvhadr >= 0]
+    model.bvh_aabb[roots] = [0.0, 0.0, 0.0, 1e10, 1e10, 1e10]
+    return model
 
 
 def visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
