@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.jit import kernel
+
 
 @dataclass(frozen=True, eq=False)
 class Pose:
@@ -38,18 +40,19 @@ class Pose:
 
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
-    """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z.
+    """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
+    given = np.ascontiguousarray(vectors, dtype=np.float64)
+    turned = np.empty_like(given)
+    _rotate(np.asarray(quaternion, dtype=np.float64), given.reshape(-1, 3), turned.reshape(-1, 3))
+    return turned
 
-    Written out term by term, so that the result does not depend on which BLAS is installed.
-    """
-    w, x, y, z = np.asarray(quaternion, dtype=np.float64)
-    v = np.asarray(vectors, dtype=np.float64)
-    vx, vy, vz = v[..., 0], v[..., 1], v[..., 2]
-    return np.stack(
-        [
-            (1 - 2 * (y * y + z * z)) * vx + 2 * (x * y - w * z) * vy + 2 * (x * z + w * y) * vz,
-            2 * (x * y + w * z) * vx + (1 - 2 * (x * x + z * z)) * vy + 2 * (y * z - w * x) * vz,
-            2 * (x * z - w * y) * vx + 2 * (y * z + w * x) * vy + (1 - 2 * (x * x + y * y)) * vz,
-        ],
-        axis=-1,
-    )
+
+@kernel
+def _rotate(quaternion, vectors, turned):
+    """Written out term by term, so that the result does not depend on which BLAS is installed."""
+    w, x, y, z = quaternion
+    for n in range(len(vectors)):
+        a, b, c = vectors[n]
+        turned[n, 0] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
+        turned[n, 1] = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
+        turned[n, 2] = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c

@@ -68,16 +68,16 @@ def _fly(
         path = plan(world.clearance, world.flight_bounds, recipe.flight, rng=rng)
         if path is None:
             continue
-        candidates = list(viewpoints(path, recipe.flight.spacing_m, rng=rng))
-        if _solids_nearby(world, candidates, recipe) < recipe.accept.min_solids:
+        candidates = viewpoints(path, recipe.flight.spacing_m, rng=rng)
+        if _solids_nearby(world, candidates.positions, recipe) < recipe.accept.min_solids:
             reason = "few_solids"
             break
         kept: list[tuple[float, Scan, np.ndarray]] = []
-        for flown, pose in candidates:
-            if _apart(pose, kept, recipe.flight.spacing_m):
-                view = _look(world, pose, recipe, rejected)
+        for n in range(len(candidates)):
+            if _apart(candidates.positions[n], kept, recipe.flight.spacing_m):
+                view = _look(world, candidates.pose(n), recipe, rejected)
                 if view is not None:
-                    kept.append((flown, *view))
+                    kept.append((candidates.flown_m[n], *view))
             if len(kept) == recipe.flight.viewpoints:
                 return [(scan, occupancy) for _, scan, occupancy in sorted(kept, key=lambda view: view[0])]
         reason = "few_viewpoints"
@@ -88,11 +88,11 @@ def _fly(
 def _look(world: World, pose: Pose, recipe: Recipe, rejected: Rejections) -> tuple[Scan, np.ndarray] | None:
     """The scan and the occupancy at a viewpoint; None, with the reason counted, where there is next to nothing."""
     scan = cast(world.caster, recipe.lidar, pose)
-    if np.isfinite(scan.ranges).mean() < recipe.accept.min_returned_share:
+    if np.count_nonzero(np.isfinite(scan.ranges)) < scan.ranges.size * recipe.accept.min_returned_share:
         rejected.viewpoints["few_returns"] += 1
         return None
     occupancy = rasterize(world.solids, recipe.grid, recipe.grid.origin_at(pose.position))
-    if occupancy.mean() < recipe.accept.min_occupied_share:
+    if np.count_nonzero(occupancy) < occupancy.size * recipe.accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
     return scan, occupancy
@@ -117,16 +117,16 @@ def _sample(
     )
 
 
-def _apart(pose: Pose, kept: list[tuple[float, Scan, np.ndarray]], spacing_m: float) -> bool:
-    """Whether a pose keeps the least distance from all kept ones."""
-    return all(((pose.position - scan.pose.position) ** 2).sum() >= spacing_m**2 for _, scan, _ in kept)
+def _apart(position: np.ndarray, kept: list[tuple[float, Scan, np.ndarray]], spacing_m: float) -> bool:
+    """Whether a position keeps the least distance from all kept ones."""
+    return all(((position - scan.pose.position) ** 2).sum() >= spacing_m**2 for _, scan, _ in kept)
 
 
-def _solids_nearby(world: World, candidates: list[tuple[float, Pose]], recipe: Recipe) -> float:
-    """Solids that reach into the map, averaged over a flight's candidate viewpoints."""
-    if not candidates:
+def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float:
+    """Solids that reach into the map, averaged over a flight's candidate viewpoints (m, 3)."""
+    if not len(positions):
         return 0.0
-    positions = np.array([pose.position for _, pose in candidates])[:, None]
+    positions = positions[:, None]
     half = recipe.grid.extent_m / 2
     lower, upper = world.solids.boxes
     inside = (lower < positions + half) & (upper > positions - half)

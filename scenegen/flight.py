@@ -1,7 +1,5 @@
 """Flights: OMPL's RRT between a random start and goal, and the viewpoints along the path."""
 
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,22 +136,38 @@ def _start_and_goal(
     return None
 
 
-def viewpoints(
-    path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator
-) -> Iterator[tuple[float, Pose]]:
-    """Candidate viewpoints on a path (n, 3): (metres flown, pose), in random order, `spacing_m` apart along the path.
+@dataclass(frozen=True, eq=False)
+class Viewpoints:
+    """Places along a flight where the sensor could scan: m of them, in the order in which to try them."""
 
-    The body is level and looks along the flight; where the path climbs straight up, as it looked before.
+    flown_m: NDArray[np.float64]
+    """(m,): metres flown from the start."""
+    positions: NDArray[np.float64]
+    """(m, 3): world metres."""
+    yaws: NDArray[np.float64]
+    """(m,): radians; the body is level and looks along the flight."""
+
+    def __len__(self) -> int:
+        return len(self.flown_m)
+
+    def pose(self, n: int) -> Pose:
+        """The body's pose at viewpoint `n`."""
+        return Pose.level(self.positions[n], float(self.yaws[n]))
+
+
+def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator) -> Viewpoints:
+    """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it, in random order.
+
+    Where the path climbs straight up, the body looks as it did before.
     """
     legs = np.diff(path, axis=0)
     lengths = np.sqrt((legs**2).sum(axis=1))
-    flown = np.concatenate([[0.0], np.cumsum(lengths)])
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
     level = np.hypot(legs[:, 0], legs[:, 1]) > 1e-6
-    heading = np.arctan2(legs[:, 1], legs[:, 0])
-    at = np.arange(rng.uniform(0.0, spacing_m), flown[-1], spacing_m)
-    for s in at[rng.permutation(len(at))]:
-        leg = min(int(np.searchsorted(flown, s, side="right")) - 1, len(legs) - 1)
-        along = (s - flown[leg]) / lengths[leg]
-        seen = np.flatnonzero(level[: leg + 1])
-        yaw = float(heading[seen[-1]]) if len(seen) else 0.0
-        yield float(s), Pose.level(path[leg] + along * legs[leg], math.remainder(yaw, 2 * math.pi))
+    turned = np.maximum.accumulate(np.where(level, np.arange(len(legs)), 0))
+    heading = np.where(level, np.arctan2(legs[:, 1], legs[:, 0]), 0.0)[turned]
+    flown = np.arange(rng.uniform(0.0, spacing_m), ends[-1], spacing_m)
+    flown = flown[rng.permutation(len(flown))]
+    leg = np.minimum(np.searchsorted(ends, flown, side="right") - 1, len(legs) - 1)
+    along = (flown - ends[leg]) / lengths[leg]
+    return Viewpoints(flown, path[leg] + along[:, None] * legs[leg], heading[leg])

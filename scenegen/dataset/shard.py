@@ -13,6 +13,7 @@ from typing import Any
 import h5py
 import isal.isal_zlib
 import numpy as np
+from numpy.typing import NDArray
 
 from scenegen.dataset.files import write_whole
 from scenegen.draw import Rejections, Unit, draw_unit
@@ -106,12 +107,22 @@ def write_shard(spec: ShardSpec) -> ShardReport:
         split=spec.split,
         samples=spec.samples,
         first_world=content.first_world,
-        sha256=hashlib.sha256(samples).hexdigest(),
-        worlds_sha256=hashlib.sha256(worlds).hexdigest(),
+        sha256=file_digest(samples),
+        worlds_sha256=file_digest(worlds),
         size=len(samples) + len(worlds),
         rejected=content.rejected,
         digests=content.digests,
     )
+
+
+def compress(values: NDArray[Any]) -> bytes:
+    """A chunk as HDF5's gzip filter would write it."""
+    return isal.isal_zlib.compress(np.ascontiguousarray(values), _LEVEL)
+
+
+def file_digest(content: bytes) -> str:
+    """SHA-256 of a whole file, in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
 
 
 def read_report(spec: ShardSpec) -> ShardReport | None:
@@ -128,8 +139,8 @@ def read_report(spec: ShardSpec) -> ShardReport | None:
                 split=spec.split,
                 samples=spec.samples,
                 first_world=int(file.attrs["first_world"]),
-                sha256=hashlib.sha256(samples).hexdigest(),
-                worlds_sha256=hashlib.sha256(worlds).hexdigest(),
+                sha256=file_digest(samples),
+                worlds_sha256=file_digest(worlds),
                 size=len(samples) + len(worlds),
                 rejected=Rejections(Counter(rejected["worlds"]), Counter(rejected["viewpoints"])),
                 digests=file[DIGEST][()].tobytes(),
@@ -149,11 +160,13 @@ class _ShardContent:
         self._numbers: list[int] = []
         self._count = 0
         self._file = h5py.File(spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20)
+        self._packed: dict[str, Any] = {}
+        self._small: dict[str, list[Any]] = {}
         grid, lidar = spec.recipe.grid, spec.recipe.lidar
         for name in stored_fields(spec.compact):
             shape = shape_of(name, grid, lidar)
             packed = SCHEMA[name]["axes"] in ("grid", "rays")
-            self._file.create_dataset(
+            dataset = self._file.create_dataset(
                 name,
                 shape=(spec.samples, *shape),
                 dtype=SCHEMA[name]["dtype"],
@@ -161,9 +174,10 @@ class _ShardContent:
                 compression="gzip" if packed else None,
                 compression_opts=_LEVEL if packed else None,
             )
-        self._small: dict[str, list[Any]] = {
-            name: [] for name in stored_fields(spec.compact) if SCHEMA[name]["axes"] not in ("grid", "rays")
-        }
+            if packed:
+                self._packed[name] = dataset.id
+            else:
+                self._small[name] = []
 
     def __enter__(self) -> "_ShardContent":
         return self
@@ -187,13 +201,11 @@ class _ShardContent:
             self._add_sample(sample)
 
     def _add_sample(self, sample: Sample) -> None:
-        for name in stored_fields(self._spec.compact):
+        for name, values in self._small.items():
+            values.append(getattr(sample, name))
+        for name, dataset in self._packed.items():
             value = getattr(sample, name)
-            if name in self._small:
-                self._small[name].append(value)
-            else:
-                packed = isal.isal_zlib.compress(np.ascontiguousarray(value), _LEVEL)
-                self._file[name].id.write_direct_chunk((self._count,) + (0,) * value.ndim, packed)
+            dataset.write_direct_chunk((self._count,) + (0,) * value.ndim, compress(value))
         self.digests += sample.sha256()
         self._count += 1
 

@@ -1,0 +1,117 @@
+"""Draw the README's pictures: a world of each kind with its flight, and one sample.
+
+python docs/pictures.py          needs the extra `view`; writes docs/pictures/*.png
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+
+from lidarsim import Pose, Scan
+from scenegen.draw import Unit, draw_unit
+from scenegen.recipe import Recipe, preset
+from scenegen.recipes import kind_names
+from scenegen.source import DrawnWorlds
+from scenegen.truth import Solids
+from scenegen.truth.shapes import BOX, CYLINDER, SPHERE
+
+OUT = Path(__file__).parent / "pictures"
+HEIGHTS = "viridis"
+
+
+def main() -> None:
+    """Draw everything."""
+    OUT.mkdir(exist_ok=True)
+    for kind in kind_names():
+        recipe = preset(kind)
+        unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=1)
+        draw_world(unit, recipe, OUT / f"{kind}.png")
+    recipe = preset("geometric")
+    unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=1)
+    draw_sample(unit, recipe, OUT / "sample.png")
+
+
+def draw_world(unit: Unit, recipe: Recipe, path: Path) -> None:
+    """The solids of a world, the viewpoints of its flight, and the map's box around one of them."""
+    plotter = pv.Plotter(off_screen=True, window_size=[1000, 640])
+    colours = unit.world.model.geom_rgba
+    for n, mesh in enumerate(solid_meshes(unit.world.solids)):
+        plotter.add_mesh(mesh, color=colours[n, :3], smooth_shading=False)
+    for sample in unit.samples:
+        plotter.add_mesh(pv.Sphere(radius=0.35, center=sample.position), color="crimson")
+    sample = unit.samples[2]
+    corner = sample.origin + recipe.grid.extent_m
+    box = pv.Box(np.stack([sample.origin, corner], 1).ravel())
+    plotter.add_mesh(box, style="wireframe", color="crimson", line_width=3)
+    plotter.camera_position = [(62, -22, 42), (20, 19, 1), (0, 0, 1)]
+    plotter.enable_lightkit()
+    plotter.screenshot(path)
+    plotter.close()
+
+
+def solid_meshes(solids: Solids) -> list[Any]:
+    """A surface for every primitive that the bundled kinds use."""
+    meshes = []
+    for shape, size, position, rotation in zip(
+        solids.shape, solids.size, solids.position, solids.rotation, strict=True
+    ):
+        mesh = {
+            SPHERE: lambda size=size: pv.Sphere(radius=size[0]),
+            BOX: lambda size=size: pv.Box(np.stack([-size, size], 1).ravel()),
+            CYLINDER: lambda size=size: pv.Cylinder(direction=(0, 0, 1), radius=size[0], height=2 * size[1]),
+        }[int(shape)]()
+        frame = np.eye(4)
+        frame[:3, :3], frame[:3, 3] = rotation, position
+        meshes.append(mesh.transform(frame, inplace=False))
+    return meshes
+
+
+def draw_sample(unit: Unit, recipe: Recipe, path: Path) -> None:
+    """What the sensor saw, what was there, and how far everything is from it."""
+    sample, grid = unit.samples[2], recipe.grid
+    plotter = pv.Plotter(off_screen=True, shape=(1, 3), window_size=[1500, 560], border=False)
+    points = Scan(sample.ranges, Pose(sample.position, sample.quaternion), recipe.lidar).points()
+    views = {
+        "observed": voxels(sample.observed, sample.origin, grid.voxel_m),
+        "occupancy": voxels(sample.occupancy, sample.origin, grid.voxel_m),
+        "distance": distance_slice(sample.tudf, sample.origin, grid.voxel_m),
+    }
+    for column, (title, mesh) in enumerate(views.items()):
+        plotter.subplot(0, column)
+        plotter.add_text(title, font_size=12, color="black")
+        plotter.add_mesh(
+            mesh,
+            scalars="metres",
+            cmap=HEIGHTS if column < 2 else "magma",
+            show_scalar_bar=False,
+            clim=(sample.origin[2], sample.origin[2] + grid.extent_m[2]) if column < 2 else (0, grid.truncation_m),
+        )
+        plotter.add_mesh(pv.Sphere(radius=0.2, center=sample.position), color="crimson")
+        if column == 0:
+            plotter.add_mesh(pv.PolyData(points), color="black", point_size=2)
+        plotter.camera_position = [tuple(np.add(sample.position, (17, -22, 19))), tuple(sample.position), (0, 0, 1)]
+    plotter.screenshot(path)
+    plotter.close()
+
+
+def voxels(mask: np.ndarray, origin: np.ndarray, voxel_m: float) -> Any:
+    """Cubes where `mask` is set, with their height as scalars."""
+    image = pv.ImageData(dimensions=np.array(mask.shape) + 1, spacing=(voxel_m,) * 3, origin=origin)
+    image.cell_data["set"] = mask.ravel(order="F").astype(np.uint8)
+    image.cell_data["metres"] = image.cell_centers().points[:, 2]
+    return image.threshold(0.5, scalars="set")
+
+
+def distance_slice(tudf: np.ndarray, origin: np.ndarray, voxel_m: float) -> Any:
+    """The level of voxels just below the sensor, with their distances as scalars."""
+    level = tudf.shape[2] // 2 - 1
+    place = np.add(origin, (0, 0, level * voxel_m))
+    image = pv.ImageData(dimensions=(tudf.shape[0] + 1, tudf.shape[1] + 1, 2), spacing=(voxel_m,) * 3, origin=place)
+    image.cell_data["metres"] = tudf[:, :, level].ravel(order="F")
+    return image
+
+
+if __name__ == "__main__":
+    main()
