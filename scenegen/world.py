@@ -58,6 +58,7 @@ def write_world(add_to: Callable[[mujoco.MjSpec], None], *, flight_bounds: NDArr
     spec = mujoco.MjSpec()
     spec.modelname = "scenegen"
     spec.memory = 1 << 20
+    spec.default.geom.rgba = [0.62, 0.64, 0.68, 1.0]
     spec.add_numeric(name=FLIGHT_BOUNDS, data=np.asarray(flight_bounds).reshape(-1), size=6)
     spec.worldbody.add_light(pos=[0, 0, 30], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     add_to(spec)
@@ -88,6 +89,7 @@ def load_scene(path: Path) -> tuple[bytes, dict[str, bytes]]:
             if item.file:
                 item.file = _take_along(folders[kind] / item.file, assets)
     spec.compiler.meshdir = spec.compiler.texturedir = ""
+    spec.assets = assets
     return spec.to_xml().encode(), assets
 
 

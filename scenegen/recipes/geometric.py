@@ -84,7 +84,8 @@ class Geometric(WorldKind):
             else:
                 z = free_height[n]
             top[n] = z + reach
-            add_geom(spec, SHAPES[shape[n]], size[n], (plan[n, 0], plan[n, 1], z), tilt[n], COLOURS[shape[n]])
+            position = (plan[n, 0], plan[n, 1], z)
+            add_geom(spec, SHAPES[shape[n]], size[n], position, quat=tilt[n], rgba=COLOURS[shape[n]])
 
     def _add_walls(self, spec: mujoco.MjSpec, count: int, *, rng: np.random.Generator) -> None:
         """Upright slabs, each turned at will."""
@@ -96,7 +97,7 @@ class Geometric(WorldKind):
                 rng.uniform(*self.wall_height_m) / 2,
             )
             yaw = yaw_quaternion(rng.uniform(0.0, np.pi))
-            add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, half, (x, y, half[2]), yaw, (0.62, 0.62, 0.66, 1.0))
+            add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, half, (x, y, half[2]), quat=yaw)
 
     def _add_clutter(self, spec: mujoco.MjSpec, heaps: int, *, rng: np.random.Generator) -> None:
         """Heaps of small tilted solids on the ground."""
@@ -110,7 +111,7 @@ class Geometric(WorldKind):
             for n in range(count):
                 z = _half_height(shape[n], size[n], tilt[n]) + abs(offset[n, 2])
                 position = (centre[0] + offset[n, 0], centre[1] + offset[n, 1], z)
-                add_geom(spec, SHAPES[shape[n]], size[n], position, tilt[n], COLOURS[shape[n]])
+                add_geom(spec, SHAPES[shape[n]], size[n], position, quat=tilt[n], rgba=COLOURS[shape[n]])
 
 
 def _attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> np.ndarray:

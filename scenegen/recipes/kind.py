@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -52,15 +52,13 @@ class WorldKind(ABC):
         """Add the floor, where there is one."""
         if self.ground:
             x, y, _ = self.size_m
-            add_geom(
-                spec, mujoco.mjtGeom.mjGEOM_BOX, [x / 2, y / 2, self.ground_m / 2], (x / 2, y / 2, -self.ground_m / 2),
-                rgba=(0.55, 0.53, 0.5, 1.0),
-            )  # fmt: skip
+            half, centre = (x / 2, y / 2, self.ground_m / 2), (x / 2, y / 2, -self.ground_m / 2)
+            add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, half, centre, rgba=(0.55, 0.53, 0.5, 1.0))
 
 
-def add_geom(spec, shape, size, position, quaternion=(1.0, 0.0, 0.0, 0.0), rgba=(0.6, 0.65, 0.7, 1.0)):
-    """Add one solid straight under the world body, where mj_multiRay is fastest."""
-    spec.worldbody.add_geom(type=shape, size=size, pos=position, quat=quaternion, rgba=rgba)
+def add_geom(spec: mujoco.MjSpec, shape: mujoco.mjtGeom, size: Any, position: Any, **more: Any) -> None:
+    """Add one solid straight under the world body, where mj_multiRay is fastest. `more` may give `quat` and `rgba`."""
+    spec.worldbody.add_geom(type=shape, size=size, pos=position, **more)
 
 
 def yaw_quaternion(yaw_rad: float) -> tuple[float, float, float, float]:

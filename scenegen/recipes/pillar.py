@@ -65,4 +65,4 @@ class Pillar(WorldKind):
                 add_geom(spec, mujoco.mjtGeom.mjGEOM_CYLINDER, (half[n], height[n] / 2, 0.0), position)
             else:
                 size = (half[n], length[n], height[n] / 2)
-                add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, size, position, yaw_quaternion(yaw[n]))
+                add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, size, position, quat=yaw_quaternion(yaw[n]))

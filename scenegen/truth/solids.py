@@ -100,7 +100,7 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[np.float64], NDArra
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
-    """MuJoCo's surface (each cell cut along the diagonal from its least x and greatest y), walls, and base."""
+    """MuJoCo's surface (each cell cut along the diagonal from its least x and y to its greatest), walls, and base."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     first = int(model.hfield_adr[field])
     half_x, half_y, top, base = model.hfield_size[field]
@@ -110,7 +110,7 @@ def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[np.float64
     below = np.stack([x, y, np.full_like(height, -base)], axis=-1).reshape(-1, 3)
     number = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
-    surface = np.concatenate([np.stack([a, b, d], 1), np.stack([b, c, d], 1)])
+    surface = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     rim = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
     ahead, under = np.roll(rim, -1), rows * columns
     walls = np.concatenate([np.stack([rim, rim + under, ahead], 1), np.stack([ahead, rim + under, ahead + under], 1)])

@@ -112,13 +112,19 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
     With the voxels on its surface marked already, what is left lies wholly inside or outside, so the centre decides.
     """
     nx, ny, nz = occupancy.shape
-    winding = np.zeros((nx, ny, nz), np.int32)
+    i_low = _first_column(triangles[:, :, 0].min(), origin[0], voxel_m)
+    j_low = _first_column(triangles[:, :, 1].min(), origin[1], voxel_m)
+    i_high = min(_last_column(triangles[:, :, 0].max(), origin[0], voxel_m), nx)
+    j_high = min(_last_column(triangles[:, :, 1].max(), origin[1], voxel_m), ny)
+    if i_low >= i_high or j_low >= j_high or triangles[:, :, 2].max() < origin[2]:
+        return
+    winding = np.zeros((i_high - i_low, j_high - j_low, nz), np.int32)
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        i0 = max(math.floor((min(a[0], b[0], c[0]) - origin[0]) / voxel_m - 0.5), 0)
-        i1 = min(math.ceil((max(a[0], b[0], c[0]) - origin[0]) / voxel_m + 0.5), nx)
-        j0 = max(math.floor((min(a[1], b[1], c[1]) - origin[1]) / voxel_m - 0.5), 0)
-        j1 = min(math.ceil((max(a[1], b[1], c[1]) - origin[1]) / voxel_m + 0.5), ny)
+        i0 = _first_column(min(a[0], b[0], c[0]), origin[0], voxel_m)
+        j0 = _first_column(min(a[1], b[1], c[1]), origin[1], voxel_m)
+        i1 = min(_last_column(max(a[0], b[0], c[0]), origin[0], voxel_m), nx)
+        j1 = min(_last_column(max(a[1], b[1], c[1]), origin[1], voxel_m), ny)
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):
@@ -126,11 +132,23 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
                 if sign != 0:
                     k = max(math.ceil((height - origin[2]) / voxel_m - 0.5), 0)
                     if k < nz:
-                        winding[i, j, k] += sign
-    for i in range(nx):
-        for j in range(ny):
+                        winding[i - i_low, j - j_low, k] += sign
+    for i in range(i_low, i_high):
+        for j in range(j_low, j_high):
             total = 0
             for k in range(nz):
-                total += winding[i, j, k]
+                total += winding[i - i_low, j - j_low, k]
                 if total != 0:
                     occupancy[i, j, k] = True
+
+
+@kernel
+def _first_column(low, origin, voxel_m):
+    """Number of the first column whose centre line may lie at or above `low`; one early at most."""
+    return max(math.floor((low - origin) / voxel_m - 0.5), 0)
+
+
+@kernel
+def _last_column(high, origin, voxel_m):
+    """One past the last column whose centre line may lie at or below `high`; one late at most."""
+    return math.ceil((high - origin) / voxel_m + 0.5)

@@ -336,8 +336,7 @@ def free_bounds(
     seen = observed(origin, voxel_m, shape, position, directions, ranges32)
     reach = lengths(ranges32, max_range_m)
     must, may = (
-        swept(origin, voxel_m, shape, position, directions, reach, sign * margin_m) & ~seen
-        for sign in (-1, 1)
+        swept(origin, voxel_m, shape, position, directions, reach, sign * margin_m) & ~seen for sign in (-1, 1)
     )
     return must, may
 
@@ -358,9 +357,7 @@ def exact_overlaps(
     """
     size, end = Fraction(float(voxel_m)), Fraction(float(reach))
     axes: list[list[tuple[int, Fraction, Fraction]]] = []
-    for count, p, d, o in zip(
-        shape, *(np.asarray(a).tolist() for a in (position, direction, origin)), strict=True
-    ):
+    for count, p, d, o in zip(shape, *(np.asarray(a).tolist() for a in (position, direction, origin)), strict=True):
         point, along, low = Fraction(p), Fraction(d), Fraction(o)
         spans = []
         for index in range(count):

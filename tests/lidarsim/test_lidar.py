@@ -212,9 +212,7 @@ def test_a_bad_grid_parameter_is_refused_by_name(parameter: str, value: object) 
         ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), "quaternion"),
     ],
 )
-def test_a_bad_pose_is_refused_by_name(
-    position: tuple[float, ...], quaternion: tuple[float, ...], named: str
-) -> None:
+def test_a_bad_pose_is_refused_by_name(position: tuple[float, ...], quaternion: tuple[float, ...], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         Pose(position=np.array(position), quaternion=np.array(quaternion))
 

@@ -72,9 +72,7 @@ def mj_ray_ranges(xml: str, position: np.ndarray, directions: np.ndarray, max_ra
 
 def random_world(rng: np.random.Generator, ghosts: bool = False) -> tuple[list[Geom], list[Body]]:
     """Planes and solids of the world body, and bodies at random attitudes, some of them free to move."""
-    geoms = [
-        reference.random_geom(rng, (*SOLIDS, "plane"), 7, largest=3.5) for _ in range(rng.integers(6, 14))
-    ]
+    geoms = [reference.random_geom(rng, (*SOLIDS, "plane"), 7, largest=3.5) for _ in range(rng.integers(6, 14))]
     bodies = []
     for _ in range(rng.integers(3, 7)):
         inside = tuple(reference.random_geom(rng, SOLIDS, 3) for _ in range(rng.integers(1, 4)))
@@ -316,9 +314,7 @@ def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed: i
 
 @pytest.mark.parametrize("kind", SOLIDS)
 @pytest.mark.parametrize("owner", ["world", "body", "free body"])
-def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(
-    kind: str, owner: str
-) -> None:
+def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(kind: str, owner: str) -> None:
     """`mj_multiRay` never tests these: it sets bodies aside by a sphere about colliding geoms alone."""
     rng = np.random.default_rng(21)
     size = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2, "ellipsoid": 3}[kind]
@@ -329,9 +325,7 @@ def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(
     )
     joint = "<freejoint/>" if owner == "free body" else ""
     yawed = tuple(reference.level_quaternion(0.1))
-    geoms, bodies = (
-        (list(pair), []) if owner == "world" else ([], [Body(pair, (0.2, 0.3, 0.4), yawed, joint)])
-    )
+    geoms, bodies = (list(pair), []) if owner == "world" else ([], [Body(pair, (0.2, 0.3, 0.4), yawed, joint)])
     position = np.array([0.1, 0.0, 0.2])
     rays = np.concatenate([aimed_rays(rng, position, pair[0].position, 0.8, 300), random_rays(rng, 500)])
     expected = reference.ranges(geoms, bodies, position, rays, 10.0)
@@ -433,9 +427,7 @@ def assert_same_ranges_of_float32_mesh(got: np.ndarray, expected: np.ndarray) ->
 
 def random_mesh(rng: np.random.Generator, name: str) -> str:
     """A bumpy closed surface, not convex: an octahedron refined once, each corner at its own radius."""
-    corners = np.array(
-        [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64
-    )
+    corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
     faces = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
     faces = [(a, b, c) if (a + b + c) % 2 == 0 else (a, c, b) for a, b, c in faces]
     points, index, fine = list(corners), {}, []

@@ -36,9 +36,7 @@ class Rays(Lidar):
         return self.rays
 
 
-def scan_of(
-    rays: object, ranges: object, position: object = (0.0, 0.0, 0.0), max_range_m: float = 10.0
-) -> Scan:
+def scan_of(rays: object, ranges: object, position: object = (0.0, 0.0, 0.0), max_range_m: float = 10.0) -> Scan:
     """A scan with given world directions (n, 3), made unit, and ranges (n,)."""
     directions = np.asarray(rays, dtype=np.float64).reshape(-1, 1, 3)
     longest = np.abs(directions).max(axis=-1, keepdims=True)
@@ -46,9 +44,7 @@ def scan_of(
     directions = directions / np.sqrt(np.sum(directions**2, axis=-1, keepdims=True))
     reach = np.broadcast_to(np.asarray(ranges, dtype=np.float32).reshape(-1, 1), (len(directions), 1))
     lidar = Rays(rows=len(directions), columns=1, max_range_m=max_range_m, rays=directions)
-    return Scan(
-        ranges=reach.copy(), pose=Pose(position=np.asarray(position, float), quaternion=LEVEL), lidar=lidar
-    )
+    return Scan(ranges=reach.copy(), pose=Pose(position=np.asarray(position, float), quaternion=LEVEL), lidar=lidar)
 
 
 def inputs(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple:
@@ -81,9 +77,7 @@ def random_lidar_scan(rng: np.random.Generator, lidar: Lidar, position: object =
     reach = rng.uniform(0.05, lidar.max_range_m, (lidar.rows, lidar.columns)).astype(np.float32)
     reach[rng.random(reach.shape) < 0.3] = np.inf
     place = rng.uniform(-50, 50, 3) if position is None else np.asarray(position, float)
-    return Scan(
-        ranges=reach, pose=Pose(position=place, quaternion=reference.random_quaternion(rng)), lidar=lidar
-    )
+    return Scan(ranges=reach, pose=Pose(position=place, quaternion=reference.random_quaternion(rng)), lidar=lidar)
 
 
 # ------------------------------------------------------------------------------------ the whole definition
@@ -119,9 +113,7 @@ def test_level_scans_whose_rays_run_along_grid_planes_match(yaw_deg: float, moun
 @pytest.mark.parametrize("seed", range(150))
 def test_random_rays_on_small_grids_of_any_shape_match(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    grid = GridSpec(
-        shape=tuple(rng.integers(1, 12, 3)), voxel_m=float(rng.choice([0.1, 0.2, 0.25, 0.37, 1.0, 3.0]))
-    )
+    grid = GridSpec(shape=tuple(rng.integers(1, 12, 3)), voxel_m=float(rng.choice([0.1, 0.2, 0.25, 0.37, 1.0, 3.0])))
     count = int(rng.integers(1, 40))
     rays = rng.normal(size=(count, 3))
     reach = np.where(rng.random(count) < 0.3, np.inf, rng.exponential(grid.extent_m.max(), count))
@@ -130,9 +122,7 @@ def test_random_rays_on_small_grids_of_any_shape_match(seed: int) -> None:
 
 
 component = st.one_of(
-    st.sampled_from(
-        [0.0, -0.0, 1.0, -1.0, 1e-17, -1e-17, 1e-12, -1e-12, 1e-9, 0.5, -2.0, 1e-300, -1e-300, 1 / 3]
-    ),
+    st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-17, -1e-17, 1e-12, -1e-12, 1e-9, 0.5, -2.0, 1e-300, -1e-300, 1 / 3]),
     st.floats(-1, 1),
 )
 ray = st.tuples(component, component, component).filter(lambda d: max(map(abs, d)) > 1e-3)
@@ -146,9 +136,7 @@ grids = st.sampled_from([SMALL, DYADIC, GridSpec(shape=(4, 4, 4)), GridSpec(shap
 
 @settings(max_examples=250, deadline=None, derandomize=True)
 @given(rays=st.lists(st.tuples(ray, reach), min_size=1, max_size=4), position=place, grid=grids)
-def test_special_rays_on_small_grids_match_rational_arithmetic(
-    rays: list, position: tuple, grid: GridSpec
-) -> None:
+def test_special_rays_on_small_grids_match_rational_arithmetic(rays: list, position: tuple, grid: GridSpec) -> None:
     """Parallel, all but parallel, diagonal, tiny and endless rays. The exact answer lies between the two
     float64 references, which are thereby checked too, and so must the answer under test."""
     scan = scan_of([d for d, _ in rays], [r for _, r in rays], position)
@@ -193,9 +181,7 @@ def test_points_sampled_along_rays_would_be_found_out(step_m: float) -> None:
     assert not (wrong & ~may).any()  # its only fault is what it misses
 
 
-@pytest.mark.parametrize(
-    "fault", ["short", "long", "no clearing beyond the map", "observed left in", "all neighbours"]
-)
+@pytest.mark.parametrize("fault", ["short", "long", "no clearing beyond the map", "observed left in", "all neighbours"])
 def test_other_wrong_walks_would_be_found_out(fault: str) -> None:
     rng = np.random.default_rng(1)
     scan, grid = (
@@ -395,9 +381,7 @@ def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed: int)
 def test_a_scan_without_returns_observes_nothing_and_frees_its_rays() -> None:
     rng = np.random.default_rng(3)
     reach = np.full((16, 120), np.inf, dtype=np.float32)
-    scan = Scan(
-        ranges=reach, pose=Pose(np.array([1.0, 2.0, 3.0]), reference.random_quaternion(rng)), lidar=Lidar()
-    )
+    scan = Scan(ranges=reach, pose=Pose(np.array([1.0, 2.0, 3.0]), reference.random_quaternion(rng)), lidar=Lidar())
     got = voxelize(scan, GridSpec())
     assert not got.observed.any()
     must, _ = assert_right(scan, GridSpec(), got)

@@ -416,9 +416,7 @@ def _sweep(kind, size, rot, pos, hull, margin, shape, voxel, origin, near, far, 
                         low = min(low, _at_least(kind, size, rot, pos, cx + sx, cy + sy, cz + sz))
                     verdict[i, j, k] = _verdict(low, max(low, 0.0), near, far)
                     continue
-                low, high = _bracket(
-                    kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_lam, near, far
-                )
+                low, high = _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_lam, near, far)
                 verdict[i, j, k] = _verdict(low, high, near, far)
 
 
@@ -543,9 +541,7 @@ def points_inside(shape: Shape, points: Floats) -> NDArray[np.bool_]:
 
 def voxel_centres(grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Floats:
     """The centres of the voxels, (nx, ny, nz, 3)."""
-    axes = [
-        o + (np.arange(n) + 0.5) * voxel for o, n in zip(np.asarray(origin, float), grid_shape, strict=True)
-    ]
+    axes = [o + (np.arange(n) + 0.5) * voxel for o, n in zip(np.asarray(origin, float), grid_shape, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 

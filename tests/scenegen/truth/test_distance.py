@@ -60,9 +60,7 @@ def test_the_field_is_scipys_to_the_last_bit(voxel: float, truncation: float, de
     rng = np.random.default_rng(31)
     for shape in ((23, 31, 17), (40, 9, 26), (5, 60, 40), (1, 33, 8), (12, 1, 1)):
         occupancy = rng.random(shape) < density
-        np.testing.assert_array_equal(
-            field(occupancy, voxel, truncation), expected_field(occupancy, voxel, truncation)
-        )
+        np.testing.assert_array_equal(field(occupancy, voxel, truncation), expected_field(occupancy, voxel, truncation))
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -72,14 +70,12 @@ def test_the_field_is_scipys_to_the_last_bit(voxel: float, truncation: float, de
     st.sampled_from(TRUNCATIONS) | st.floats(0.01, 40.0),
 )
 def test_the_field_is_the_definitions(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> None:
-    np.testing.assert_array_equal(
-        field(occupancy, voxel, truncation), brute_field(occupancy, voxel, truncation)
-    )
+    np.testing.assert_array_equal(field(occupancy, voxel, truncation), brute_field(occupancy, voxel, truncation))
 
 
 @pytest.mark.parametrize("voxel", VOXELS)
 def test_truncations_of_every_reach_are_exact(voxel: float) -> None:
-    """From less than one voxel to farther than map is wide, whole numbers of voxels and their neighbours."""
+    """From less than one voxel to farther than the map is wide, whole numbers and their neighbours."""
     rng = np.random.default_rng(36)
     occupancy = rng.random((19, 26, 22)) < 0.0005
     occupancy[4, 20, 7] = True
@@ -137,12 +133,8 @@ def test_neighbours_differ_by_no_more_than_their_distance(voxel: float) -> None:
     for step in itertools.product((-1, 0, 1), repeat=3):
         if step <= (0, 0, 0):
             continue
-        here = answer[
-            tuple(slice(max(-s, 0), n - max(s, 0)) for s, n in zip(step, answer.shape, strict=True))
-        ]
-        there = answer[
-            tuple(slice(max(s, 0), n - max(-s, 0)) for s, n in zip(step, answer.shape, strict=True))
-        ]
+        here = answer[tuple(slice(max(-s, 0), n - max(s, 0)) for s, n in zip(step, answer.shape, strict=True))]
+        there = answer[tuple(slice(max(s, 0), n - max(-s, 0)) for s, n in zip(step, answer.shape, strict=True))]
         slope = np.abs(here - there).max() / (voxel * math.hypot(*step))
         assert slope <= 1 + 1e-6
         assert slope > 0.9

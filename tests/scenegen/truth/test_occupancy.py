@@ -33,9 +33,7 @@ def grid_of(shape: tuple[int, int, int], voxel: float) -> GridSpec:
     return GridSpec(shape=shape, voxel_m=voxel, truncation_m=2.0)
 
 
-def occupied(
-    model: mujoco.MjModel, shape: tuple[int, int, int], voxel: float, origin: ArrayLike
-) -> NDArray[np.bool_]:
+def occupied(model: mujoco.MjModel, shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> NDArray[np.bool_]:
     """The answer under test."""
     return rasterize(solids_of(model), grid_of(shape, voxel), np.asarray(origin, float))
 
@@ -81,9 +79,7 @@ def surface_point(shape: Shape, rng: np.random.Generator) -> Floats:
     low, high = 0.0, 200.0
     for _ in range(50):
         middle = (low + high) / 2
-        low, high = (
-            (middle, high) if reference.points_inside(shape, inside + middle * direction) else (low, middle)
-        )
+        low, high = (middle, high) if reference.points_inside(shape, inside + middle * direction) else (low, middle)
     return inside + low * direction
 
 
@@ -96,16 +92,12 @@ def placed(kind: str, rng: np.random.Generator, n: int) -> tuple[Shape, float, F
     return shape.at(target - surface_point(shape, rng)), voxel, origin
 
 
-def centres_only(
-    shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
-) -> NDArray[np.bool_]:
+def centres_only(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> NDArray[np.bool_]:
     """The mutant: a voxel is occupied when its centre is inside."""
     return reference.points_inside(shape, reference.voxel_centres(grid_shape, voxel, origin))
 
 
-def samples_only(
-    shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
-) -> NDArray[np.bool_]:
+def samples_only(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> NDArray[np.bool_]:
     """A better mutant: a voxel is occupied when any of 27 points spread over its cube is inside."""
     centres = reference.voxel_centres(grid_shape, voxel, origin)
     hit = np.zeros(grid_shape, bool)
@@ -121,11 +113,11 @@ def samples_only(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_reference_agrees_with_mujocos_own_distance_to_a_cube(kind: str) -> None:
-    """``mj_geomDistance`` of a box geom: good to 4e-8 m on every primitive at its default tolerance.
+    """``mj_geomDistance`` of a box geom, with a tolerance tighter than its default.
 
-    It is believed only where it reports free space: between a capsule and a box that overlap deeply it
-    sometimes reports a positive distance (7 of 2149 cases measured), so capsules are compared only when the
-    reference says that they are apart too.
+    At the default (1e-6, 35 iterations) it erred by up to 1.5e-6 m on flat ellipsoids; tightened, by 2e-7 m.
+    Some capsules whose axis runs through the box it calls apart (14 of 7042 that touch, by up to 2 cm, at any
+    tolerance), so of capsules only those that the reference finds apart are compared.
     """
     rng = np.random.default_rng(11)
     apart = touching = 0
@@ -147,10 +139,10 @@ def test_the_reference_agrees_with_mujocos_own_distance_to_a_cube(kind: str) -> 
             low, high = reference.bracket(shape, centre, 0.1)
             if high <= 1e-8:
                 touching += 1
-                assert theirs <= 1e-7 or kind == "capsule"
+                assert theirs <= 5e-7 or kind == "capsule"
             else:
                 apart += 1
-                assert low - 1e-7 <= theirs <= high + 1e-7
+                assert low - 5e-7 <= theirs <= high + 5e-7
     assert apart > 100
     assert touching > 50
 
@@ -246,9 +238,7 @@ def test_primitives_at_a_thousand_attitudes_occupy_the_cubes_they_touch(kind: st
         answer = occupied(reference.world_of(shape), (n, n, n), voxel, origin)
         wrong = disagreements(answer, truth)
         assert truth.undecided == 0, (shape, voxel, origin)
-        assert not len(wrong), (
-            f"{len(wrong)} voxels, first {wrong[0]}, of {shape} voxel {voxel} origin {origin}"
-        )
+        assert not len(wrong), f"{len(wrong)} voxels, first {wrong[0]}, of {shape} voxel {voxel} origin {origin}"
         boundary += int(truth.boundary.sum())
         filled += int((truth.boundary & (truth.verdict == OCCUPIED)).sum())
         undecidable += int((truth.verdict == EITHER).sum())
@@ -382,9 +372,7 @@ def test_upright_and_upside_down_solids_at_many_yaws(kind: str) -> None:
         at_rest = k % 2 == 0  # standing on a layer of voxels, as on a floor
         pos = rng.uniform(5, 9, 3) * voxel
         if at_rest:
-            height = (
-                size[2] if kind in ("box", "ellipsoid") else size[1] + (size[0] if kind == "capsule" else 0)
-            )
+            height = size[2] if kind in ("box", "ellipsoid") else size[1] + (size[0] if kind == "capsule" else 0)
             pos[2] = 4 * voxel + height
         truth = check(Shape(kind, size, pos, quat), (14, 14, 14), voxel, np.zeros(3))
         occupied_voxels += int((truth.verdict == OCCUPIED).sum())
@@ -641,14 +629,10 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str) -> 
         answer = occupied(mesh_model(mesh, pos, quat), grid_shape, voxel, origin)
         wrong = disagreements(answer, truth)
         assert truth.undecided == 0
-        assert not len(wrong), (
-            f"{len(wrong)} voxels, first {wrong[0]}, {name} pos {pos} quat {quat} voxel {voxel}"
-        )
+        assert not len(wrong), f"{len(wrong)} voxels, first {wrong[0]}, {name} pos {pos} quat {quat} voxel {voxel}"
         enclosed += int((truth.verdict != shell.verdict).sum())
         # The hull would have been another answer.
-        hull = trimesh.Trimesh(
-            triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
-        ).convex_hull
+        hull = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)).convex_hull
         convex = reference.judge_mesh(np.asarray(hull.triangles), grid_shape, voxel, origin, filled=True)
         assert len(disagreements(answer, convex)) > 10
     assert (enclosed > 50) == closed
@@ -684,6 +668,24 @@ def test_scaled_and_mirrored_meshes_are_filled(scale: tuple[float, float, float]
     triangles = mesh_triangles((vertices * scale, faces), pos, quat)
     truth = reference.judge_mesh(triangles, (20, 20, 20), 0.2, np.zeros(3), filled=True)
     answer = occupied(mesh_model((vertices, faces), pos, quat, scale=scale), (20, 20, 20), 0.2, np.zeros(3))
+    assert truth.undecided == 0
+    assert not len(disagreements(answer, truth))
+
+
+@pytest.mark.parametrize("faults", ["three vertices a face", "all faces inward", "some faces inward"])
+def test_a_watertight_mesh_is_filled_however_its_faces_are_listed(faults: str) -> None:
+    """Vertices not shared between faces, or faces wound the wrong way round, enclose the same space."""
+    vertices, faces = bracket_shape()
+    quat, pos = np.array([1, 0.2, 0.3, 0.4]), np.full(3, 2.0)
+    triangles = mesh_triangles((vertices, faces), pos, quat)
+    truth = reference.judge_mesh(triangles, (20, 20, 20), 0.2, np.zeros(3), filled=True)
+    if faults == "three vertices a face":
+        mesh = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
+    elif faults == "all faces inward":
+        mesh = vertices, faces[:, ::-1]
+    else:
+        mesh = vertices, np.where((np.arange(len(faces)) % 3 == 0)[:, None], faces[:, ::-1], faces)
+    answer = occupied(mesh_model(mesh, pos, quat), (20, 20, 20), 0.2, np.zeros(3))
     assert truth.undecided == 0
     assert not len(disagreements(answer, truth))
 
@@ -818,9 +820,7 @@ def test_height_fields_are_filled_down_to_their_base(turned: bool) -> None:
         answer = occupied(model, grid_shape, voxel, origin)
         wrong = disagreements(answer, truth)
         assert truth.undecided == 0
-        assert not len(wrong), (
-            f"case {k}: {len(wrong)} voxels, first {wrong[0]}, {rows}x{cols} {size} {pos} {quat}"
-        )
+        assert not len(wrong), f"case {k}: {len(wrong)} voxels, first {wrong[0]}, {rows}x{cols} {size} {pos} {quat}"
 
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
@@ -883,9 +883,7 @@ def test_a_geom_of_alpha_zero_is_absent(kind: str) -> None:
 @pytest.mark.parametrize("material_alpha", [None, 0.0, 1.0])
 @pytest.mark.parametrize("contype", [0, 1])
 @pytest.mark.parametrize("group", [0, 4])
-def test_what_a_ray_sees_is_occupied(
-    geom_alpha: float, material_alpha: float | None, contype: int, group: int
-) -> None:
+def test_what_a_ray_sees_is_occupied(geom_alpha: float, material_alpha: float | None, contype: int, group: int) -> None:
     """``mj_ray`` decides, whatever collides and whichever group is drawn; materials have their own alpha."""
     spec = mujoco.MjSpec()
     geom = spec.worldbody.add_geom(

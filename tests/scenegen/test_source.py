@@ -1,0 +1,142 @@
+"""Worlds from files: split by world, visited in turn, self-contained once archived; and kinds that are one file."""
+
+from collections import Counter
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+import scenegen.recipes
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.errors import SceneError
+from scenegen.recipe import make_recipe, preset
+from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
+from scenegen.world import compile_world, load_scene
+from tests.conftest import SMALL
+
+SCENES = Path(__file__).parents[2] / "scenes"
+COUNTS = {"train": 9, "val": 3, "test": 3}
+ROOM = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></custom><worldbody>
+<geom type="plane" size="1 1 1"/><geom name="post{n}" type="cylinder" size="0.3 2" pos="{n} 6 2"/>
+<geom type="box" size="0.5 0.5 0.5" pos="9 {n} 0.5"/><geom type="box" size="0.1 2 2" pos="3 9 2"/></worldbody></mujoco>"""
+
+
+def scene_recipe() -> object:
+    return make_recipe("scene", {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}, where="test")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Five small worlds."""
+    (tmp_path / "worlds").mkdir()
+    for n in range(5):
+        (tmp_path / "worlds" / f"room{n}.xml").write_text(ROOM.format(n=n + 2))
+    return tmp_path / "worlds"
+
+
+def make(folder: Path, out: Path, counts: dict[str, int] = COUNTS) -> tuple[SceneWorlds, Dataset]:
+    source = read_scenes(folder, counts, seed=0)
+    build(plan_dataset(out, scene_recipe(), source, seed=0, counts=counts, shard_samples=3))
+    return source, Dataset(out)
+
+
+def test_a_folder_is_split_by_world_and_visited_in_turn(folder: Path, tmp_path: Path) -> None:
+    source, dataset = make(folder, tmp_path / "d", {**COUNTS, "train": 21})
+    named = [scene.name for scenes in source.scenes.values() for scene in scenes]
+    assert sorted(named) == [f"room{n}.xml" for n in range(5)]
+    assert {split: len(scenes) for split, scenes in source.scenes.items()} == {"train": 3, "val": 1, "test": 1}
+    names = dataset.split("train").names
+    assert Counter(world for _, world, _ in names) == {0: 9, 1: 6, 2: 6}
+    assert [viewpoint for _, world, viewpoint in names if world == 0] == list(range(9))
+    assert len(set(names)) == len(names)
+    recorded = dataset.manifest["recipe"]["scenes"]
+    assert [entry["file"] for entry in recorded["train"]] == [scene.name for scene in source.scenes["train"]]
+
+
+def test_fewer_samples_of_a_folder_are_the_first_of_more(folder: Path, tmp_path: Path) -> None:
+    _, small = make(folder, tmp_path / "small")
+    _, large = make(folder, tmp_path / "large", {name: 2 * count for name, count in COUNTS.items()})
+    for split, count in COUNTS.items():
+        first = [sample.sha256() for sample in large.split(split)[:count]]
+        assert [sample.sha256() for sample in small.split(split)] == first
+
+
+def test_a_changed_scene_is_another_dataset(folder: Path, tmp_path: Path) -> None:
+    make(folder, tmp_path / "d")
+    (folder / "room3.xml").write_text(ROOM.format(n=11))
+    with pytest.raises(Exception, match=r"recipe\.scenes"):
+        make(folder, tmp_path / "d")
+
+
+def test_too_few_worlds_for_the_splits_are_refused(folder: Path) -> None:
+    with pytest.raises(SceneError, match="one world cannot be split"):
+        read_scenes(folder / "room0.xml", COUNTS, seed=0)
+    for n in range(2, 5):
+        (folder / f"room{n}.xml").unlink()
+    with pytest.raises(SceneError, match="2 worlds for 3 splits"):
+        read_scenes(folder, COUNTS, seed=0)
+    with pytest.raises(SceneError, match="no such file"):
+        read_scenes(folder / "absent", COUNTS, seed=0)
+
+
+def test_assets_and_includes_travel_with_the_world(tmp_path: Path) -> None:
+    (tmp_path / "parts" / "meshes").mkdir(parents=True)
+    trimesh.creation.torus(1.0, 0.3).export(tmp_path / "parts" / "meshes" / "ring.stl")
+    np.array([3, 3], np.int32).tofile(tmp_path / "parts" / "meshes" / "hill.bin")
+    with open(tmp_path / "parts" / "meshes" / "hill.bin", "ab") as file:
+        np.array([0, 0, 0, 0, 1, 0, 0, 0, 0], np.float32).tofile(file)
+    (tmp_path / "parts" / "more.xml").write_text(
+        '<mujoco><worldbody><geom name="included" type="sphere" size="1" pos="2 6 2"/></worldbody></mujoco>'
+    )
+    (tmp_path / "world.xml").write_text(
+        '<mujoco><compiler meshdir="parts/meshes"/><asset><mesh name="ring" file="ring.stl"/>'
+        '<hfield name="hill" file="hill.bin" size="3 3 1 0.2"/></asset>'
+        '<custom><numeric name="flight_bounds" data="0 0 1 12 12 4"/></custom><include file="parts/more.xml"/>'
+        '<worldbody><geom type="mesh" mesh="ring" pos="9 6 2" euler="40 0 0"/>'
+        '<geom type="hfield" hfield="hill" pos="6 6 0"/></worldbody></mujoco>'
+    )
+    direct = mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml"))
+    mjcf, assets = load_scene(tmp_path / "world.xml")
+    world = compile_world(mjcf, assets)
+    assert world.model.ngeom == direct.ngeom == 3
+    assert len(world.solids) == 3
+    assert world.solids.mesh_filled.tolist() == [True, True]
+    np.testing.assert_allclose(world.model.hfield_data, direct.hfield_data)
+    counts = {"train": 3, "val": 0, "test": 0}
+    source = read_scenes(tmp_path / "world.xml", counts, seed=0)
+    build(plan_dataset(tmp_path / "d", scene_recipe(), source, seed=0, counts=counts))
+    taken = Dataset(tmp_path / "d").world("train", 0)
+    (tmp_path / "out").mkdir()
+    for name, content in taken.items():
+        (tmp_path / "out" / name).write_bytes(content)
+    again = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "world.xml"))
+    np.testing.assert_allclose(again.mesh_vert, direct.mesh_vert)
+    for sample in Dataset(tmp_path / "d").split("train"):
+        assert not (sample.observed & ~sample.occupancy).any()
+
+
+@pytest.mark.parametrize("name", ["forest", "warehouse", "room_with_gap"])
+def test_the_bundled_scenes_keep_the_laws_at_full_size(name: str) -> None:
+    from scenegen.draw import draw_unit
+
+    recipe = preset("scene")
+    source = read_scenes(SCENES / f"{name}.xml", {"train": 5, "val": 0, "test": 0}, seed=0)
+    samples = [s for u in range(2) for s in draw_unit(source, recipe, seed=0, split="train", unit=u).samples]
+    for sample in samples:
+        assert not (sample.observed & ~sample.occupancy).any()
+        assert sample.observed.sum() > 100
+
+
+def test_a_new_kind_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "recipes.md").read_text()
+    (tmp_path / "fence.py").write_text(text.split("```python\n")[-1].split("```")[0])
+    monkeypatch.setattr(scenegen.recipes, "__path__", [*scenegen.recipes.__path__, str(tmp_path)])
+    assert "fence" in scenegen.recipes.kind_names()
+    tables = {**SMALL, "world": {"size_m": (16.0, 16.0, 8.0), "radius_m": (0.1, 0.1)}}
+    recipe = make_recipe("fence", {**tables, "accept": {"min_occupied_share": 0.0}}, where="test")
+    world = DrawnWorlds(recipe).world("train", 0, rng=np.random.default_rng(0))
+    assert world.model.ngeom == 16
+    assert world.model.geom_size[0, 0] == 0.1
