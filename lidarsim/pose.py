@@ -10,7 +10,7 @@ from lidarsim.jit import kernel
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A body's position and attitude in the world frame (z up). Raises ValueError for a quaternion that is not of unit length."""
+    """A body's position and attitude in the world frame, z up. Raises ValueError for a quaternion not of length 1."""
 
     position: NDArray[np.float64]
     """(3,), metres."""

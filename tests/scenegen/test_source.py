@@ -21,7 +21,8 @@ SCENES = Path(__file__).parents[2] / "scenes"
 COUNTS = {"train": 9, "val": 3, "test": 3}
 ROOM = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></custom><worldbody>
 <geom type="plane" size="1 1 1"/><geom name="post{n}" type="cylinder" size="0.3 2" pos="{n} 6 2"/>
-<geom type="box" size="0.5 0.5 0.5" pos="9 {n} 0.5"/><geom type="box" size="0.1 2 2" pos="3 9 2"/></worldbody></mujoco>"""
+<geom type="box" size="0.5 0.5 0.5" pos="9 {n} 0.5"/><geom type="box" size="0.1 2 2" pos="3 9 2"/>
+</worldbody></mujoco>"""
 
 
 def scene_recipe() -> object:
