@@ -21,8 +21,8 @@ from scenegen.source import SPLITS, Source
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
-PACKAGES = ("mujoco", "ompl", "numpy", "numba", "isal", "h5py", "trimesh")
-"""What the numbers, or the bytes, depend on besides scenegen itself."""
+PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
+"""What the numbers depend on besides scenegen itself."""
 
 
 def parameters(
