@@ -157,6 +157,8 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
     """Scaled by its semi-axes the ellipsoid is the unit ball and the cube a parallelepiped, whose point nearest to the
     centre is found among the interiors of its faces and edges. There, the gap is at least (f - 1) / |grad f| with f
     the scaled length (f is convex), and equals it to first order."""
+    if _point_to_cube2(axes, x, y, z, half) == 0.0:
+        return True
     a, b, c = 1.0 / size[0], 1.0 / size[1], 1.0 / size[2]
     m = np.empty((4, 3))  # the scaled half edges, and the scaled centre
     for i in range(3):

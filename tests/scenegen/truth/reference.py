@@ -218,6 +218,11 @@ def _dot(w, i, j):
 
 
 @numba.njit(cache=True, nogil=True)
+def _clear(lam):
+    lam[0] = lam[1] = lam[2] = lam[3] = 0.0
+
+
+@numba.njit(cache=True, nogil=True)
 def _offer(w, lam, best_lam, best):
     """Keep the weights ``lam`` if they name a point of the simplex nearer to the origin than the best."""
     x = lam[0] * w[0, 0] + lam[1] * w[1, 0] + lam[2] * w[2, 0] + lam[3] * w[3, 0]
@@ -226,7 +231,8 @@ def _offer(w, lam, best_lam, best):
     n = x * x + y * y + z * z
     if n < best:
         best = n
-        best_lam[:] = lam
+        for i in range(4):
+            best_lam[i] = lam[i]
     return best
 
 
@@ -249,7 +255,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
     """
     best = np.inf
     for i in range(n):
-        lam[:] = 0.0
+        _clear(lam)
         lam[i] = 1.0
         best = _offer(w, lam, best_lam, best)
         for j in range(i + 1, n):
@@ -257,7 +263,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
             length = ii - 2.0 * ij + jj
             if length > 0.0 and 0.0 < ii - ij < length:
                 t = (ii - ij) / length
-                lam[:] = 0.0
+                _clear(lam)
                 lam[i], lam[j] = 1.0 - t, t
                 best = _offer(w, lam, best_lam, best)
             for k in range(j + 1, n):
@@ -269,7 +275,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
                 lk = _triple(w, i, j, nx, ny, nz)
                 total = li + lj + lk
                 if total > 0.0 and li >= 0.0 and lj >= 0.0 and lk >= 0.0:
-                    lam[:] = 0.0
+                    _clear(lam)
                     lam[i], lam[j], lam[k] = li / total, lj / total, lk / total
                     best = _offer(w, lam, best_lam, best)
     if n == 4:
@@ -299,7 +305,6 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
         vx, vy, vz = hull[0, 0] - cx, hull[0, 1] - cy, hull[0, 2] - cz
     if vx == 0.0 and vy == 0.0 and vz == 0.0:
         vx = 1.0
-    w[:] = 0.0
     n = 0
     for _ in range(400):
         sx, sy, sz = _support(kind, size, rot, pos, hull, -vx, -vy, -vz)
@@ -564,7 +569,9 @@ def _sweep_hulls(hulls, shape, voxel, origin, near, far, verdict):
     for t in range(hulls.shape[0]):
         hull = hulls[t]
         for axis in range(3):
-            bottom, top = hull[:, axis].min() - 2 * far, hull[:, axis].max() + 2 * far
+            bottom, top = np.inf, -np.inf
+            for i in range(hull.shape[0]):
+                bottom, top = min(bottom, hull[i, axis] - 2 * far), max(top, hull[i, axis] + 2 * far)
             low_index[axis] = max(math.floor((bottom - origin[axis]) / voxel) - 1, 0)
             high_index[axis] = min(math.floor((top - origin[axis]) / voxel) + 2, shape[axis])
         for i in range(low_index[0], high_index[0]):
