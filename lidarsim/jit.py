@@ -1,7 +1,8 @@
 """`kernel`: numba's njit with a cache that cannot go stale.
 
 Numba keys a cached kernel on its own file alone, so a kernel that calls one in another file would go on running the
-old callee after an update. Here the cache lies in a folder named after numba's version and the whole package's content.
+old callee after an update. Here the cache lies in a folder named after numba's version and the content of every file
+with kernels. A constant that a kernel uses must therefore stand in such a file.
 """
 
 import hashlib
@@ -29,10 +30,12 @@ def kernel(function: F) -> F:
 
 @cache
 def cache_folder(package: str) -> Path:
-    """Where the kernels of `package`, as it stands on disk, are kept."""
+    """Where the kernels of `package`, as they stand on disk, are kept."""
     digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
     roots = {Path(__file__).parent, Path(sys.modules[package].__file__ or __file__).parent}
     for path in sorted(path for root in roots for path in root.rglob("*.py")):
-        digest.update(path.read_bytes())
+        content = path.read_bytes()
+        if b"lidarsim.jit" in content:
+            digest.update(content)
     base = os.environ.get("SCENEGEN_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "scenegen" / "kernels" / f"{package}-{digest.hexdigest()[:16]}"

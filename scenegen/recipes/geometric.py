@@ -26,7 +26,7 @@ class Geometric(WorldKind):
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 5.0)}
 
     ground: bool = True
-    density: Range = (0.01, 0.16)
+    density: Range = (0.01, 0.12)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform."""
     half_size_m: Range = (0.3, 1.2)
     """Radii and half edges, metres; one value an axis of a solid."""
@@ -43,7 +43,7 @@ class Geometric(WorldKind):
     wall_length_m: Range = (2.0, 8.0)
     wall_height_m: Range = (2.0, 8.0)
     wall_half_thickness_m: Range = (0.1, 0.2)
-    clutter_density: Range = (0.0, 0.004)
+    clutter_density: Range = (0.0, 0.003)
     """Heaps of small solids per square metre; one value a world."""
     clutter_count: tuple[int, int] = (4, 8)
     """Small solids in a heap."""
