@@ -256,7 +256,7 @@ def _announce_compilation() -> None:
     """Say why the first run takes longer."""
     from lidarsim.jit import cache_folder
 
-    if not any(cache_folder(package).exists() for package in ("lidarsim", "scenegen")):
+    if not any(cache_folder("scenegen").rglob("*.nbc")):
         print("compiling kernels: once on this machine, about 20 seconds …", file=sys.stderr)
 
 

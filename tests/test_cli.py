@@ -260,6 +260,16 @@ def test_a_stopped_run_leaves_no_process_and_whole_files(number: int, small: Pat
         assert path.with_suffix(".worlds.zip").exists()
 
 
+def test_the_first_run_says_why_it_takes_longer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from lidarsim import jit
+
+    for cached, said in ((tmp_path / "empty", True), (jit.cache_folder("scenegen"), False)):
+        monkeypatch.setattr(jit, "cache_folder", lambda package, cached=cached: cached)
+        assert ("compiling kernels" in run(capsys, "generate", "--kind", "pillar", "--dry-run")[2]) == said
+
+
 def test_help_loads_nothing_heavy() -> None:
     heavy = "mujoco", "numba", "h5py", "ompl", "scipy", "numpy", "pydantic"
     code = f"import sys, cli; sys.exit(', '.join(name for name in {heavy!r} if name in sys.modules) or 0)"
