@@ -113,7 +113,9 @@ def build(
     `workers` processes write; `force` begins anew, whatever dataset is in the folder. `on_shard` is called for every
     shard that is there already (False) and for every one that is written (True), `on_start` once the workers run. A run
     that ends in any way leaves whole shards, and the next one goes on from there. The manifest is signed complete by
-    the run that finds every shard. Raises DatasetError for a folder that holds something else, and what writing shards raises.
+    the run that finds every shard.
+
+    Raises DatasetError for a folder that holds something else, and what writing shards raises.
     """
     first, stop = shard_range or (0, len(plan.shards))
     _open_folder(plan, force=force)
