@@ -156,7 +156,7 @@ def test_making_a_kernel_leaves_numbas_settings_alone(package: Path) -> None:
 def arguments_of(function: Callable) -> Iterator[tuple]:
     """What to try a kernel on."""
     rng = np.random.default_rng(0)
-    for n in range(60):
+    for n in range(200):
         if function is pose._rotate:
             quaternion = rng.normal(size=4)
             yield quaternion / np.linalg.norm(quaternion), rng.normal(size=(5, 3)), np.empty((5, 3))
@@ -169,7 +169,9 @@ def arguments_of(function: Callable) -> Iterator[tuple]:
 
 
 @pytest.mark.parametrize(
-    "function", [pose._rotate, shapes.distance, triangles.triangle_distance, triangles.crossing], ids=lambda f: f.__name__
+    "function",
+    [pose._rotate, shapes.distance, triangles.triangle_distance, triangles.crossing],
+    ids=lambda f: f.__name__,
 )
 def test_a_kernel_gives_what_its_python_function_gives(function: Callable) -> None:
     given = set()

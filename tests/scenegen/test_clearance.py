@@ -241,6 +241,16 @@ def test_a_motion_may_be_blocked_at_its_ends_alone() -> None:
     assert clearance.motion_is_free((-1.0, 1.4, 2.0), (1.0, 1.4, 2.0), 0.3)
 
 
+def test_a_motion_that_grazes_a_post_is_seen_wherever_its_steps_fall() -> None:
+    """A ball of 5 cm past a post of 2 cm: they meet over 4 cm of a long way, or pass with 3 mm between them."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=Geom.mjGEOM_CYLINDER, size=[0.02, 1, 0], pos=[0, 0, 2])
+    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
+    for start in np.random.default_rng(0).uniform(-2.0, -0.5, 50):
+        for y, free in ((0.067, False), (0.073, True)):
+            assert clearance.motion_is_free((start, y, 2.0), (1.5, y, 2.0), 0.05) is free
+
+
 def test_a_world_without_solids_is_free_everywhere() -> None:
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=Geom.mjGEOM_SPHERE, size=[1, 0, 0], pos=[50, 50, 50])

@@ -1,6 +1,7 @@
 """Laws of flights: they keep the clearance and the bounds, end in bounded work, and are looked along by viewpoints."""
 
 import dataclasses
+import itertools
 
 import mujoco
 import numpy as np
@@ -29,15 +30,8 @@ def forest(seed: int) -> tuple[Floats, Clearance]:
     return columns, Clearance(solids_of(spec.compile()), BOUNDS)
 
 
-def wall(x: float, half_thickness: float) -> Clearance:
-    """A wall across the whole flight space."""
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[half_thickness, 50, 50], pos=[x, 0, 0])
-    return Clearance(solids_of(spec.compile()), BOUNDS)
-
-
 class Counted(Clearance):
-    """Counts the questions it is asked."""
+    """Counts the motions that it is asked about."""
 
     asked = 0
 
@@ -46,10 +40,11 @@ class Counted(Clearance):
         return super().motion_is_free(*motion)
 
 
-def counted(clearance: Clearance) -> Counted:
-    found = Counted.__new__(Counted)
-    found.__dict__.update(vars(clearance))
-    return found
+def wall(x: float, half_thickness: float) -> Counted:
+    """A wall across the whole flight space."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[half_thickness, 50, 50], pos=[x, 0, 0])
+    return Counted(solids_of(spec.compile()), BOUNDS)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +66,7 @@ def test_a_whole_flight_keeps_the_clearance_and_the_bounds(flights: list[tuple[F
         assert path.shape[1] == 3
         assert (path >= BOUNDS[0]).all()
         assert (path <= BOUNDS[1]).all()
-        for a, b in zip(path[:-1], path[1:], strict=True):
+        for a, b in itertools.pairwise(path):
             points = a + np.linspace(0.0, 1.0, 2000)[:, None] * (b - a)
             apart = np.linalg.norm(points[:, None, :2] - columns[:, :2], axis=2) - columns[:, 2]
             tight.append(apart.min())
@@ -132,7 +127,7 @@ def test_the_search_uses_the_generator_too_not_its_ends_alone() -> None:
 @pytest.mark.parametrize("iterations", [1, 40, 400])
 def test_a_divided_world_gives_up_after_its_iterations(iterations: int) -> None:
     """Each side is too short for both ends of a flight, so one is drawn on either side."""
-    clearance = counted(wall(8.0, half_thickness=2.5))
+    clearance = wall(8.0, half_thickness=2.5)
     bounds = np.array([[2.0, 5.0, 1.0], [14.0, 5.5, 1.5]])
     flight = dataclasses.replace(FLIGHT, min_distance_m=4.0, iterations=iterations)
     for seed in range(5):
@@ -142,7 +137,7 @@ def test_a_divided_world_gives_up_after_its_iterations(iterations: int) -> None:
 
 
 def test_a_filled_world_has_no_flight() -> None:
-    clearance = counted(wall(8.0, half_thickness=50.0))
+    clearance = wall(8.0, half_thickness=50.0)
     assert plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(0)) is None
     assert clearance.asked == 0
 
@@ -174,7 +169,7 @@ HEADINGS = np.radians([0, 0, 90, 90, 90, -90, -90, -135])
 def leg_of(point: Floats, path: Floats) -> list[int]:
     """The legs on which a point lies."""
     found = []
-    for n, (a, b) in enumerate(zip(path[:-1], path[1:], strict=True)):
+    for n, (a, b) in enumerate(itertools.pairwise(path)):
         share = np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
         if np.linalg.norm(a + share * (b - a) - point) < 1e-9:
             found.append(n)

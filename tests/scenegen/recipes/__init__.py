@@ -1,0 +1,71 @@
+"""What the tests of kinds share: a world's solids as a recipe adds them, measured without the recipe's own formulas."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from scenegen.recipes.kind import WorldKind
+
+Geom = mujoco.mjtGeom
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """One geom."""
+
+    shape: mujoco.mjtGeom
+    size: NDArray[np.float64]
+    position: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
+
+    @cached_property
+    def rotation(self) -> NDArray[np.float64]:
+        return Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+
+    @property
+    def upright(self) -> bool:
+        """Whether its own vertical is the world's."""
+        return bool(self.rotation[2, 2] > 1 - 1e-12)
+
+    @property
+    def yaw(self) -> float:
+        """How far it is turned about the vertical, from 0 to 2 pi."""
+        return float(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]) % (2 * np.pi))
+
+    @cached_property
+    def span(self) -> tuple[float, float]:
+        """Its lowest and highest z, by its corners, or by many points around its rims."""
+        if self.shape == Geom.mjGEOM_SPHERE:
+            return self.position[2] - self.size[0], self.position[2] + self.size[0]
+        if self.shape == Geom.mjGEOM_BOX:
+            corners = np.stack(np.meshgrid(*([-half, half] for half in self.size)), axis=-1).reshape(-1, 3)
+        else:
+            turn = np.linspace(0.0, 2 * np.pi, 2000)
+            rim = np.stack([self.size[0] * np.cos(turn), self.size[0] * np.sin(turn)], axis=1)
+            corners = np.concatenate([np.insert(rim, 2, z, axis=1) for z in (-self.size[1], self.size[1])])
+        heights = self.position[2] + corners @ self.rotation[2]
+        return float(heights.min()), float(heights.max())
+
+
+def draw(kind: WorldKind, seed: int = 0) -> list[Solid]:
+    """The solids of one world, in the order in which they are added."""
+    spec = mujoco.MjSpec()
+    kind.add_to(spec, rng=np.random.default_rng(seed))
+    return [Solid(g.type, np.array(g.size), np.array(g.pos), np.array(g.quat)) for g in spec.geoms]
+
+
+def looks_uniform(values: object, low: float, high: float) -> bool:
+    """Whether values lie between the bounds and are spread evenly there (Kolmogorov and Smirnov)."""
+    values = np.asarray(values, dtype=np.float64)
+    within = low - 1e-9 <= values.min() and values.max() <= high + 1e-9
+    return bool(within and stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3)
+
+
+def looks_like_share(count: int, of: int, share: float) -> bool:
+    """Whether `count` of `of` is as a share drawn one by one would have it."""
+    return bool(stats.binomtest(count, of, share).pvalue > 1e-3)

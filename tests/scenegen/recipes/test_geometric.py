@@ -1,0 +1,249 @@
+"""Every parameter of geometric worlds does what it says."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from scenegen.recipes.geometric import Geometric
+from tests.scenegen.recipes import Geom, Solid, draw, looks_like_share, looks_uniform
+
+AREA = {"size_m": (60.0, 40.0, 9.0), "ground": False}
+NOTHING = {"density": (1e-9, 1e-9), "wall_density": (0.0, 0.0), "clutter_density": (0.0, 0.0)}
+"""Not one of anything in 2400 square metres."""
+SHAPES = {Geom.mjGEOM_SPHERE: 1, Geom.mjGEOM_CYLINDER: 2, Geom.mjGEOM_BOX: 3}
+"""How many sizes a shape has."""
+
+
+def solids(seed: int = 0, count: int = 600, **parameters: Any) -> list[Solid]:
+    """Nothing but the scattered solids of a world."""
+    share = count / 2400.0
+    return draw(Geometric(**AREA, **NOTHING | {"density": (share, share)} | parameters), seed)
+
+
+def walls(seed: int = 0, count: int = 300, **parameters: Any) -> list[Solid]:
+    """Nothing but walls."""
+    share = count / 2400.0
+    return draw(Geometric(**AREA, **NOTHING | {"wall_density": (share, share)} | parameters), seed)
+
+
+def heaps(seed: int = 0, count: int = 1, **parameters: Any) -> list[Solid]:
+    """Nothing but clutter."""
+    share = count / 2400.0
+    return draw(Geometric(**AREA, **NOTHING | {"clutter_density": (share, share)} | parameters), seed)
+
+
+def used_sizes(found: list[Solid]) -> np.ndarray:
+    """The sizes that matter, of all solids."""
+    return np.concatenate([solid.size[: SHAPES[solid.shape]] for solid in found])
+
+
+def roles(found: list[Solid]) -> list[str]:
+    """Whether each solid stands, is stacked right on the middle of an earlier one, or floats."""
+    low, high = np.array([solid.span for solid in found]).T
+    plan = np.array([solid.position[:2] for solid in found])
+    said = []
+    for n in range(len(found)):
+        under = (plan[:n] == plan[n]).all(axis=1) & (np.abs(high[:n] - low[n]) < 1e-5)
+        said.append("standing" if abs(low[n]) < 1e-5 else "stacked" if under.any() else "floating")
+    return said
+
+
+def test_the_logarithm_of_the_density_is_uniform() -> None:
+    counts = [len(solids(seed, density=(0.01, 0.15))) for seed in range(120)]
+    assert looks_uniform(np.log(np.array(counts) / 2400.0), np.log(0.01) - 0.02, np.log(0.15) + 0.02)
+    assert {len(solids(seed, count=70)) for seed in range(5)} == {70}
+
+
+def test_shapes_come_in_thirds_and_spread_over_the_plan() -> None:
+    found = solids(stacked_share=0.0)
+    for shape in SHAPES:
+        assert looks_like_share(sum(solid.shape == shape for solid in found), len(found), 1 / 3)
+    plan = np.array([solid.position for solid in found])
+    assert looks_uniform(plan[:, 0], 0.0, 60.0)
+    assert looks_uniform(plan[:, 1], 0.0, 40.0)
+
+
+def test_sizes_are_drawn_axis_by_axis_between_their_bounds() -> None:
+    found = solids(half_size_m=(0.2, 1.7), scale=(1.0, 1.0))
+    assert looks_uniform(used_sizes(found), 0.2, 1.7)
+    boxes = np.array([solid.size for solid in found if solid.shape == Geom.mjGEOM_BOX])
+    assert np.abs(np.corrcoef(boxes.T) - np.eye(3)).max() < 0.25
+
+
+def test_the_scale_is_a_factor_on_half_sizes_drawn_once_a_world() -> None:
+    factors = []
+    for seed in range(100):
+        sizes = used_sizes(solids(seed, count=12, half_size_m=(0.5, 0.5), scale=(0.6, 1.8)))
+        assert np.ptp(sizes) < 1e-12
+        factors.append(sizes[0] / 0.5)
+    assert looks_uniform(factors, 0.6, 1.8)
+
+
+def test_the_scale_leaves_walls_and_clutter_alone() -> None:
+    small, large = ((0.1, 0.1), (9.0, 9.0))
+    for some in (walls, heaps):
+        assert np.array_equal(*(used_sizes(some(scale=scale)) for scale in (small, large)))
+
+
+@pytest.mark.parametrize(("standing", "stacked"), [(0.5, 0.2), (0.1, 0.8), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)])
+@pytest.mark.parametrize("tilted", [0.0, 1.0])
+def test_solids_stand_are_stacked_or_float_in_their_shares(standing: float, stacked: float, tilted: float) -> None:
+    found = solids(standing_share=standing, stacked_share=stacked, tilted_share=tilted, count=400)
+    said = roles(found)
+    if stacked == 1.0:
+        assert said == ["floating"] + ["stacked"] * 399, "the first has nothing to stand on"
+        return
+    for name, share in {"standing": standing, "stacked": stacked, "floating": 1 - standing - stacked}.items():
+        assert looks_like_share(said.count(name), len(said), share), (name, said.count(name))
+
+
+def test_solids_are_stacked_on_any_earlier_one() -> None:
+    found = solids(standing_share=0.0, stacked_share=1.0, count=400)
+    tops = np.array([solid.span[1] for solid in found])
+    under = [int(np.abs(tops[:n] - found[n].span[0]).argmin()) for n in range(400)[1:]]
+    assert looks_uniform(np.array(under[20:]) / np.arange(21, 400), 0.0, 1.0)
+
+
+def test_standing_solids_touch_the_ground_whatever_their_attitude() -> None:
+    for tilted in (0.0, 1.0):
+        found = solids(standing_share=1.0, stacked_share=0.0, tilted_share=tilted)
+        np.testing.assert_allclose([solid.span[0] for solid in found], 0.0, rtol=0, atol=1e-5)
+        assert len({solid.shape for solid in found}) == 3
+
+
+def test_floating_solids_have_their_centres_at_any_height() -> None:
+    found = solids(standing_share=0.0, stacked_share=0.0)
+    assert looks_uniform([solid.position[2] for solid in found], 0.0, 9.0)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_tilted_solids_come_in_their_share_and_at_any_attitude(share: float) -> None:
+    found = solids(tilted_share=share)
+    tilted = [solid for solid in found if not solid.upright]
+    assert looks_like_share(len(tilted), len(found), share)
+    if tilted:  # of a direction drawn evenly over the sphere, every component is uniform (Archimedes)
+        for own in np.eye(3):
+            for axis in range(3):
+                assert looks_uniform([(solid.rotation @ own)[axis] for solid in tilted], -1.0, 1.0)
+    if len(tilted) < len(found):
+        assert looks_uniform([solid.yaw for solid in found if solid.upright], 0.0, 2 * np.pi)
+
+
+def test_the_wall_density_is_drawn_once_a_world_between_its_bounds() -> None:
+    counts = [len(walls(seed, wall_density=(0.01, 0.06))) for seed in range(80)]
+    assert looks_uniform(np.array(counts) / 2400.0, 0.01 - 3e-4, 0.06 + 3e-4)
+    assert {len(walls(seed, count=33)) for seed in range(5)} == {33}
+
+
+def test_walls_are_upright_slabs_on_the_ground_within_their_ranges() -> None:
+    ranges = {"wall_length_m": (3.0, 6.5), "wall_height_m": (1.0, 4.0), "wall_half_thickness_m": (0.05, 0.25)}
+    found = walls(**ranges)
+    assert {solid.shape for solid in found} == {Geom.mjGEOM_BOX}
+    assert all(solid.upright for solid in found)
+    sizes = np.array([solid.size for solid in found])
+    assert looks_uniform(2 * sizes[:, 0], *ranges["wall_length_m"])
+    assert looks_uniform(sizes[:, 1], *ranges["wall_half_thickness_m"])
+    low, high = np.array([solid.span for solid in found]).T
+    np.testing.assert_allclose(low, 0.0, rtol=0, atol=1e-9)
+    assert looks_uniform(high, *ranges["wall_height_m"])
+
+
+def test_walls_are_turned_at_will_and_spread_over_the_plan() -> None:
+    found = walls()
+    assert looks_uniform([solid.yaw for solid in found], 0.0, np.pi)
+    plan = np.array([solid.position for solid in found])
+    assert looks_uniform(plan[:, 0], 0.0, 60.0)
+    assert looks_uniform(plan[:, 1], 0.0, 40.0)
+
+
+def test_the_clutter_density_is_drawn_once_a_world_between_its_bounds() -> None:
+    counts = [len(heaps(seed, clutter_density=(0.005, 0.03), clutter_count=(1, 1))) for seed in range(80)]
+    assert looks_uniform(np.array(counts) / 2400.0, 0.005 - 3e-4, 0.03 + 3e-4)
+    assert {len(heaps(seed, count=21, clutter_count=(3, 3))) for seed in range(5)} == {63}
+
+
+def test_a_heap_has_a_count_of_solids_with_both_bounds_included() -> None:
+    counts = np.bincount([len(heaps(seed, clutter_count=(4, 8))) for seed in range(250)], minlength=10)
+    assert counts[4:9].sum() == 250
+    assert stats.chisquare(counts[4:9]).pvalue > 1e-3
+
+
+def test_a_heap_is_small_tilted_solids_on_the_ground_about_its_place() -> None:
+    found = heaps(clutter_count=(900, 900), clutter_spread_m=0.8, clutter_half_size_m=(0.05, 0.45))
+    assert looks_uniform(used_sizes(found), 0.05, 0.45)
+    for shape in SHAPES:
+        assert looks_like_share(sum(solid.shape == shape for solid in found), len(found), 1 / 3)
+    assert looks_uniform([solid.rotation[2, 2] for solid in found], -1.0, 1.0)
+    plan = np.array([solid.position[:2] for solid in found])
+    for axis in range(2):
+        assert stats.kstest(plan[:, axis] - plan[:, axis].mean(), stats.norm(scale=0.8).cdf).pvalue > 1e-3
+    lift = np.array([solid.span[0] for solid in found])
+    assert lift.min() > -1e-5
+    assert stats.kstest(lift, stats.halfnorm(scale=0.8).cdf).pvalue > 1e-3
+
+
+def test_heaps_spread_over_the_plan() -> None:
+    plan = np.array([solid.position for solid in heaps(count=300, clutter_count=(1, 1), clutter_spread_m=1e-6)])
+    assert looks_uniform(plan[:, 0], -1e-4, 60.0 + 1e-4)
+    assert looks_uniform(plan[:, 1], -1e-4, 40.0 + 1e-4)
+
+
+def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0() -> None:
+    (floor,) = draw(Geometric(**NOTHING, size_m=(12.0, 30.0, 5.0), ground_m=0.6))
+    assert floor.shape == Geom.mjGEOM_BOX
+    np.testing.assert_allclose(floor.size, [6.0, 15.0, 0.3])
+    np.testing.assert_allclose(floor.position, [6.0, 15.0, -0.3])
+    assert floor.upright
+    assert draw(Geometric(**NOTHING, ground=False)) == []
+
+
+def test_a_world_depends_on_the_state_of_the_generator_alone() -> None:
+    first, again, other = (draw(Geometric(density=(0.05, 0.05)), seed) for seed in (5, 5, 6))
+    for name in ("size", "position", "quaternion"):
+        same = [np.array([getattr(solid, name) for solid in found[:60]]) for found in (first, again, other)]
+        np.testing.assert_array_equal(same[0], same[1])
+        assert not np.array_equal(same[0], same[2])
+
+
+BAD = [
+    ("density", (0.0, 0.1)),
+    ("density", (0.2, 0.1)),
+    ("half_size_m", (0.0, 1.0)),
+    ("half_size_m", (1.0, 0.5)),
+    ("scale", (0.0, 1.0)),
+    ("scale", (1.0, 0.5)),
+    ("standing_share", 1.1),
+    ("standing_share", 0.9),
+    ("stacked_share", -0.1),
+    ("stacked_share", 0.6),
+    ("tilted_share", float("nan")),
+    ("tilted_share", 1.1),
+    ("wall_density", (-0.1, 0.1)),
+    ("wall_density", (0.0, float("inf"))),
+    ("wall_length_m", (8.0, 2.0)),
+    ("wall_length_m", (0.0, 2.0)),
+    ("wall_height_m", (0.0, 2.0)),
+    ("wall_half_thickness_m", (0.2, 0.1)),
+    ("clutter_density", (0.2, 0.1)),
+    ("clutter_count", (8, 4)),
+    ("clutter_count", (-1, 4)),
+    ("clutter_spread_m", 0.0),
+    ("clutter_half_size_m", (0.0, 0.1)),
+    ("size_m", (-40.0, 40.0, 10.0)),
+    ("size_m", (40.0, float("nan"), 10.0)),
+    ("ground_m", -0.2),
+    ("ground_m", float("inf")),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), BAD)
+def test_bad_values_are_named(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name):
+        Geometric(**{name: value})
+
+
+def test_every_parameter_has_bad_values() -> None:
+    assert {name for name, _ in BAD} == {field.name for field in dataclasses.fields(Geometric)} - {"ground"}

@@ -1,0 +1,170 @@
+"""Every parameter of pillar worlds does what it says."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from scenegen.recipes.pillar import Pillar
+from tests.scenegen.recipes import Geom, Solid, draw, looks_like_share, looks_uniform
+
+MANY = {"size_m": (100.0, 60.0, 10.0), "density": (0.1, 0.1)}
+"""600 pillars."""
+PAIR = {"size_m": (20.0, 10.0, 10.0), "density": (0.01, 0.01), "passage_share": 1.0}
+"""Two pillars, of which the second is set beside the first."""
+
+
+def hull(pillar: Solid) -> float:
+    """Radius of the least upright cylinder around a pillar."""
+    return pillar.size[0] if pillar.shape == Geom.mjGEOM_CYLINDER else float(np.hypot(*pillar.size[:2]))
+
+
+def gaps(pillars: list[Solid]) -> np.ndarray:
+    """(n, n): metres between the round hulls, seen from above; inf where the other one is no earlier one."""
+    plan, hulls = np.array([p.position[:2] for p in pillars]), np.array([hull(p) for p in pillars])
+    apart = np.linalg.norm(plan[:, None] - plan, axis=2) - hulls[:, None] - hulls
+    apart[np.triu_indices(len(pillars))] = np.inf
+    return apart
+
+
+def test_the_density_is_drawn_once_a_world_between_its_bounds() -> None:
+    kind = Pillar(size_m=(50.0, 80.0, 10.0), density=(0.01, 0.05))
+    counts = [len(draw(kind, seed)) for seed in range(80)]
+    assert looks_uniform(np.array(counts) / 4000.0, 0.01, 0.05)
+    assert {len(draw(Pillar(**MANY), seed)) for seed in range(5)} == {600}
+
+
+def test_a_world_too_small_for_its_density_has_one_pillar() -> None:
+    assert len(draw(Pillar(size_m=(1.0, 1.0, 1.0), density=(0.0, 0.01)))) == 1
+
+
+def test_pillars_spread_over_the_plan() -> None:
+    plan = np.array([p.position for p in draw(Pillar(**MANY, passage_share=0.0))])
+    assert looks_uniform(plan[:, 0], 0.0, 100.0)
+    assert looks_uniform(plan[:, 1], 0.0, 60.0)
+
+
+def test_half_widths_are_drawn_between_their_bounds() -> None:
+    for round_share in (0.0, 1.0):
+        pillars = draw(Pillar(**MANY, half_width_m=(0.15, 0.9), round_share=round_share, oblong_share=0.0))
+        assert looks_uniform([p.size[0] for p in pillars], 0.15, 0.9)
+
+
+@pytest.mark.parametrize(("round_share", "oblong_share"), [(0.7, 0.1), (0.2, 0.5), (0.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+def test_sections_come_in_their_shares(round_share: float, oblong_share: float) -> None:
+    pillars = draw(Pillar(**MANY, round_share=round_share, oblong_share=oblong_share))
+    counted = {"round": 0, "square": 0, "oblong": 0}
+    for pillar in pillars:
+        if pillar.shape == Geom.mjGEOM_CYLINDER:
+            counted["round"] += 1
+        else:
+            assert pillar.shape == Geom.mjGEOM_BOX
+            counted["square" if pillar.size[0] == pillar.size[1] else "oblong"] += 1
+    for name, share in {"round": round_share, "oblong": oblong_share, "square": 1 - round_share - oblong_share}.items():
+        assert looks_like_share(counted[name], len(pillars), share), (name, counted)
+
+
+@pytest.mark.parametrize("ratio", [1.5, 4.0])
+def test_oblong_pillars_are_up_to_the_ratio_as_long_as_wide(ratio: float) -> None:
+    kind = Pillar(**MANY, round_share=0.0, oblong_share=1.0, oblong_ratio=ratio, half_width_m=(0.2, 0.4))
+    pillars = draw(kind)
+    assert looks_uniform([p.size[1] / p.size[0] for p in pillars], 1.0, ratio)
+    assert looks_uniform([p.size[0] for p in pillars], 0.2, 0.4)
+
+
+@pytest.mark.parametrize("round_share", [0.0, 1.0])
+def test_pillars_stand_upright_on_the_ground_as_tall_as_they_are_drawn(round_share: float) -> None:
+    pillars = draw(Pillar(**MANY, round_share=round_share, oblong_share=0.0, height_m=(2.0, 7.0)))
+    low, high = np.array([p.span for p in pillars]).T
+    np.testing.assert_allclose(low, 0.0, rtol=0, atol=1e-9)
+    assert looks_uniform(high, 2.0, 7.0)
+    assert all(p.upright for p in pillars)
+
+
+def test_square_and_oblong_pillars_are_turned_about_the_vertical_at_will() -> None:
+    pillars = draw(Pillar(**MANY, round_share=0.0, oblong_share=0.5))
+    assert all(p.upright for p in pillars)
+    assert looks_uniform([p.yaw for p in pillars], 0.0, np.pi)
+
+
+@pytest.mark.parametrize("sections", [(1.0, 0.0), (0.0, 0.0), (0.0, 1.0), (0.4, 0.3)])
+def test_pillars_of_a_passage_stand_its_width_from_an_earlier_ones_hull(sections: tuple[float, float]) -> None:
+    """Set beside one that is itself set beside another, and so on, each passage is exactly as wide as asked for."""
+    round_share, oblong_share = sections
+    kind = Pillar(**MANY, passage_share=1.0, passage_m=(0.77, 0.77), round_share=round_share, oblong_share=oblong_share)
+    exact = np.abs(gaps(draw(kind)) - 0.77) < 1e-9
+    assert exact[1:].any(axis=1).all()
+    chosen = exact[1:].argmax(axis=1) / np.arange(1, len(exact))  # which of the earlier ones, from first to last
+    assert looks_uniform(chosen[20:], 0.0, 1.0)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.6])
+def test_passages_come_in_their_share(share: float) -> None:
+    kind = Pillar(**MANY, passage_share=share, passage_m=(0.77, 0.77))
+    beside = (np.abs(gaps(draw(kind)) - 0.77) < 1e-9).any(axis=1)
+    assert looks_like_share(int(beside[1:].sum()), len(beside) - 1, share)
+
+
+def test_passages_are_drawn_between_their_bounds_in_every_direction() -> None:
+    widths, angles = [], []
+    for seed in range(200):
+        first, second = draw(Pillar(**PAIR, passage_m=(0.3, 1.9)), seed)
+        widths.append(gaps([first, second])[1, 0])
+        angles.append(np.arctan2(*(second.position - first.position)[1::-1]) % (2 * np.pi))
+    assert looks_uniform(widths, 0.3, 1.9)
+    assert looks_uniform(angles, 0.0, 2 * np.pi)
+
+
+def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0() -> None:
+    without = draw(Pillar(**PAIR))
+    floor, *pillars = draw(Pillar(**PAIR, ground=True, ground_m=0.35))
+    assert floor.shape == Geom.mjGEOM_BOX
+    np.testing.assert_allclose(floor.size, [10.0, 5.0, 0.175])
+    np.testing.assert_allclose(floor.position, [10.0, 5.0, -0.175])
+    assert floor.upright
+    assert floor.span == pytest.approx((-0.35, 0.0), abs=1e-12)
+    assert len(pillars) == len(without)
+
+
+def test_a_world_depends_on_the_state_of_the_generator_alone() -> None:
+    first, again, other = (draw(Pillar(), seed) for seed in (5, 5, 6))
+    for name in ("size", "position", "quaternion"):
+        same = [np.array([getattr(p, name) for p in pillars[:50]]) for pillars in (first, again, other)]
+        np.testing.assert_array_equal(same[0], same[1])
+        assert not np.array_equal(same[0], same[2])
+
+
+BAD = [
+    ("density", (0.2, 0.1)),
+    ("density", (-0.1, 0.1)),
+    ("density", (0.1, float("inf"))),
+    ("half_width_m", (0.5, 0.2)),
+    ("half_width_m", (0.0, 0.2)),
+    ("round_share", -0.01),
+    ("round_share", 1.01),
+    ("round_share", 0.95),
+    ("oblong_share", 2.0),
+    ("oblong_share", 0.4),
+    ("oblong_ratio", 0.9),
+    ("oblong_ratio", float("nan")),
+    ("passage_share", float("nan")),
+    ("passage_share", 1.5),
+    ("passage_m", (1.2, 0.7)),
+    ("passage_m", (-0.7, 1.2)),
+    ("height_m", (0.0, 10.0)),
+    ("height_m", (float("nan"), 10.0)),
+    ("size_m", (40.0, 0.0, 10.0)),
+    ("size_m", (40.0, 40.0, float("inf"))),
+    ("ground_m", 0.0),
+    ("ground_m", float("nan")),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), BAD)
+def test_bad_values_are_named(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name):
+        Pillar(**{name: value})
+
+
+def test_every_parameter_has_bad_values() -> None:
+    assert {name for name, _ in BAD} == {field.name for field in dataclasses.fields(Pillar)} - {"ground"}

@@ -1,0 +1,164 @@
+"""What `inspect` says of a dataset is what a reader of its HDF5 files counts."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import cli
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError
+from scenegen.inspect import inspect
+from scenegen.source import DrawnWorlds
+from tests.conftest import picky_recipe
+
+COUNTS = {"train": 11, "val": 0, "test": 4}
+KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m"}
+
+
+def make(folder: Path, *, compact: bool = False, shards: tuple[int, int] | None = None) -> Path:
+    recipe = picky_recipe()
+    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS, shard_samples=3, compact=compact)
+    build(plan, workers=1, shard_range=shards)
+    return folder
+
+
+def fields(folder: Path, split: str) -> dict[str, np.ndarray]:
+    """All samples of a split, as its files hold them."""
+    files = sorted(folder.glob(f"{split}-*.h5"))
+    opened = [h5py.File(file, "r") for file in files]
+    found = {name: np.concatenate([file[name][:] for file in opened]) for name in opened[0]}
+    for file in opened:
+        file.close()
+    return found
+
+
+def recomputed(stored: dict[str, np.ndarray], chosen: np.ndarray) -> dict[str, list[float]]:
+    """Each figure of each chosen sample, loop by loop."""
+    rows: dict[str, list[float]] = {key: [] for key in KEYS}
+    for n in chosen:
+        finite = [float(r) for r in stored["ranges"][n].ravel() if r < np.inf]
+        rows["returned"].append(len(finite) / stored["ranges"][n].size)
+        if finite:
+            rows["range_m"].append(sum(finite) / len(finite))
+        for key, name in (("occupied", "occupancy"), ("observed", "observed"), ("free", "free")):
+            rows[key].append(int((stored[name][n] != 0).sum()) / stored[name][n].size)
+        rows["tudf_m"].append(float(stored["tudf"][n].astype(np.float64).sum()) / stored["tudf"][n].size)
+    return rows
+
+
+def check(statistics: dict[str, dict[str, Any]], rows: dict[str, list[float]]) -> None:
+    assert set(statistics) == KEYS
+    for key, values in rows.items():
+        mean = sum(values) / len(values)
+        expected = {
+            "mean": mean,
+            "std": (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5,
+            "min": min(values),
+            "max": max(values),
+        }
+        assert set(statistics[key]) == set(expected)
+        for name, value in expected.items():
+            assert statistics[key][name] == pytest.approx(value, rel=1e-5, abs=1e-7), (key, name)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make(tmp_path_factory.mktemp("inspect") / "full")
+
+
+def test_statistics_are_those_of_the_files(full: Path) -> None:
+    found = inspect(full)
+    assert list(found["splits"]) == ["train", "test"]
+    for name, split in found["splits"].items():
+        stored = fields(full, name)
+        assert split["samples"] == split["sampled"] == len(stored["world"]) == COUNTS[name]
+        assert split["worlds"] == len(set(stored["world"].tolist()))
+        check(split["statistics"], recomputed(stored, np.arange(COUNTS[name])))
+        for key in KEYS:
+            assert split["statistics"][key]["std"] > 0, f"{key} is the same in all samples: the test shows little"
+
+
+def test_counts_sizes_and_origin_are_those_of_the_folder(full: Path) -> None:
+    found = inspect(full)
+    manifest = json.loads(next(full.glob("*.json")).read_text())
+    assert found["samples"] == sum(COUNTS.values())
+    assert found["bytes"] == sum(len(path.read_bytes()) for path in full.iterdir())
+    assert found["bytes_per_sample"] == pytest.approx(found["bytes"] / sum(COUNTS.values()))
+    for name in ("kind", "seed", "complete", "digest", "fields", "grid", "rejected"):
+        assert found[name] == manifest[name]
+    assert found["complete"] is True
+
+
+def test_a_compact_dataset_says_the_same(full: Path, tmp_path: Path) -> None:
+    """Free space and distances are derived."""
+    compact = inspect(make(tmp_path / "compact", compact=True))
+    whole = inspect(full)
+    assert compact["splits"] == whole["splits"]
+    assert compact["bytes"] < whole["bytes"]
+
+
+@pytest.mark.parametrize("most", [1, 2, 4, 10, 11, 200])
+def test_at_most_so_many_samples_are_measured_evenly_spread(full: Path, most: int) -> None:
+    split = inspect(full, most=most)["splits"]["train"]
+    count = min(most, COUNTS["train"])
+    assert split["sampled"] == count
+    assert split["samples"] == COUNTS["train"]
+    chosen = [n * (COUNTS["train"] - 1) // max(count - 1, 1) for n in range(count)]  # from the first to the last
+    check(split["statistics"], recomputed(fields(full, "train"), np.array(chosen)))
+
+
+def blind(folder: Path, split: str, rows: slice) -> None:
+    """Take the returns of some samples of a split's first file away."""
+    with h5py.File(folder / f"{split}-00000.h5", "r+") as file:
+        ranges, observed = file["ranges"][:], file["observed"][:]
+        ranges[rows], observed[rows] = np.inf, False
+        file["ranges"][:], file["observed"][:] = ranges, observed
+
+
+def test_a_sample_without_returns_has_no_mean_range(tmp_path: Path) -> None:
+    folder = make(tmp_path / "d")
+    blind(folder, "train", slice(1, 2))
+    split = inspect(folder)["splits"]["train"]
+    assert split["statistics"]["returned"]["min"] == 0
+    check(split["statistics"], recomputed(fields(folder, "train"), np.arange(COUNTS["train"])))
+
+
+def test_a_split_without_returns_gives_valid_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = make(tmp_path / "d")
+    for file in sorted(folder.glob("test-*.h5")):
+        with h5py.File(file, "r+") as opened:
+            opened["ranges"][:] = np.inf
+    found = inspect(folder)
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    statistics = found["splits"]["test"]["statistics"]
+    assert statistics["range_m"] == {"mean": None, "std": None, "min": None, "max": None}
+    assert statistics["returned"] == {"mean": 0, "std": 0, "min": 0, "max": 0}
+    assert statistics["occupied"]["mean"] > 0
+    for words in (("--json",), ()):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", ["scenegen", "inspect", str(folder), *words])
+            with pytest.raises(SystemExit) as ended:
+                cli.main()
+        said = capsys.readouterr().out
+        assert not ended.value.code
+        assert "nan" not in said.lower()
+
+
+def test_an_unfinished_dataset_is_told_as_far_as_it_is(tmp_path: Path) -> None:
+    folder = make(tmp_path / "d", shards=(0, 2))
+    found = inspect(folder)
+    assert found["complete"] is False
+    assert found["samples"] == len(Dataset(folder, partial=True).split("train")) == 6
+    assert list(found["splits"]) == ["train"]
+    check(found["splits"]["train"]["statistics"], recomputed(fields(folder, "train"), np.arange(6)))
+
+
+def test_a_folder_that_holds_no_dataset_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="not a dataset"):
+        inspect(tmp_path)
