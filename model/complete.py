@@ -1,7 +1,8 @@
 """One protocol for everything that completes a map, and the methods that need no learning.
 
-A completer sees what one scan tells of a map and says what is there. What it leaves out is derived as the paper does for its
-single-task networks: distances by the transform of the predicted occupancy, occupancy by a threshold on the distance.
+A completer sees what one scan tells of a map and says what is there. What it leaves out is derived as the paper does
+for its single-task networks: distances by the transform of the predicted occupancy, occupancy by a threshold on the
+distance.
 """
 
 from dataclasses import dataclass

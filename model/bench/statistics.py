@@ -47,8 +47,8 @@ def summarize(values: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator)
 def paired_p(first: ArrayLike, second: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator) -> float:
     """Two-sided p-value that two methods do equally well on the same samples (N,) each.
 
-    A sign-flip permutation test on the worlds' summed differences: under the hypothesis, which method is which is a coin
-    toss in every world. Samples where either is NaN are left out; 1 where none differs.
+    A sign-flip permutation test on the worlds' summed differences: under the hypothesis, which method is which is a
+    coin toss in every world. Samples where either is NaN are left out; 1 where none differs.
     """
     difference = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
     held = np.isfinite(difference)
@@ -75,4 +75,4 @@ def _by_world(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Sums and counts of the values of every world."""
     _, member = np.unique(worlds, return_inverse=True)
-    return np.bincount(member, weights=values), np.bincount(member).astype(np.float64)
+    return np.bincount(member, weights=values).astype(np.float64), np.bincount(member).astype(np.float64)

@@ -7,8 +7,8 @@ from lidarsim import GridSpec, Lidar, Pose, Scan, voxelize
 from scenegen.sample import Sample
 
 CLASSES = ("observed", "crossed", "occluded", "interior", "out_of_view")
-"""observed: holds a return · crossed: free by some ray · interior: inside a solid, all six neighbours occupied, and never
-seen · occluded: a ray would come by if nothing stood in its way · out_of_view: no ray of the sensor comes by at all."""
+"""observed: holds a return · crossed: free by some ray · interior: never seen, inside a solid, all six neighbours
+occupied · occluded: a ray would come by if nothing stood in its way · out_of_view: no ray of the sensor comes by."""
 
 
 def classify(sample: Sample, *, lidar: Lidar, grid: GridSpec) -> NDArray[np.uint8]:
