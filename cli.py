@@ -98,7 +98,7 @@ def app() -> None:
 @click.option("--shard-samples", type=click.IntRange(min=1), default=100, show_default=True, help="Samples in a file.")
 @click.option("--split-range", type=ShardRange(), help="Only these shards, for a cluster; --dry-run counts them.")
 @click.option("--allow-unseen", is_flag=True, help="Take scenes with geoms that rays cannot see; leave these out.")
-@click.option("--force", is_flag=True, help="Replace another dataset in the same folder.")
+@click.option("--force", is_flag=True, help="Begin anew, whatever dataset is in the folder.")
 @click.option("--dry-run", is_flag=True, help="Say what would be made, and make nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
@@ -167,9 +167,13 @@ def _plan(kind: str | None, scene: Path | None, recipe_file: Path | None, counts
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     named = "scene" if scene is not None else kind
     recipe = read_recipe(recipe_file, named) if recipe_file is not None else preset(str(named))
-    source: Source = DrawnWorlds(recipe)
+    source: Source
     if scene is not None:
         source = read_scenes(scene, counts, seed=options["seed"], allow_unseen=options["allow_unseen"])
+    elif recipe.world is None:
+        raise click.UsageError(f'{recipe_file}: kind "scene" needs the worlds, too: give --scene')
+    else:
+        source = DrawnWorlds(recipe)
     return plan_dataset(
         options["out"] or Path("data") / (scene.stem if scene is not None else recipe.kind),
         recipe,
@@ -404,10 +408,8 @@ def _print_inspection(folder: Path, found: dict[str, Any]) -> None:
         rows = {}
         for key, value in split["statistics"].items():
             label, unit, factor = units.get(key, (key, "%", 100))
-            rows[label] = (
-                f"{value['mean'] * factor:6.2f} ± {value['std'] * factor:5.2f} {unit}"
-                f"   from {value['min'] * factor:.2f} to {value['max'] * factor:.2f}"
-            )
+            mean, std, low, high = (None if value[name] is None else value[name] * factor for name in value)
+            rows[label] = "–" if mean is None else f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
         title = f"{name}: {split['samples']} samples of {split['worlds']} worlds ({split['sampled']} measured)"
         _print_table(rows, title)
 

@@ -24,12 +24,12 @@ class GridSpec:
 
     def __post_init__(self) -> None:
         if len(self.shape) != 3 or not all(np.isfinite(n) and n >= 1 and int(n) == n for n in self.shape):
-            raise ValueError(f"grid: shape = {self.shape} must be three whole numbers of at least 1")
+            raise ValueError(f"shape = {self.shape} must be three whole numbers of at least 1")
         object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
         for name in ("voxel_m", "truncation_m"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"grid: {name} = {value} must be a positive length in metres")
+                raise ValueError(f"{name} = {value} must be a positive length in metres")
 
     @property
     def extent_m(self) -> NDArray[np.float64]:

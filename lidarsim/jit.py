@@ -2,7 +2,8 @@
 
 Numba keys a cached kernel on its own file alone, so a kernel that calls one in another file would go on running the
 old callee after an update. Here the cache lies in a folder named after numba's version and the content of every file
-with kernels. A constant that a kernel uses must therefore stand in such a file.
+with kernels; a constant that a kernel uses must therefore stand in such a file. The folder is made under the
+environment's SCENEGEN_CACHE, XDG_CACHE_HOME or ~/.cache, in that order.
 """
 
 import hashlib
@@ -20,10 +21,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def kernel(function: F) -> F:
     """Compile `function` on first use; keep the machine code for later processes."""
-    package = function.__module__.split(".")[0]
-    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder(package))
+    folder = cache_folder(function.__module__.split(".")[0])
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        folder.mkdir(parents=True, exist_ok=True)
+        kept = os.access(folder, os.W_OK)
+    except OSError:
+        kept = False  # compiled anew by every process: slower to start, but right
+    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+    try:
+        return numba.njit(cache=kept, nogil=True, error_model="numpy")(function)
     finally:
         numba.config.CACHE_DIR = previous
 

@@ -16,8 +16,8 @@ class Lidar:
 
     Ray (r, c) has, in the sensor frame (x forward, y left, z up), elevation from ``-vertical_fov / 2`` (r = 0) to
     ``+vertical_fov / 2``, both ends included, and azimuth from ``-horizontal_fov / 2`` (c = 0) counter-clockwise; a
-    full turn leaves its end out, a narrower field includes it. The defaults are the paper's sensor: 4 degrees
-    between lines, 3 degrees between columns.
+    full turn leaves its end out, a narrower field includes it. The counts, 60 and 30
+    degrees and 10 m are the paper's; the full turn and the rigid tilt are how we read it.
     """
 
     rows: int = 16
@@ -40,7 +40,7 @@ class Lidar:
         for name in ("rows", "columns"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 1 and int(value) == value):
-                raise ValueError(f"lidar: {name} = {getattr(self, name)} must be a whole number of at least 1")
+                raise ValueError(f"{name} = {getattr(self, name)} must be a whole number of at least 1")
         for name, low, high in (
             ("vertical_fov_deg", 0.0, 180.0),
             ("horizontal_fov_deg", 0.0, 360.0),
@@ -48,11 +48,11 @@ class Lidar:
         ):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ValueError(f"lidar: {name} = {value} must lie in [{low:g}, {high:g}] degrees")
+                raise ValueError(f"{name} = {value} must lie in [{low:g}, {high:g}] degrees")
         if not (np.isfinite(self.max_range_m) and self.max_range_m > 0):
-            raise ValueError(f"lidar: max_range_m = {self.max_range_m} must be a positive length in metres")
+            raise ValueError(f"max_range_m = {self.max_range_m} must be a positive length in metres")
         if self.mount not in ("tilt", "band"):
-            raise ValueError(f"lidar: mount = {self.mount!r} must be 'tilt' or 'band'")
+            raise ValueError(f"mount = {self.mount!r} must be 'tilt' or 'band'")
 
     @cached_property
     def directions_body(self) -> NDArray[np.float64]:

@@ -38,8 +38,8 @@ class Unit:
 def draw_unit(source: Source, recipe: Recipe, *, seed: int, split: str, unit: int, derived: bool = True) -> Unit:
     """Samples of unit `unit` of `split`: they depend on the arguments alone, not on what was drawn before.
 
-    A draw that is rejected is made again under the same number. `derived` False leaves `free` and `tudf` out (empty
-    arrays stand in). Raises GenerationError after `recipe.accept.max_draws` draws.
+    A draw that is rejected is made again under the same number. `derived` False leaves `tudf` out (an empty array
+    stands in); `free` comes with `observed` anyway. Raises GenerationError after `recipe.accept.max_draws` draws.
     """
     rejected = Rejections()
     number, turn = source.number(split, unit)
@@ -123,7 +123,7 @@ def _apart(position: np.ndarray, kept: list[tuple[float, Scan, np.ndarray]], spa
 
 
 def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float:
-    """Solids that reach into the map, averaged over a flight's candidate viewpoints (m, 3)."""
+    """Solids whose bounding boxes reach into the map, averaged over a flight's candidate viewpoints (m, 3)."""
     if not len(positions):
         return 0.0
     positions = positions[:, None]
@@ -135,7 +135,6 @@ def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float
 
 def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> str:
     """Why no draw was kept, and what to change."""
-    (reason, _) = rejected.worlds.most_common(1)[0]
     counted = ", ".join(f"{count} {name}" for name, count in rejected.worlds.items())
     crowding: list[Any] = [] if recipe.world is None else list(recipe.world.crowding)
     given = ", ".join(f"world.{name} = {getattr(recipe.world, name)}" for name in crowding)
@@ -148,5 +147,7 @@ def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> 
         f"flight.spacing_m = {recipe.flight.spacing_m}, "
         f"accept.min_occupied_share = {recipe.accept.min_occupied_share} or "
         f"accept.min_returned_share = {recipe.accept.min_returned_share}",
-    }[reason]
-    return f"{split} world {number}: all {sum(rejected.worlds.values())} draws rejected ({counted}); {advice}"
+    }
+    total = sum(rejected.worlds.values())
+    advised = "; ".join(advice[reason] for reason, _ in rejected.worlds.most_common())
+    return f"{split} world {number}: all {total} draws rejected ({counted}); {advised}"

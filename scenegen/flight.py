@@ -1,5 +1,6 @@
 """Flights: OMPL's RRT between a random start and goal, and the viewpoints along the path."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,16 +43,16 @@ class Flight:
     def __post_init__(self) -> None:
         if not 0 < self.robot_radius_m < CAP_M:
             raise ValueError(f"robot_radius_m = {self.robot_radius_m}: expected above 0 and below {CAP_M:g} metres")
-        if len(self.altitude_m) != 2 or not self.altitude_m[0] < self.altitude_m[1]:
-            raise ValueError(f"altitude_m = {list(self.altitude_m)}: expected [low, high] with low < high")
+        if not (np.isfinite(self.altitude_m).all() and self.altitude_m[0] < self.altitude_m[1]):
+            raise ValueError(f"altitude_m = {list(self.altitude_m)}: expected [low, high] in metres, low < high")
         for name in ("viewpoints", "iterations", "flights_per_world"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: expected at least 1")
         for name in ("spacing_m", "step_m", "goal_tolerance_m"):
-            if not getattr(self, name) > 0:
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: expected a positive length in metres")
         for name in ("margin_m", "min_distance_m"):
-            if not getattr(self, name) >= 0:
+            if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: expected a length of at least 0 metres")
 
     def bounds(self, size_m: tuple[float, float, float]) -> NDArray[np.float64]:
@@ -109,7 +110,7 @@ def plan(
 
 
 class _Motions(ob.MotionValidator):
-    """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, exact between its ends."""
+    """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, to a millimetre between its ends."""
 
     def __init__(self, information: ob.SpaceInformation, clearance: Clearance, radius_m: float):
         super().__init__(information)

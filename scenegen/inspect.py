@@ -12,7 +12,8 @@ from scenegen.source import SPLITS
 def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:
     """A summary of the dataset in `folder`; statistics are taken over at most `most` samples a split, evenly spread.
 
-    Shares are of all voxels or of all rays, {mean, std, min, max} over samples. Raises DatasetError.
+    Shares are of all voxels or of all rays, {mean, std, min, max} over samples, None where no sample has the figure.
+    Raises DatasetError.
     """
     dataset = Dataset(folder, partial=True)
     found = {
@@ -43,18 +44,16 @@ def _describe(dataset: Dataset, name: str, most: int) -> dict[str, Any]:
         rows["returned"].append(float(hit.mean()))
         rows["range_m"].append(float(sample.ranges[hit].mean()) if hit.any() else float("nan"))
         rows["tudf_m"].append(float(sample.tudf.mean()))
-    statistics = {
-        key: {
-            "mean": float(np.nanmean(values)),
-            "std": float(np.nanstd(values)),
-            "min": float(np.nanmin(values)),
-            "max": float(np.nanmax(values)),
-        }
-        for key, values in rows.items()
-    }
+    statistics = {key: _statistics([value for value in values if value == value]) for key, values in rows.items()}
     return {
         "samples": len(split),
         "worlds": len({world for _, world, _ in split.names}),
         "sampled": len(chosen),
         "statistics": statistics,
     }
+
+
+def _statistics(values: list[float]) -> dict[str, float | None]:
+    if not values:
+        return dict.fromkeys(("mean", "std", "min", "max"))
+    return {"mean": float(np.mean(values)), "std": float(np.std(values)), "min": min(values), "max": max(values)}

@@ -44,7 +44,10 @@ class Acceptance:
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Everything besides the seed and the counts that decides a dataset's content."""
+    """Everything besides the seed and the counts that decides a dataset's content.
+
+    Raises ValueError where flights have no room in the world.
+    """
 
     kind: str
     """Name of a kind of world, or ``scene`` for worlds drawn by hand."""
@@ -57,10 +60,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         if self.world is not None:
-            try:
-                self.flight.bounds(self.world.size_m)
-            except ValueError as error:
-                raise RecipeError(f"recipe: flight.{error}") from None
+            self.flight.bounds(self.world.size_m)
 
     @property
     def version(self) -> int:
@@ -108,13 +108,18 @@ def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
         _check_name(kind, kind_names(), "kind", where)
         parts["world"] = found = find_kind(kind)
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
-    for name in tables:
+    for name, table in tables.items():
         _check_name(name, tuple(sorted(parts)), "table", where)
+        if not isinstance(table, dict):
+            raise RecipeError(f"{where}: {name} = {table!r}: expected a table, [{name}], of parameters")
     built = {
         name: _from_table(part, defaults.get(name, {}) | dict(tables.get(name, {})), f"{where}: [{name}]")
         for name, part in parts.items()
     }
-    return Recipe(kind=kind, **built)
+    try:
+        return Recipe(kind=kind, **built)
+    except ValueError as error:
+        raise RecipeError(f"{where}: [flight] {error}") from None
 
 
 def _from_table(part: type, table: dict[str, Any], where: str) -> Any:

@@ -12,11 +12,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from scenegen.errors import SceneError
+from scenegen.errors import RecipeError, SceneError
 from scenegen.recipe import Recipe
 from scenegen.world import World, compile_world, load_scene, write_world
 
 SPLITS = ("train", "val", "test")
+SHARES = {"train": 10, "val": 1, "test": 2}
+"""How a folder of worlds is dealt out."""
 
 
 class Source(Protocol):
@@ -48,10 +50,13 @@ class DrawnWorlds:
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
         """See `Source.world`."""
         kind = self.recipe.world
-        assert kind is not None
-        return write_world(
-            lambda spec: kind.add_to(spec, rng=rng), flight_bounds=self.recipe.flight.bounds(kind.size_m)
-        )
+        if kind is None:
+            raise RecipeError('kind "scene" draws no worlds; give the MJCF file or folder with --scene')
+        bounds = self.recipe.flight.bounds(kind.size_m)
+        try:
+            return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
+        except ValueError as error:
+            raise RecipeError(f"[world] of kind {self.recipe.kind!r} draws what cannot be: {error}") from None
 
     def describe(self) -> dict[str, Any]:
         """See `Source.describe`."""
@@ -107,11 +112,11 @@ def _content_digest(scene: Scene) -> str:
 
 
 def read_scenes(path: Path, counts: Mapping[str, int], *, seed: int, allow_unseen: bool = False) -> SceneWorlds:
-    """The MJCF file at `path`, all for training, or the folder of them, split by world in proportion to `counts`.
+    """The MJCF file at `path`, all for training, or the folder of them, split by world as `SHARES` says.
 
-    Which world goes to which split depends on the files' names, the seed and the counts' proportions. Raises
-    SceneError for a file that cannot serve, for one with geoms that rays cannot see (unless `allow_unseen`), and for a
-    folder with fewer worlds than splits.
+    Which world goes to which split depends on the files' names, the seed, and which splits `counts` asks for, never on
+    how many samples. Raises SceneError for a file that cannot serve, for one with geoms that rays cannot see (unless
+    `allow_unseen`), and for a folder with fewer worlds than splits.
     """
     if not path.exists():
         raise SceneError(f"{path}: no such file or folder; expected an MJCF file or a folder of them")
@@ -130,12 +135,9 @@ def read_scenes(path: Path, counts: Mapping[str, int], *, seed: int, allow_unsee
             f"{path}: {len(scenes)} worlds for {len(wanted)} splits; add worlds, or set --val or --test to 0"
         )
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(scenes))
-    share = {split: max(1, round(len(scenes) * counts[split] / sum(counts.values()))) for split in wanted}
+    whole = sum(SHARES[split] for split in wanted)
+    share = {split: max(1, len(scenes) * SHARES[split] // whole) for split in wanted}
     share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])
-    if share[wanted[0]] < 1:
-        raise SceneError(
-            f"{path}: {len(scenes)} worlds are too few for these counts; add worlds or ask for fewer samples"
-        )
     dealt = iter(order)
     return SceneWorlds({split: tuple(scenes[next(dealt)] for _ in range(share.get(split, 0))) for split in SPLITS})
 

@@ -145,6 +145,14 @@ BAD_RECIPES = {
     "no room": ("[flight]\nmargin_m = 30.0", "margin_m = 30"),
     "no grid": ("[grid]\nshape = [80, 0, 40]", "shape"),
     "no rays": ("[lidar]\nrows = 0", "rows"),
+    "sizes of nothing": ("[world]\nhalf_width_m = [0, 0]", "expected lengths above 0"),
+    "ratio below one": ("[world]\noblong_ratio = 0.5", "oblong_ratio = 0.5"),
+    "shares above one": ("[world]\nround_share = 0.8\noblong_share = 0.5", "expected at most 1"),
+    "an endless density": ("[world]\ndensity = [0.1, inf]", "expected finite numbers"),
+    "an endless spacing": ("[flight]\nspacing_m = inf", "spacing_m = inf"),
+    "an endless height": ("[flight]\naltitude_m = [2, inf]", "altitude_m = [2.0, inf]"),
+    "no table": ("world = 3", "expected a table"),
+    "not a number": ("[world]\ndensity = [nan, 0.1]", "expected finite numbers"),
     "wrong kind": ('kind = "geometric"', "is a recipe for kind 'geometric'"),
     "not TOML": ("density = = 3", "not valid TOML"),
     "too dense": ("[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2", "lower world.density = (4.0, 4.0)"),
@@ -189,10 +197,17 @@ def test_a_bad_scene_ends_in_one_line(what: str, tmp_path: Path, capfd: pytest.C
     assert said == ""
 
 
+def test_a_scene_recipe_needs_its_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "r.toml").write_text('kind = "scene"')
+    code, _, error = run(capsys, "generate", "--recipe", tmp_path / "r.toml")
+    assert code == 2
+    assert "give --scene" in error
+
+
 def test_an_unwritable_folder_ends_in_one_line(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _, error = run(capsys, "generate", "--recipe", small, "--n", 3, "--out", "/proc/nowhere/d", "--quiet")
     assert code == 1
-    assert "--out" in error
+    assert "choose another place" in error
     assert error.count("\n") == 1
 
 

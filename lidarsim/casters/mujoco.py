@@ -11,7 +11,7 @@ NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 
 
 class MujocoCaster:
-    """Casts rays at every visible geom of a compiled model, in its reference configuration or in that of `data`.
+    """Casts rays at every visible geom of a compiled model, in its reference configuration or as `data` stands.
 
     Geoms whose colour (or material) has alpha 0 are not seen; see `visible_geoms`. The model is copied, not changed.
     A caster serves one thread at a time.
@@ -21,10 +21,9 @@ class MujocoCaster:
         if data is None:
             data = mujoco.MjData(model)
             mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
+            mujoco.mj_comPos(model, data)  # where the bodies' bounding volumes are
         self._model = copy.copy(model)
         self._data = data
-        self._lower, self._upper = _boxes(model, data)
         _search_every_body(self._model)
 
     def cast(self, position: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
@@ -36,7 +35,8 @@ class MujocoCaster:
         distances = np.empty(count, dtype=np.float64)
         origin = np.ascontiguousarray(position, dtype=np.float64)
         # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a third of the time
-        away = np.maximum(np.maximum(self._lower - origin, origin - self._upper), 0.0)
+        lower, upper = _boxes(self._model, self._data)
+        away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
         self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m**2
         mujoco.mj_multiRay(
             self._model,

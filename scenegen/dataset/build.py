@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lidarsim import GridSpec
 from scenegen.dataset import manifest
 from scenegen.dataset.files import disk_error, remove_drafts
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
@@ -19,8 +20,8 @@ from scenegen.errors import DatasetError
 from scenegen.recipe import Recipe
 from scenegen.source import SPLITS, Source
 
-FULL_BYTES, COMPACT_BYTES = 80_000, 13_000
-"""About what a sample of the default grid takes on disk, for the check of free space."""
+FULL_BYTES, COMPACT_BYTES = 110_000, 13_000
+"""About what a sample of the default grid takes on disk at most, for the check of free space."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,7 @@ class Plan:
         """A rough size on disk."""
         voxels = math.prod(self.parameters["grid"]["shape"])
         each = FULL_BYTES if "tudf" in self.parameters["fields"] else COMPACT_BYTES
-        return int(self.samples * each * voxels / (80 * 80 * 40))
+        return int(self.samples * each * voxels / math.prod(GridSpec().shape))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,9 +110,11 @@ def build(
 ) -> Summary:
     """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
 
-    `on_shard` is told of every shard that is there (False) or was written (True), `on_start` that the workers, if any,
-    have been started. A run that ends in any way leaves whole
-    shards, and the next one goes on from there. The manifest is signed complete by the run that finds every shard.
+    `workers` processes write; `force` begins anew, whatever dataset is in the folder. `on_shard` is called for every
+    shard that is there already (False) and for every one that is written (True), `on_start` once the workers run. A run
+    that ends in any way leaves whole shards, and the next one goes on from there. The manifest is signed complete by
+    the run that finds every shard.
+
     Raises DatasetError for a folder that holds something else, and what writing shards raises.
     """
     first, stop = shard_range or (0, len(plan.shards))
@@ -216,7 +219,10 @@ def _summarise(plan: Plan, reports: list[ShardReport], final: Mapping[str, Any],
     worlds: dict[str, set[int]] = {split: set() for split in SPLITS}
     for report in reports:
         samples[report.split] += report.samples
+    there = {report.file for report in reports}
     for shard in plan.shards:
+        if shard.file.name not in there:
+            continue
         worlds[shard.split].update(
             shard.source.number(shard.split, unit)[0]
             for unit in range(shard.first_unit, shard.first_unit + shard.units)

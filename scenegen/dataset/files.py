@@ -44,9 +44,9 @@ def disk_error(path: Path, error: OSError) -> DatasetError:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         advice = "the disk is full: free some space, then give the same command again to go on, or use --compact"
     elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        advice = "no permission to write there: choose another folder with --out"
+        advice = "no permission to write there: choose another place"
     else:
-        advice = f"{error.strerror or error}: choose another folder with --out"
+        advice = f"{error.strerror or error}: choose another place"
     return DatasetError(f"{path}: {advice}")
 
 

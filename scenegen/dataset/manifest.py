@@ -107,8 +107,8 @@ def read(folder: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise DatasetError(f"{folder}: not a dataset, it has no {NAME}; make one with `scenegen generate`") from None
     except (OSError, ValueError) as error:
-        raise DatasetError(f"{path}: cannot be read: {error}") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise DatasetError(f"{path}: cannot be read ({error}); remove it, or choose another --out") from None
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "shards" not in manifest:
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
     if manifest.get("version") != VERSION:
         raise DatasetError(

@@ -12,6 +12,7 @@ import numpy as np
 from scenegen.dataset import manifest
 from scenegen.errors import DatasetError
 from scenegen.sample import Sample, derive_free, derive_tudf
+from scenegen.source import SPLITS
 
 
 class Dataset:
@@ -30,7 +31,9 @@ class Dataset:
         self.lidar = manifest.lidar_of(self.manifest)
 
     def split(self, name: str) -> "Split":
-        """The samples of a split: train, val or test."""
+        """The samples of a split: train, val or test. Raises DatasetError for another name."""
+        if name not in SPLITS:
+            raise DatasetError(f"{self.folder}: has no split {name!r}; expected one of {', '.join(SPLITS)}")
         return Split(self, name)
 
     def world(self, split: str, number: int) -> dict[str, bytes]:
@@ -42,12 +45,16 @@ class Dataset:
         for shard in self.manifest["shards"]:
             if shard["split"] != split or shard["first_world"] > number:
                 continue
-            with zipfile.ZipFile(self._file(shard["worlds"])) as archive:
-                names = archive.namelist()
-                if member in names:
-                    document = archive.read(member)
-                    others = [name for name in names if not name.endswith(".xml") and name.encode() in document]
-                    return {"world.xml": document} | {name: archive.read(name) for name in others}
+            path = self._file(shard["worlds"])
+            try:
+                with zipfile.ZipFile(path) as archive:
+                    names = archive.namelist()
+                    if member in names:
+                        document = archive.read(member)
+                        others = [name for name in names if not name.endswith(".xml") and name.encode() in document]
+                        return {"world.xml": document} | {name: archive.read(name) for name in others}
+            except (zipfile.BadZipFile, OSError) as error:
+                raise DatasetError(f"{path}: is damaged ({error}); copy the dataset again, or generate it") from None
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
     def _file(self, name: str) -> Path:

@@ -17,7 +17,7 @@ class Geometric(WorldKind):
     """Solids scattered over the plan and, in part, over the height.
 
     The paper's first kind of environment: "walls, pillars, and cluttered structures" of "spheres, boxes, and cylinders"
-    (sections "Training Data Generation" and "Qualitative Results"); it gives no figures, so these are ours.
+    (sections "Training Data Generation" and "Visual Reconstruction Results"); it gives no figures, so these are ours.
     """
 
     version: ClassVar[int] = 0
@@ -26,12 +26,13 @@ class Geometric(WorldKind):
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 5.0)}
 
     ground: bool = True
+    """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
     density: Range = (0.01, 0.12)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform."""
     half_size_m: Range = (0.3, 1.2)
     """Radii and half edges, metres; one value an axis of a solid."""
     scale: Range = (0.7, 1.2)
-    """Factor on all sizes; one value a world."""
+    """Factor on `half_size_m`; one value a world."""
     standing_share: float = 0.5
     """Share of solids that stand on the ground; others float at any height, or are stacked."""
     stacked_share: float = 0.2
@@ -41,17 +42,28 @@ class Geometric(WorldKind):
     wall_density: Range = (0.0, 0.02)
     """Walls per square metre; one value a world."""
     wall_length_m: Range = (2.0, 8.0)
+    """Length along the ground, metres; one value a wall, as are the next two."""
     wall_height_m: Range = (2.0, 8.0)
+    """Height above the ground, metres."""
     wall_half_thickness_m: Range = (0.1, 0.2)
+    """Half the thickness, metres."""
     clutter_density: Range = (0.0, 0.003)
     """Heaps of small solids per square metre; one value a world."""
     clutter_count: tuple[int, int] = (4, 8)
     """Small solids in a heap."""
+    clutter_spread_m: float = 0.5
+    """Standard deviation of small solids' places about their heap's, metres."""
     clutter_half_size_m: Range = (0.1, 0.35)
     """Radii and half edges of small solids, metres."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.standing_share + self.stacked_share > 1:
+            raise ValueError(
+                f"standing_share = {self.standing_share} and stacked_share = {self.stacked_share}: at most 1"
+            )
+        if self.scale[0] <= 0:
+            raise ValueError(f"scale = {list(self.scale)}: expected factors above 0")
         if self.density[0] <= 0:
             raise ValueError(f"density = {list(self.density)}: expected a lower bound above 0, its logarithm is drawn")
 
@@ -106,7 +118,7 @@ class Geometric(WorldKind):
             count = int(rng.integers(self.clutter_count[0], self.clutter_count[1] + 1))
             shape = rng.integers(0, len(SHAPES), count)
             size = rng.uniform(*self.clutter_half_size_m, (count, 3))
-            offset = rng.normal(0.0, 0.5, (count, 3))
+            offset = rng.normal(0.0, self.clutter_spread_m, (count, 3))
             tilt = _attitudes(count, 1.0, rng=rng)
             for n in range(count):
                 z = _half_height(shape[n], size[n], tilt[n]) + abs(offset[n, 2])

@@ -28,21 +28,23 @@ class WorldKind(ABC):
     """The same for `scenegen.recipe.Acceptance`."""
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 10.0)
-    """Extent of the world along x, y and z, metres."""
+    """Extent of the world along x, y and z, metres; z is how high floating solids may have their centres."""
     ground: bool = False
-    """Whether there is a floor: a slab with its top at z = 0."""
+    """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
     ground_m: float = 0.2
     """Thickness of that slab, metres."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, tuple) and len(value) == 2:
-                if not 0 <= value[0] <= value[1]:
-                    raise ValueError(f"{name} = {list(value)}: expected [low, high] with 0 <= low <= high")
-            elif name.endswith("_share") and not 0 <= value <= 1:
+            numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+            if not np.isfinite(numbers).all():
+                raise ValueError(f"{name} = {value}: expected finite numbers")
+            if isinstance(value, tuple) and len(value) == 2 and not 0 <= value[0] <= value[1]:
+                raise ValueError(f"{name} = {list(value)}: expected [low, high] with 0 <= low <= high")
+            if name.endswith("_share") and not 0 <= value <= 1:
                 raise ValueError(f"{name} = {value}: expected a share from 0 to 1")
-        if min(self.size_m) <= 0 or self.ground_m <= 0:
-            raise ValueError(f"size_m = {list(self.size_m)}, ground_m = {self.ground_m}: expected positive lengths")
+            if name.endswith("_m") and not (numbers > 0).all():
+                raise ValueError(f"{name} = {value}: expected lengths above 0, in metres")
 
     @abstractmethod
     def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:

@@ -31,12 +31,20 @@ class Pillar(WorldKind):
     oblong_share: float = 0.1
     """Share of pillars with a rectangular section, up to `oblong_ratio` times as long as wide; the rest are square."""
     oblong_ratio: float = 3.0
+    """Greatest ratio of the two edges of a rectangular section."""
     passage_share: float = 0.1
-    """Share of pillars set beside another one, a passage's width away."""
+    """Share of pillars set beside an earlier one, a passage's width away; a few leave the world by that."""
     passage_m: Range = (0.7, 1.2)
-    """Width of those passages, metres."""
+    """Width of those passages between the pillars' round hulls, metres; between flat sides they are wider."""
     height_m: Range = (10.0, 10.0)
     """Heights of pillars, metres, from the ground up."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.round_share + self.oblong_share > 1:
+            raise ValueError(f"round_share + oblong_share = {self.round_share + self.oblong_share}: expected at most 1")
+        if not self.oblong_ratio >= 1:
+            raise ValueError(f"oblong_ratio = {self.oblong_ratio}: expected at least 1")
 
     def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
         """See `WorldKind.add_to`."""
@@ -53,12 +61,12 @@ class Pillar(WorldKind):
         height = rng.uniform(*self.height_m, count)
         plan = rng.uniform((0.0, 0.0), (x_m, y_m), (count, 2))
         yaw = rng.uniform(0.0, np.pi, count)
-        beside = np.flatnonzero(rng.random(count) < self.passage_share)
-        neighbour = rng.integers(0, np.maximum(beside, 1))
-        apart = np.maximum(half, length)[beside] + np.maximum(half, length)[neighbour]
-        apart += rng.uniform(*self.passage_m, len(beside))
-        angle = rng.uniform(0.0, 2 * np.pi, len(beside))
-        plan[beside] = plan[neighbour] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        hull = np.where(section < self.round_share, half, np.hypot(half, length))
+        for n in np.flatnonzero(rng.random(count) < self.passage_share).tolist():
+            if n > 0:  # beside one that stays where it is now
+                neighbour, angle = rng.integers(0, n), rng.uniform(0.0, 2 * np.pi)
+                apart = hull[n] + hull[neighbour] + rng.uniform(*self.passage_m)
+                plan[n] = plan[neighbour] + apart * np.array([np.cos(angle), np.sin(angle)])
         for n in range(count):
             position = (plan[n, 0], plan[n, 1], height[n] / 2)
             if section[n] < self.round_share:

@@ -2,8 +2,11 @@
 
 A cube is given by its centre, by its three unit axes (the world's axes written in the shape's frame, so row a of the
 shape's rotation matrix is axis a) and by half its edge. Sizes are MuJoCo's: (radius), (radius, half length),
-half edges or semi-axes. Every function is exact to rounding; `slack` is the distance at which a cube still counts as
-touching. Where the exact distance has no short form, a bound of it is used that errs by less than `slack`.
+half edges or semi-axes. `slack` is the distance at which a cube still counts as touching.
+
+Whether solid and cube meet is decided to rounding. At a distance, corners and edges count up to the root of three times
+`slack`, and ellipsoids up to 1.3 times, where their least radius of curvature (least semi-axis squared over the
+greatest) is at least `slack`; thinner ones err on the side of touching.
 """
 
 import math

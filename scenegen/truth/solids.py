@@ -61,8 +61,9 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solid
         mujoco.mj_kinematics(model, data)
     seen = visible_geoms(model)
     if (model.geom_type[seen] > MESH).any():
-        name = model.geom(int(np.flatnonzero(seen & (model.geom_type > MESH))[0])).name
-        raise ValueError(f"geom {name!r} is neither a primitive, a mesh nor a height field; use one of these")
+        odd = int(np.flatnonzero(seen & (model.geom_type > MESH))[0])
+        name = model.geom(odd).name or f"number {odd}"
+        raise ValueError(f"geom {name} is neither a primitive, a mesh nor a height field; use one of these")
     bent = seen & ((model.geom_type == MESH) | (model.geom_type == HFIELD))
     plain = np.flatnonzero(seen & ~bent)
     shape = model.geom_type[plain].astype(np.int64)

@@ -11,7 +11,7 @@ import trimesh
 import scenegen.recipes
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
-from scenegen.errors import SceneError
+from scenegen.errors import DatasetError, SceneError
 from scenegen.recipe import make_recipe, preset
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
 from scenegen.world import compile_world, load_scene
@@ -65,10 +65,21 @@ def test_fewer_samples_of_a_folder_are_the_first_of_more(folder: Path, tmp_path:
         assert [sample.sha256() for sample in small.split(split)] == first
 
 
+def test_how_many_samples_are_asked_for_deals_no_world_otherwise(tmp_path: Path) -> None:
+    for n in range(20):
+        (tmp_path / f"room{n:02d}.xml").write_text(ROOM.format(n=3 + n / 10))
+    dealt = {
+        tuple(tuple(scene.name for scene in scenes) for scenes in read_scenes(tmp_path, counts, seed=0).scenes.values())
+        for counts in ({"train": n, "val": max(n // 10, 1), "test": max(n // 5, 1)} for n in (5, 9, 45, 4500))
+    }
+    assert [len(scenes) for scenes in dealt.pop()] == [16, 1, 3]
+    assert not dealt
+
+
 def test_a_changed_scene_is_another_dataset(folder: Path, tmp_path: Path) -> None:
     make(folder, tmp_path / "d")
     (folder / "room3.xml").write_text(ROOM.format(n=11))
-    with pytest.raises(Exception, match=r"recipe\.scenes"):
+    with pytest.raises(DatasetError, match=r"recipe\.scenes"):
         make(folder, tmp_path / "d")
 
 

@@ -19,11 +19,13 @@ from scenegen.source import DrawnWorlds
 from tests.conftest import picky_recipe
 
 COUNTS = {"train": 12, "val": 0, "test": 5}
+SEED = 1
+"""One at which every shard rejects at least one world and one viewpoint."""
 
 
 def plan_at(folder: Path) -> Plan:
     recipe = picky_recipe()
-    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=4, counts=COUNTS, shard_samples=12)
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=SEED, counts=COUNTS, shard_samples=12)
 
 
 class Killer:

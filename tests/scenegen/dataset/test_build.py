@@ -282,6 +282,12 @@ def test_reading_names_what_is_wrong(tmp_path: Path) -> None:
     dataset = Dataset(tmp_path / "d")
     with pytest.raises(DatasetError, match="no world 99 in its val split"):
         dataset.world("val", 99)
+    with pytest.raises(DatasetError, match="no split 'tarin'"):
+        dataset.split("tarin")
+    damaged = next((tmp_path / "d").glob("test-*.zip"))
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    with pytest.raises(DatasetError, match="is damaged"):
+        dataset.world("test", 0)
     with pytest.raises(IndexError, match="sample 99"):
         dataset.split("val")[99]
     next((tmp_path / "d").glob("val-*.h5")).unlink()

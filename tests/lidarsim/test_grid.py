@@ -1,0 +1,88 @@
+"""The grid: indices and centres are each other's inverse, and a face belongs to the voxel above it."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from lidarsim import GridSpec
+
+GRIDS = [
+    GridSpec(shape=(5, 3, 4), voxel_m=0.2),
+    GridSpec(shape=(1, 1, 1), voxel_m=3.0),
+    GridSpec(shape=(2, 7, 3), voxel_m=0.13),
+]
+ORIGINS = [np.zeros(3), np.array([-7.3, 2.9, 0.05]), np.array([1e3, -1e3, 12.34])]
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_the_index_of_a_centre_is_its_voxel(grid: GridSpec, origin: np.ndarray) -> None:
+    centres = grid.centres(origin)
+    assert centres.shape == (*grid.shape, 3)
+    np.testing.assert_array_equal(grid.index(centres, origin), np.moveaxis(np.indices(grid.shape), 0, -1))
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_a_centre_is_as_far_from_both_faces_along_each_axis(grid: GridSpec, origin: np.ndarray) -> None:
+    centres = grid.centres(origin)
+    np.testing.assert_allclose(centres[0, 0, 0] - origin, grid.voxel_m / 2, rtol=1e-9)
+    np.testing.assert_allclose(origin + grid.extent_m - centres[-1, -1, -1], grid.voxel_m / 2, rtol=1e-9)
+    for axis in range(3):
+        steps = np.diff(centres, axis=axis)
+        np.testing.assert_allclose(steps[..., axis], grid.voxel_m, rtol=1e-9)
+        assert (np.delete(steps, axis, axis=-1) == 0).all()
+
+
+def test_points_anywhere_in_a_voxel_have_its_index() -> None:
+    grid, origin = GRIDS[2], ORIGINS[1]
+    rng = np.random.default_rng(0)
+    wanted = rng.integers(-5, 12, (500, 3))
+    points = origin + (wanted + rng.uniform(0.001, 0.999, (500, 3))) * grid.voxel_m
+    np.testing.assert_array_equal(grid.index(points, origin), wanted)
+    assert grid.index(points, origin).dtype == np.int64
+    np.testing.assert_array_equal(grid.index(points[0], origin), wanted[0])
+
+
+def test_a_face_belongs_to_the_voxel_above_it() -> None:
+    """With an edge and an origin that float64 holds exactly, so that points lie right on faces."""
+    grid, origin = GridSpec(shape=(4, 4, 4), voxel_m=0.25), np.array([-1.5, 0.75, 8.0])
+    for corner in itertools.product(range(-2, 6), repeat=3):
+        face = origin + 0.25 * np.array(corner)
+        np.testing.assert_array_equal(grid.index(face, origin), corner)
+        np.testing.assert_array_equal(grid.index(face - 1e-9, origin), np.array(corner) - 1)
+        np.testing.assert_array_equal(grid.index(face + 0.25 - 1e-9, origin), corner)
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+def test_the_extent_is_the_shape_in_metres_and_the_grid_lies_around_its_position(grid: GridSpec) -> None:
+    np.testing.assert_array_equal(grid.extent_m, [n * grid.voxel_m for n in grid.shape])
+    for position in ORIGINS:
+        origin = grid.origin_at(position)
+        np.testing.assert_allclose(grid.centres(origin).mean(axis=(0, 1, 2)), position, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(position - origin, origin + grid.extent_m - position, rtol=0, atol=1e-9)
+    assert grid.origin_at((0, 0, 0)).dtype == np.float64
+
+
+def test_the_default_grid_is_the_papers() -> None:
+    np.testing.assert_allclose(GridSpec().extent_m, [16.0, 16.0, 8.0], rtol=1e-12)
+    np.testing.assert_allclose(GridSpec().origin_at([10, 20, 5]), [2.0, 12.0, 1.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("shape", (80, 80)),
+        ("shape", (80, 0, 40)),
+        ("shape", (80, 80.5, 40)),
+        ("shape", (80, 80, float("nan"))),
+        ("voxel_m", 0.0),
+        ("voxel_m", float("inf")),
+        ("truncation_m", -1.0),
+        ("truncation_m", float("nan")),
+    ],
+)
+def test_bad_values_are_named(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name):
+        GridSpec(**{name: value})

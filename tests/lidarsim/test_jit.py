@@ -1,0 +1,190 @@
+"""Kernels give what their Python functions give, and no kernel outlives a change of what it was compiled from."""
+
+import importlib
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numba
+import numpy as np
+import pytest
+
+from lidarsim import jit, pose
+from lidarsim.jit import cache_folder
+from scenegen.truth import shapes, triangles
+
+CALLEE = """
+from lidarsim.jit import kernel
+
+FACTOR = 2.0
+
+@kernel
+def scaled(x):
+    return FACTOR * x
+"""
+CALLER = """
+from lidarsim.jit import kernel
+from kernelled.callee import scaled
+
+@kernel
+def summed(values):
+    total = 0.0
+    for value in values:
+        total += scaled(value)
+    return total
+"""
+PLAIN = '"""No kernels here."""\nWORDS = ("one",)\n'
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package with a kernel that calls one in another file, a cache of its own, and nothing left of it afterwards."""
+    folder = tmp_path / "kernelled"
+    folder.mkdir()
+    for name, text in {"__init__": "", "callee": CALLEE, "caller": CALLER, "plain": PLAIN}.items():
+        (folder / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    cache_folder.cache_clear()
+    yield folder
+    forget()
+
+
+def forget() -> None:
+    """As a new process would begin."""
+    for name in [name for name in sys.modules if name.split(".")[0] == "kernelled"]:
+        del sys.modules[name]
+    cache_folder.cache_clear()
+    importlib.invalidate_caches()
+
+
+def fresh(module: str) -> ModuleType:
+    forget()
+    return importlib.import_module(f"kernelled.{module}")
+
+
+def folder_now() -> Path:
+    fresh("plain")
+    return cache_folder("kernelled")
+
+
+def test_the_folder_changes_with_files_that_hold_kernels_and_with_no_others(package: Path) -> None:
+    before = folder_now()
+    assert before == folder_now()
+    assert before.name.startswith("kernelled-")
+    (package / "plain.py").write_text(PLAIN.replace("one", "two"))
+    (package / "more.py").write_text("import numba\n")
+    (package / "notes.txt").write_text("from lidarsim.jit import kernel")
+    assert folder_now() == before
+    seen = {before}
+    for name, text in {"callee": CALLEE, "caller": CALLER}.items():
+        (package / f"{name}.py").write_text(text + "\n# a word\n")
+        assert folder_now() not in seen
+        seen.add(folder_now())
+    (package / "deeper").mkdir()
+    (package / "deeper" / "extra.py").write_text(CALLEE)
+    assert folder_now() not in seen
+    (package / "deeper" / "extra.py").unlink()
+    for name, text in {"callee": CALLEE, "caller": CALLER}.items():
+        (package / f"{name}.py").write_text(text)
+    assert folder_now() == before
+
+
+def test_the_folder_follows_lidarsims_kernels_too(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of any package may call them."""
+    copy = shutil.copytree(Path(jit.__file__).parent, package.parent / "lidarsim")
+    monkeypatch.setattr(jit, "__file__", str(copy / "jit.py"))
+    before = folder_now()
+    with open(copy / "lidar.py", "a") as file:
+        file.write("# a word\n")
+    assert folder_now() == before
+    with open(copy / "voxelize.py", "a") as file:
+        file.write("# a word\n")
+    assert folder_now() != before
+
+
+def test_the_folder_follows_numba(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = folder_now()
+    monkeypatch.setattr(numba, "__version__", "0.0")
+    assert folder_now() != before
+
+
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(package: Path) -> None:
+    """Numba's own cache would go on with the old one: the calling file is the same, to its date."""
+    values = np.arange(4.0)
+    assert fresh("caller").summed(values) == 12.0
+    kept = sorted((package.parent / "cache").rglob("*.nbc"))
+    assert {path.name.split("-")[0] for path in kept} == {"callee.scaled", "caller.summed"}
+    again = fresh("caller")
+    assert again.summed(values) == 12.0
+    assert sum(again.summed.stats.cache_hits.values()) == 1, "what was compiled is not kept"
+    assert sum(again.summed.stats.cache_misses.values()) == 0
+    (package / "callee.py").write_text(CALLEE.replace("2.0", "5.0"))
+    assert fresh("caller").summed(values) == 30.0
+
+
+def test_the_cache_lies_where_the_environment_says(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    at = package.parent
+    places = {"SCENEGEN_CACHE": at / "own", "XDG_CACHE_HOME": at / "xdg"}
+    for name, place in places.items():
+        monkeypatch.setenv(name, str(place))
+    assert folder_now().is_relative_to(places["SCENEGEN_CACHE"])
+    monkeypatch.delenv("SCENEGEN_CACHE")
+    assert folder_now().is_relative_to(places["XDG_CACHE_HOME"])
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(at))
+    assert folder_now().is_relative_to(at / ".cache")
+
+
+def test_kernels_work_where_nothing_can_be_kept(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (package.parent / "file").write_text("in the way")
+    monkeypatch.setenv("SCENEGEN_CACHE", str(package.parent / "file" / "cache"))
+    assert fresh("callee").scaled(3.0) == 6.0
+
+
+def test_making_a_kernel_leaves_numbas_settings_alone(package: Path) -> None:
+    before = numba.config.CACHE_DIR
+    fresh("callee")
+    assert before == numba.config.CACHE_DIR
+    assert str(os.environ["SCENEGEN_CACHE"]) not in str(before)
+
+
+def arguments_of(function: Callable) -> Iterator[tuple]:
+    """What to try a kernel on."""
+    rng = np.random.default_rng(0)
+    for n in range(60):
+        if function is pose._rotate:
+            quaternion = rng.normal(size=4)
+            yield quaternion / np.linalg.norm(quaternion), rng.normal(size=(5, 3)), np.empty((5, 3))
+        elif function is shapes.distance:
+            yield int((2, 3, 4, 5, 6, 0)[n % 6]), rng.uniform(0.2, 1.0, 3), *rng.uniform(-1.5, 1.5, 3)
+        elif function is triangles.crossing:
+            yield *rng.normal(size=(3, 3)), *rng.normal(0.0, 0.5, 2)
+        else:
+            yield *rng.normal(size=(3, 3)), *rng.normal(size=3)
+
+
+@pytest.mark.parametrize(
+    "function", [pose._rotate, shapes.distance, triangles.triangle_distance, triangles.crossing], ids=lambda f: f.__name__
+)
+def test_a_kernel_gives_what_its_python_function_gives(function: Callable) -> None:
+    given = set()
+    for arguments in arguments_of(function):
+        first, second = ([np.copy(a) if isinstance(a, np.ndarray) else a for a in arguments] for _ in range(2))
+        compiled, plain = function(*first), function.py_func(*second)
+        if compiled is None:  # writes into its last argument
+            compiled, plain = first[-1], second[-1]
+        np.testing.assert_allclose(compiled, plain, rtol=1e-12, atol=1e-12)
+        given.add(np.asarray(compiled).tobytes())
+    assert len(given) > 10
+
+
+def test_dividing_by_zero_in_a_kernel_is_numpys_infinity(package: Path) -> None:
+    (package / "divided.py").write_text(
+        "from lidarsim.jit import kernel\n\n@kernel\ndef inverse(x):\n    return 1.0 / x\n"
+    )
+    assert fresh("divided").inverse(0.0) == np.inf
