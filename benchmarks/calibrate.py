@@ -3,8 +3,8 @@
     python benchmarks/calibrate.py pillar --vary world.density=[0.03,0.10] --vary flight.altitude_m=[3,5]
     python benchmarks/calibrate.py geometric --faces box --safety 1.25
 
-Draws validation worlds, plans on the truth's map and on the returns', and prints a row to set beside the paper's Table II.
-Test worlds are never looked at. Every `--vary` may be given several values, separated by `;`: all combinations are run.
+Draws validation worlds, plans on the truth's map and on the returns', and prints a row to set beside the paper's Table
+II. Test worlds are never looked at. A `--vary` may have several values, separated by `;`: all combinations are run.
 """
 
 import argparse

@@ -53,7 +53,7 @@ def run_bench(
     kinds = [dataset.manifest["kind"] for dataset in datasets]
     if len(set(kinds)) < len(kinds):
         raise DatasetError(
-            f"two datasets of one kind ({', '.join(kinds)}): the tables hold one row a kind; give one of each"
+            f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one of each"
         )
     config = BenchConfig(split=split, seed=seed)
     if quick:
@@ -78,7 +78,7 @@ def run_bench(
 
 
 def choose_methods(names: Sequence[str]) -> list[Method]:
-    """Rows by name: those that need no learning, `truth`, or ``module:Class`` of a completer; all of the former for none.
+    """Rows by name: those that need no learning, `truth`, or ``module:Class`` of a completer; the known ones for none.
 
     Raises ScenegenError for a name that is none of these.
     """

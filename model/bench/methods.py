@@ -98,7 +98,7 @@ class Predicted:
         for name in parts:
             if file[name].shape[1:] != dataset.grid.shape:
                 raise DatasetError(
-                    f"{self.path}: {name} has maps of {file[name].shape[1:]}, expected the dataset's {dataset.grid.shape}"
+                    f"{self.path}: {name} holds maps of {file[name].shape[1:]}, expected {dataset.grid.shape}"
                 )
             for row in self._rows.values():
                 if not np.isfinite(file[name][row]).all():

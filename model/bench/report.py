@@ -83,14 +83,14 @@ def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generat
 
 def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Every pair of methods on every tested metric: mean difference and its p-value, corrected over all of them."""
-    rows = []
+    rows: list[tuple[str, str, str, np.ndarray, np.ndarray, np.ndarray]] = []
     for (first, one), (second, other) in combinations(result.methods.items(), 2):
         for metric in TESTED:
             m = METRICS.index(metric)
-            pair = one.reconstruction[:, 0, m], other.reconstruction[:, 0, m]
-            rows.append((first, second, metric, *pair, result.worlds))
-        success = [np.array([trial.success for trial in found.trials], float) for found in (one, other)]
-        rows.append((first, second, "success", *success, result.trial_worlds))
+            a, b = one.reconstruction[:, 0, m], other.reconstruction[:, 0, m]
+            rows.append((first, second, metric, a, b, result.worlds))
+        a, b = (np.array([trial.success for trial in found.trials], dtype=float) for found in (one, other))
+        rows.append((first, second, "success", a, b, result.trial_worlds))
     raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
     return [
         {
@@ -114,15 +114,16 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             "",
             f"## {kind}",
             "",
-            f"{about['samples']} samples of {about['worlds']} worlds, dataset {about['digest'][:12]}…; {about['trials']} "
-            f"planning trials, excluded draws: {about['excluded'] or 'none'}. Mean ± standard deviation over samples or "
-            "trials, in brackets the 95 % interval of the mean, by bootstrap over worlds. *Italics*: the paper's.",
+            f"{about['samples']} samples of {about['worlds']} worlds, dataset {about['digest'][:12]}…; "
+            f"{about['trials']} planning trials, excluded draws: {about['excluded'] or 'none'}. Mean ± standard deviation "
+            "over samples or trials, in brackets the 95 % interval of the mean, by bootstrap over worlds. *Italics*: "
+            "the paper's.",
         ]
         for title, table, reference, names in (
             ("Reconstruction", report["reconstruction"][kind], paper.RECONSTRUCTION.get(kind, {}), METRICS),
             ("Planning", report["planning"][kind], paper.PLANNING.get(kind, {}), PLAN_METRICS),
         ):
-            lines += ["", f"### {title}", "", f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
+            lines += ["", f"### {title}", "", *_head(names)]
             lines += [f"| {name} | " + " | ".join(_cell(row[m]) for m in names) + " |" for name, row in table.items()]
             for name, row in reference.items():
                 lines.append(f"| *{name}* | " + " | ".join(f"*{_spread(*row[m])}*" for m in names) + " |")
@@ -130,7 +131,7 @@ def to_markdown(report: Mapping[str, Any]) -> str:
         for name, row in report["planning"][kind].items():
             counted = ", ".join(f"{cause} {count}" for cause, count in sorted(row["failures"].items()))
             lines.append(f"- {name}: {counted or 'none'}")
-        lines += ["", "### IoU by what was seen", "", f"| | {' | '.join(CLASSES)} |", "|---" * (len(CLASSES) + 1) + "|"]
+        lines += ["", "### IoU by what was seen", "", *_head(CLASSES)]
         for name, row in report["reconstruction"][kind].items():
             lines.append(f"| {name} | " + " | ".join(_cell(row["by_class"][c]["iou"]) for c in CLASSES) + " |")
         lines += [
@@ -144,6 +145,10 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             pair = f"{test['first']} − {test['second']}"
             lines.append(f"| {pair} | {test['metric']} | {test['difference']:+.3f} | {test['p_holm']:.4f} |")
     return "\n".join(lines) + "\n"
+
+
+def _head(names: Sequence[str]) -> list[str]:
+    return [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
 
 
 def _cell(figure: Mapping[str, float]) -> str:

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -142,13 +143,12 @@ def _work(task: _Task) -> _Outcome:
             completion = method.completion(sample, split=config.split, grid=grid)
             occupied, distance = completion.occupied(config.thresholds), completion.distance(config.thresholds, grid)
             truth = sample.occupancy, sample.tudf
-            common = {"classes": classes, "class_count": len(CLASSES), "config": config.reconstruction}
-            rows.append(measure(occupied, distance, *truth, **common))
+            measured = partial(measure, classes=classes, class_count=len(CLASSES), config=config.reconstruction)
+            rows.append(measured(occupied, distance, *truth))
             if tuned == config.thresholds:
                 tuned_rows.append(rows[-1][0])
             else:
-                at_tuned = completion.occupied(tuned), completion.distance(tuned, grid)
-                tuned_rows.append(measure(*at_tuned, *truth, **common)[0])
+                tuned_rows.append(measured(completion.occupied(tuned), completion.distance(tuned, grid), *truth)[0])
             trials.append([run_trial(occupied, distance, *truth, goal, grid, config.plan) for goal in drawn.goals])
         found.reconstruction.append(rows)
         found.tuned.append(tuned_rows)
@@ -169,7 +169,7 @@ def _gather(
     outcomes: Sequence[_Outcome],
     config: BenchConfig,
 ) -> DatasetResult:
-    """Tasks' outcomes as one result; of the trials, the first ones of every sample first, cut to the number asked for."""
+    """Tasks' outcomes as one result; of the trials, the first of every sample first, cut to the number asked for."""
     worlds = [world for outcome in outcomes for world in outcome.worlds]
     rows = [row for outcome in outcomes for row in outcome.reconstruction]
     tuned_rows = [row for outcome in outcomes for row in outcome.tuned]

@@ -169,7 +169,9 @@ def arguments_of(function: Callable) -> Iterator[tuple]:
 
 
 @pytest.mark.parametrize(
-    "function", [pose._rotate, shapes.distance, triangles.triangle_distance, triangles.crossing], ids=lambda f: f.__name__
+    "function",
+    [pose._rotate, shapes.distance, triangles.triangle_distance, triangles.crossing],
+    ids=lambda f: f.__name__,
 )
 def test_a_kernel_gives_what_its_python_function_gives(function: Callable) -> None:
     given = set()
