@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from model.bench import paper
+from model.bench.difficulty import DESCRIPTORS
 from model.bench.reconstruction import METRICS
 from model.bench.run import DatasetResult, MethodResult
 from model.bench.statistics import holm, paired_p, summarize
@@ -32,6 +33,10 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[
             "worlds": len(np.unique(result.worlds)),
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
+            "difficulty": {
+                name: dataclasses.asdict(summarize(result.difficulty[:, n], result.worlds, rng=rng))
+                for n, name in enumerate(DESCRIPTORS)
+            },
         }
         report["reconstruction"][result.kind] = {
             name: _reconstruction(found, result, rng) for name, found in result.methods.items()
@@ -115,10 +120,12 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             f"## {kind}",
             "",
             f"{about['samples']} samples of {about['worlds']} worlds, dataset {about['digest'][:12]}…; "
-            f"{about['trials']} planning trials, excluded draws: {about['excluded'] or 'none'}. Mean ± standard deviation "
-            "over samples or trials, in brackets the 95 % interval of the mean, by bootstrap over worlds. *Italics*: "
-            "the paper's.",
+            f"{about['trials']} planning trials, excluded draws: {about['excluded'] or 'none'}. Mean ± standard "
+            "deviation over samples or trials, in brackets the 95 % interval of the mean, by bootstrap over worlds. "
+            "*Italics*: the paper's.",
         ]
+        lines += ["", "### Difficulty", "", *_head(DESCRIPTORS)]
+        lines.append("| truth | " + " | ".join(_cell(about["difficulty"][name]) for name in DESCRIPTORS) + " |")
         for title, table, reference, names in (
             ("Reconstruction", report["reconstruction"][kind], paper.RECONSTRUCTION.get(kind, {}), METRICS),
             ("Planning", report["planning"][kind], paper.PLANNING.get(kind, {}), PLAN_METRICS),

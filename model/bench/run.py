@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from model.bench.difficulty import describe
 from model.bench.methods import Method
 from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
 from model.bench.tuning import tune
@@ -68,6 +69,8 @@ class DatasetResult:
     """(trials,): the trials' worlds."""
     excluded: Counter[str]
     """Drawn trials that are not valid, by reason."""
+    difficulty: NDArray[np.float64]
+    """(N, descriptors) of the samples."""
     methods: dict[str, MethodResult]
 
 
@@ -87,6 +90,7 @@ class _Outcome:
 
     indices: tuple[int, ...]
     worlds: list[int]
+    difficulty: list[NDArray[np.float64]]
     reconstruction: list[list[NDArray[np.float64]]]
     tuned: list[list[NDArray[np.float64]]]
     trials: list[list[list[Measurement]]]
@@ -129,7 +133,7 @@ def bench(
 def _work(task: _Task) -> _Outcome:
     dataset = Dataset(task.folder)
     split, grid, config = dataset.split(task.config.split), dataset.grid, task.config
-    found = _Outcome(task.indices, [], [], [], [], Counter())
+    found = _Outcome(task.indices, [], [], [], [], [], Counter())
     for index in task.indices:
         sample = split[index]
         classes = classify(sample, lidar=dataset.lidar, grid=grid)
@@ -138,6 +142,7 @@ def _work(task: _Task) -> _Outcome:
         drawn = draw_trials(sample.occupancy, grid, config.plan, count=task.trials_each, rng=rng, bounds=bounds)
         found.excluded.update(drawn.excluded)
         found.worlds.append(int(sample.world))
+        found.difficulty.append(describe(sample, grid=grid, config=config.plan))
         rows, tuned_rows, trials = [], [], []
         for method, tuned in zip(task.methods, task.tuned, strict=True):
             completion = method.completion(sample, split=config.split, grid=grid)
@@ -180,6 +185,7 @@ def _gather(
         digest=dataset.manifest["digest"],
         worlds=np.array(worlds),
         trial_worlds=np.array([worlds[n] for _, n in turns], dtype=np.int64),
+        difficulty=np.array([row for outcome in outcomes for row in outcome.difficulty]),
         excluded=sum((outcome.excluded for outcome in outcomes), start=Counter()),
         methods={
             method.name: MethodResult(

@@ -34,7 +34,7 @@ class PlanConfig:
     clearance: Literal["trilinear", "voxel"] = "trilinear"
     """How the truth's TUDF is read at those points: between voxel centres, or the value of the point's voxel (ours:
     the first, as the refinement reads its own)."""
-    goal_faces: Literal["lateral", "box"] = "lateral"
+    goal_faces: Literal["lateral", "box"] = "box"
     """Where goals lie: in the outermost layer of nodes in x or y, or in z, too (ours: "near the map boundary")."""
 
     def __post_init__(self) -> None:
