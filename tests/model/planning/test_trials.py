@@ -54,7 +54,7 @@ def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason() -> None:
     truth = np.zeros(GRID.shape, bool)
     truth[35] = True
     truth[2, 2, 1] = True
-    trials = draw_trials(truth, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0))
+    trials = draw_trials(truth, GRID, PlanConfig(goal_faces="lateral"), count=10_000, rng=np.random.default_rng(0))
     layer = 13 * 7
     rim = 4 * 12 * 7  # nodes of the outermost layer in x or y
     assert len(trials.goals) == rim - layer - 2 * 7 - 1
