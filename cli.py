@@ -138,14 +138,16 @@ def generate(
         return
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _stop)
-    with _Progress(plan, shard_range, shown=talk) as progress:
+    chosen = plan.shards[slice(*shard_range)] if shard_range else plan.shards
+    names = {shard.file.name for shard in chosen}
+    with _Progress(plan.parameters["kind"], shown=talk) as progress:
         summary = build(
             plan,
             workers=workers or _cores(),
             shard_range=shard_range,
             force=options["force"],
-            on_start=progress.start,
-            on_shard=progress.advance,
+            on_start=lambda: progress.start(sum(shard.samples for shard in chosen)),
+            on_shard=lambda report, fresh: progress.count(report.samples if report.file in names else 0),
         )
     if as_json:
         print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": time.perf_counter() - begin}))
@@ -222,6 +224,48 @@ def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
 
 
 @app.command()
+@click.argument("datasets", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--method", "names", multiple=True, help="A row: returns, conservative, extrude, truth, or MODULE:CLASS.")
+@click.option(
+    "--predictions", type=click.Path(path_type=Path), help="HDF5 file of somebody's predictions: one more row."
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("bench"), show_default=True, help="Report's folder."
+)
+@click.option("--split", type=click.Choice(SPLITS), default="test", show_default=True, help="Calibrate on val alone.")
+@click.option("--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of goals and intervals.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def bench(datasets: tuple[Path, ...], names: tuple[str, ...], out: Path, quiet: bool, **options: Any) -> None:
+    """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
+    if not quiet:
+        _announce_compilation()
+    from model.bench.command import run_bench, tables
+
+    found = datasets or tuple(path.parent for path in sorted(Path("data").glob("*/dataset.json")))
+    if not found:
+        raise click.UsageError(
+            "no dataset given, and none under data/; make one with `scenegen generate --kind pillar`"
+        )
+    report = run_bench(
+        found,
+        names=names,
+        predictions=options["predictions"],
+        out=out,
+        split=options["split"],
+        quick=options["quick"],
+        seed=options["seed"],
+        workers=options["workers"] or _cores(),
+        command=" ".join(["scenegen", *sys.argv[1:]]),
+        progress=lambda label: _Progress(label, shown=not quiet),
+    )
+    if not quiet:
+        click.echo(tables(report))
+        click.echo(f"\nwritten: {out / 'report.md'}, {out / 'report.json'}")
+
+
+@app.command()
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def doctor(as_json: bool) -> None:
     """Check this machine: versions, cores, disk, GPU, and a two-second self-test."""
@@ -267,11 +311,8 @@ def _announce_compilation() -> None:
 class _Progress:
     """Progress on standard error: samples, rate, time left. It runs a thread, so it begins after the workers."""
 
-    def __init__(self, plan: Any, shard_range: tuple[int, int] | None, *, shown: bool):
-        first, stop = shard_range or (0, len(plan.shards))
-        self._total = sum(shard.samples for shard in plan.shards[first:stop])
-        self._names = {shard.file.name for shard in plan.shards[first:stop]}
-        self._label = plan.parameters["kind"]
+    def __init__(self, label: str, *, shown: bool):
+        self._label = label
         self._shown = shown
         self._done = 0
         self._bar: Any = None
@@ -283,8 +324,8 @@ class _Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def start(self) -> None:
-        """Show the bar."""
+    def start(self, total: int) -> None:
+        """Show the bar, of `total` samples less those counted already."""
         if not self._shown:
             return
         from rich.console import Console
@@ -298,16 +339,13 @@ class _Progress:
             TimeRemainingColumn(),
             console=Console(stderr=True),
         )
-        self._begin = time.perf_counter()
-        self._at_begin = self._done
-        self._task = self._bar.add_task(self._label, total=self._total, completed=self._done, rate="")
+        self._begin, self._at_begin = time.perf_counter(), self._done
+        self._task = self._bar.add_task(self._label, total=total, completed=self._done, rate="")
         self._bar.start()
 
-    def advance(self, report: Any, fresh: bool) -> None:
-        """Count a shard."""
-        if report.file not in self._names:
-            return
-        self._done += report.samples
+    def count(self, samples: int) -> None:
+        """Count samples as done."""
+        self._done += samples
         if self._bar is not None:
             rate = (self._done - self._at_begin) / max(time.perf_counter() - self._begin, 1e-9)
             self._bar.update(self._task, completed=self._done, rate=f"{rate:.0f} samples/s")

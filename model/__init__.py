@@ -1,2 +1,1 @@
-"""What can be inferred from a partial map. The completion network, its training and the bench will live here; so far
-the package is empty, and nothing imports it."""
+"""What can be inferred: a partial map becomes a completion, a plan, and the tables that say what both are worth."""

@@ -17,17 +17,20 @@ class Geometric(WorldKind):
     """Solids scattered over the plan and, in part, over the height.
 
     The paper's first kind of environment: "walls, pillars, and cluttered structures" of "spheres, boxes, and cylinders"
-    (sections "Training Data Generation" and "Visual Reconstruction Results"); it gives no figures, so these are ours.
+    (sections "Training Data Generation" and "Visual Reconstruction Results"); it gives no figures, so these are
+    calibrated: docs/results/calibration.md.
     """
 
-    version: ClassVar[int] = 0
+    version: ClassVar[int] = 1
     crowding: ClassVar[tuple[str, ...]] = ("density", "wall_density", "clutter_density")
-    accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 4.0}
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 5.0)}
+    accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 2.0}
+    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 4.0)}
 
+    size_m: tuple[float, float, float] = (40.0, 40.0, 5.0)
+    """Extent of the world along x, y and z, metres; z is how high floating solids may have their centres."""
     ground: bool = True
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
-    density: Range = (0.01, 0.12)
+    density: Range = (0.002, 0.4)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform."""
     half_size_m: Range = (0.3, 1.2)
     """Radii and half edges, metres; one value an axis of a solid."""

@@ -17,14 +17,14 @@ class Pillar(WorldKind):
     "Experiments"); it gives no figures, so these are ours.
     """
 
-    version: ClassVar[int] = 0
+    version: ClassVar[int] = 1
     crowding: ClassVar[tuple[str, ...]] = ("density",)
     accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 4.0}
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (3.0, 6.0)}
 
-    density: Range = (0.05, 0.13)
+    density: Range = (0.05, 0.10)
     """Pillars per square metre; one value a world."""
-    half_width_m: Range = (0.2, 0.5)
+    half_width_m: Range = (0.25, 0.55)
     """Radius of a round pillar or half an edge of a square one, metres; one value a pillar."""
     round_share: float = 0.7
     """Share of pillars with a round section."""

@@ -1,0 +1,104 @@
+"""Table I: how near a completion comes to the truth, voxel by voxel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.jit import kernel
+
+METRICS = ("rmse", "mae", "near_rmse", "near_mae", "bias", "near_bias", "iou", "f1", "precision", "recall")
+"""The paper's ten, section "Quantitative Reconstruction Results". Distances in metres, predicted less true."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionConfig:
+    """What counts as near."""
+
+    near_m: float = 1.0
+    """Voxels whose true distance is at most this are near an obstacle, metres."""
+    strict: bool = False
+    """Leave out those exactly at `near_m`, an eighth of them on the default grid."""
+
+
+def measure(
+    occupied: NDArray[np.bool_],
+    distance: NDArray[np.float32],
+    true_occupancy: NDArray[np.bool_],
+    true_distance: NDArray[np.float32],
+    *,
+    classes: NDArray[np.uint8],
+    class_count: int,
+    config: ReconstructionConfig,
+) -> NDArray[np.float64]:
+    """The metrics of one map, (1 + class_count, len(METRICS)): over the whole map, then over each class of voxels.
+
+    All grids have the same shape; `classes` holds numbers below `class_count`. A map in which nothing is occupied and
+    nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of nothing to nothing is 0. Distance
+    metrics over no voxel are NaN.
+    """
+    sums = np.zeros((class_count, 11))
+    near = np.float32(config.near_m)
+    if config.strict:
+        near = np.nextafter(near, np.float32(0))
+    _accumulate(
+        occupied.reshape(-1),
+        distance.reshape(-1),
+        true_occupancy.reshape(-1),
+        true_distance.reshape(-1),
+        classes.reshape(-1),
+        near,
+        sums,
+    )
+    return np.stack([_metrics(sums.sum(axis=0)), *map(_metrics, sums)])
+
+
+def _metrics(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The ten metrics from the sums of `_accumulate`, (11,)."""
+    voxels, error, size, square, near, near_error, near_size, near_square, hits, alarms, misses = sums.tolist()
+    nothing = hits + alarms + misses == 0
+
+    def share(part: float, whole: float) -> float:
+        return 1.0 if nothing else part / whole if whole else 0.0
+
+    def mean(total: float, count: float) -> float:
+        return total / count if count else float("nan")
+
+    return np.array(
+        [
+            mean(square, voxels) ** 0.5,
+            mean(size, voxels),
+            mean(near_square, near) ** 0.5,
+            mean(near_size, near),
+            mean(error, voxels),
+            mean(near_error, near),
+            share(hits, hits + alarms + misses),
+            share(2 * hits, 2 * hits + alarms + misses),
+            share(hits, hits + alarms),
+            share(hits, hits + misses),
+        ]
+    )
+
+
+@kernel
+def _accumulate(occupied, distance, true_occupancy, true_distance, classes, near, sums):
+    """Add up, by class: voxels, errors, their sizes, their squares, the same near obstacles, hits, alarms, misses."""
+    for v in range(len(classes)):
+        row = sums[classes[v]]
+        error = float(distance[v]) - float(true_distance[v])
+        row[0] += 1.0
+        row[1] += error
+        row[2] += abs(error)
+        row[3] += error * error
+        if true_distance[v] <= near:
+            row[4] += 1.0
+            row[5] += error
+            row[6] += abs(error)
+            row[7] += error * error
+        if occupied[v]:
+            if true_occupancy[v]:
+                row[8] += 1.0
+            else:
+                row[9] += 1.0
+        elif true_occupancy[v]:
+            row[10] += 1.0

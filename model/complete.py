@@ -1,0 +1,118 @@
+"""One protocol for everything that completes a map, and the methods that need no learning.
+
+A completer sees what one scan tells of a map and says what is there. What it leaves out is derived as the paper does
+for its single-task networks: distances by the transform of the predicted occupancy, occupancy by a threshold on the
+distance.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from lidarsim.jit import kernel
+from scenegen.truth import distance_field
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
+
+    probability: float = 0.85
+    """A voxel is occupied from this probability on."""
+    distance_m: float = 0.2
+    """A voxel is occupied below this distance, where no probability is predicted, metres."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Completion:
+    """What a method says about a map; at least one of the two is given. Raises ValueError where neither is."""
+
+    probability: NDArray[np.float32] | None = None
+    """(*shape): of being occupied, from 0 to 1."""
+    tudf: NDArray[np.float32] | None = None
+    """(*shape): distance to the nearest occupied voxel's centre, metres."""
+
+    def __post_init__(self) -> None:
+        if self.probability is None and self.tudf is None:
+            raise ValueError("a completion needs a probability of occupancy, a distance, or both")
+
+    def occupied(self, thresholds: Thresholds) -> NDArray[np.bool_]:
+        """The binary map, (*shape)."""
+        if self.probability is not None:
+            return self.probability >= np.float32(thresholds.probability)
+        assert self.tudf is not None
+        return self.tudf < np.float32(thresholds.distance_m)
+
+    def distance(self, thresholds: Thresholds, grid: GridSpec) -> NDArray[np.float32]:
+        """The distance field, (*shape), metres, at most the truncation."""
+        if self.tudf is not None:
+            return np.minimum(self.tudf, np.float32(grid.truncation_m))
+        return distance_field(self.occupied(thresholds), grid)
+
+
+class Completer(Protocol):
+    """Anything that completes a map. A method of your own is a class with these two."""
+
+    name: str
+    """How the method is called in tables."""
+
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Completion:
+        """Complete one map from its observed and free voxels, (*grid.shape) each."""
+        ...
+
+
+class Returns:
+    """Occupied where something returned, free elsewhere: what a robot does that trusts its map as it is."""
+
+    name = "returns"
+
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Completion:
+        """See `Completer.complete`."""
+        return Completion(probability=observed.astype(np.float32))
+
+
+class Conservative:
+    """Whatever no ray crossed is occupied: what a robot does that trusts nothing unseen."""
+
+    name = "conservative"
+
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Completion:
+        """See `Completer.complete`."""
+        return Completion(probability=(~free).astype(np.float32))
+
+
+class Extrude:
+    """Returns, extended up and down their columns through unknown voxels until a free one: what a network for pillars
+    has to beat."""
+
+    name = "extrude"
+
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Completion:
+        """See `Completer.complete`."""
+        extended = np.zeros(observed.shape, dtype=np.float32)
+        _extend(observed, free, extended)
+        return Completion(probability=extended)
+
+
+@kernel
+def _extend(observed, free, extended):
+    """Set to 1 every run of voxels along z that holds no free one and at least one observed."""
+    nx, ny, nz = observed.shape
+    for i in range(nx):
+        for j in range(ny):
+            start = 0
+            seen = False
+            for k in range(nz + 1):
+                if k == nz or free[i, j, k]:
+                    if seen:
+                        extended[i, j, start:k] = 1.0
+                    start, seen = k + 1, False
+                elif observed[i, j, k]:
+                    seen = True
+
+
+UNLEARNED: tuple[Completer, ...] = (Returns(), Conservative(), Extrude())
+"""The methods that need no learning."""

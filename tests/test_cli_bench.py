@@ -1,0 +1,48 @@
+"""`scenegen bench` as users meet it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.test_cli import SMALL, run
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+    """A folder with a small dataset under data/, to stand in."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.toml").write_text(SMALL)
+    assert run(capsys, "generate", "--recipe", "small.toml", "--n", 6, "--workers", 1, "--quiet")[0] == 0
+    return tmp_path
+
+
+def test_without_arguments_it_takes_what_is_under_data(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said, _ = run(capsys, "bench", "--quick", "--workers", 1)
+    assert code == 0
+    assert "pillar, reconstruction" in said
+    assert "pillar, planning" in said
+    report = json.loads((here / "bench" / "report.json").read_text())
+    assert report["command"] == "scenegen bench --quick --workers 1"
+    assert report["reconstruction"]["pillar"]["truth"]["iou"]["mean"] == 1.0
+    assert (here / "bench" / "report.md").read_text().startswith("# Bench")
+
+
+def test_bad_use_ends_in_one_line(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here / "wrong.h5").write_bytes(b"")
+    for words, code, named in (
+        (("elsewhere",), 1, "not a dataset"),
+        (("data/pillar", "--method", "magic"), 1, "known are returns"),
+        (("data/pillar", "--predictions", "wrong.h5"), 1, "cannot be read as HDF5"),
+        (("data/pillar", "data/pillar"), 1, "two datasets of one kind"),
+        (("data/pillar", "--split", "all"), 2, "--split"),
+    ):
+        ended, said, error = run(capsys, "bench", *words, "--quiet")
+        assert (ended, said, error.count("\n")) == (code, "", 1)
+        assert named in error
+    monkeypatch.chdir(here / "data" / "pillar")
+    ended, _, error = run(capsys, "bench", "--quiet")
+    assert ended == 2
+    assert "none under data/" in error
