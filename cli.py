@@ -19,12 +19,18 @@ from scenegen.errors import ScenegenError, StoppedError
 from scenegen.recipes import kind_names
 
 SPLITS = ("train", "val", "test")
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+STOPPED = "stopped; what is finished is kept, and the same command goes on from there"
+_stopped: list[int] = []
 
 
 def main() -> NoReturn:
     """Run the command line. What goes wrong ends in one line on standard error."""
+    for number in STOPS:  # until a command knows better, there is nothing to clean up
+        signal.signal(number, _stop_now)
     try:
         app.main(prog_name="scenegen", standalone_mode=False)
+        sys.stdout.flush()
         code, line = 0, ""
     except click.UsageError as error:
         name = error.ctx.command_path if error.ctx else "scenegen"
@@ -34,10 +40,14 @@ def main() -> NoReturn:
     except ScenegenError as error:
         code, line = (130 if isinstance(error, StoppedError) else 1), str(error)
     except (click.Abort, KeyboardInterrupt):
-        code, line = 130, "stopped; what is finished is kept, and the same command goes on from there"
+        code, line = 130, STOPPED
     except BrokenPipeError:
         code, line = 0, ""
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (nobody reads any more; keeps the interpreter from complaining)
+    except OSError as error:
+        code, line = 1, f"{error.filename or 'the system'}: {error.strerror or error}; nothing finished is lost"
+    except MemoryError:
+        code, line = 1, "out of memory; use smaller numbers, or a larger machine"
     if line:
         print(f"scenegen: {line}", file=sys.stderr)
     sys.exit(code)
@@ -71,7 +81,7 @@ class ShardRange(click.ParamType):
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
         """The two numbers."""
         first, colon, stop = str(value).partition(":")
-        if not (colon and first.isdigit() and stop.isdigit() and int(first) < int(stop)):
+        if not (colon and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
             self.fail(f"{value!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx)
         return int(first), int(stop)
 
@@ -98,7 +108,7 @@ def app() -> None:
 @click.option("--shard-samples", type=click.IntRange(min=1), default=100, show_default=True, help="Samples in a file.")
 @click.option("--split-range", type=ShardRange(), help="Only these shards, for a cluster; --dry-run counts them.")
 @click.option("--allow-unseen", is_flag=True, help="Take scenes with geoms that rays cannot see; leave these out.")
-@click.option("--force", is_flag=True, help="Begin anew, whatever dataset is in the folder.")
+@click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
 @click.option("--dry-run", is_flag=True, help="Say what would be made, and make nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
@@ -136,18 +146,27 @@ def generate(
     if dry_run:
         _print_plan(plan, as_json)
         return
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _stop)
     chosen = plan.shards[slice(*shard_range)] if shard_range else plan.shards
     names = {shard.file.name for shard in chosen}
+
+    def start() -> None:
+        for number in STOPS:  # from here on there are workers to end and drafts to remove
+            signal.signal(number, _stop)
+        progress.start(sum(shard.samples for shard in chosen))
+
+    def count(report: Any, fresh: bool) -> None:
+        if _stopped:  # the exception was lost in a library's callback
+            raise StoppedError(STOPPED)
+        progress.count(report.samples if report.file in names else 0)
+
     with _Progress(plan.parameters["kind"], shown=talk) as progress:
         summary = build(
             plan,
             workers=workers or _cores(),
             shard_range=shard_range,
             force=options["force"],
-            on_start=lambda: progress.start(sum(shard.samples for shard in chosen)),
-            on_shard=lambda report, fresh: progress.count(report.samples if report.file in names else 0),
+            on_start=start,
+            on_shard=count,
         )
     if as_json:
         print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": time.perf_counter() - begin}))
@@ -216,6 +235,9 @@ def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
             raise click.UsageError(f"this world refers to {len(files)} other files; give -o, they go beside it")
         sys.stdout.buffer.write(document)
         return
+    output = output.resolve()
+    if output.exists() and not output.is_file():
+        raise click.UsageError(f"-o {output}: is there, and not a file; give another name")
     if not output.parent.is_dir():
         raise click.UsageError(f"-o {output}: there is no folder {output.parent}")
     for name, content in files.items():
@@ -291,8 +313,14 @@ def completion(shell: str) -> None:
     print(found(app, {}, "scenegen", "_SCENEGEN_COMPLETE").source())
 
 
+def _stop_now(number: int, frame: Any) -> NoReturn:
+    os.write(2, f"scenegen: {STOPPED}\n".encode())
+    os._exit(130)
+
+
 def _stop(number: int, frame: Any) -> NoReturn:
-    raise StoppedError("stopped by a signal; what is finished is kept, and the same command goes on from there")
+    _stopped.append(number)
+    raise StoppedError(STOPPED)
 
 
 def _cores() -> int:

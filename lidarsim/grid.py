@@ -30,6 +30,10 @@ class GridSpec:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} = {value} must be a positive length in metres")
+        if self.truncation_m > 1000 * self.voxel_m:
+            raise ValueError(
+                f"truncation_m = {self.truncation_m}: expected a thousand voxels of {self.voxel_m} m at most"
+            )
 
     @property
     def extent_m(self) -> NDArray[np.float64]:

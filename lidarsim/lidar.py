@@ -41,6 +41,8 @@ class Lidar:
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 1 and int(value) == value):
                 raise ValueError(f"{name} = {getattr(self, name)} must be a whole number of at least 1")
+        if self.rows * self.columns > 1_000_000:
+            raise ValueError(f"rows = {self.rows}, columns = {self.columns}: expected a million rays at most")
         for name, low, high in (
             ("vertical_fov_deg", 0.0, 180.0),
             ("horizontal_fov_deg", 0.0, 360.0),

@@ -12,6 +12,8 @@ from scenegen.truth.triangles import crossing, triangle_distance
 
 CELL_M = 2.0
 """Edge of the square cells, seen from above, into which solids are sorted."""
+MOST_CELLS = 250_000
+"""In a box that would hold more, cells are larger."""
 CAP_M = 1.0
 """Distances are known exactly up to this; beyond it they count as this."""
 STEP_M = 1e-3
@@ -28,16 +30,19 @@ class Clearance:
         """`bounds` (2, 3): least and greatest corner of where queries will come from, world metres."""
         low, high = bounds[0, :2], bounds[1, :2]
         self._low = low
-        self._cells = np.maximum(np.ceil((high - low) / CELL_M).astype(np.int64), 1)
+        extent = high - low
+        cell_m = max(CELL_M, float(np.sqrt(extent.prod() / MOST_CELLS)), float(extent.max()) / MOST_CELLS)
+        self._cells = np.maximum(np.ceil(extent / cell_m).astype(np.int64), 1)
         corners = solids.triangles
         lower = np.concatenate([solids.lower, corners.min(axis=1)])[:, :2] - CAP_M
         upper = np.concatenate([solids.upper, corners.max(axis=1)])[:, :2] + CAP_M
-        first = np.clip(np.floor((lower - low) / CELL_M), 0, self._cells).astype(np.int64)
-        last = np.clip(np.floor((upper - low) / CELL_M), -1, self._cells - 1).astype(np.int64)
+        first = np.clip(np.floor((lower - low) / cell_m), 0, self._cells).astype(np.int64)
+        last = np.clip(np.floor((upper - low) / cell_m), -1, self._cells - 1).astype(np.int64)
         start, item = _sort_into_cells(first, last, self._cells)
         owner = np.repeat(np.arange(len(solids.mesh_filled)), np.diff(solids.mesh_start))
         self._arguments = (
             low,
+            cell_m,
             self._cells,
             start,
             item,
@@ -84,9 +89,9 @@ def _sort_into_cells(first, last, cells):
 
 
 @kernel
-def _clearance(x, y, z, low, cells, start, item, shape, size, position, rotation, triangles, owner, filled):
-    i = min(max(math.floor((x - low[0]) / CELL_M), 0), cells[0] - 1)
-    j = min(max(math.floor((y - low[1]) / CELL_M), 0), cells[1] - 1)
+def _clearance(x, y, z, low, cell_m, cells, start, item, shape, size, position, rotation, triangles, owner, filled):
+    i = min(max(math.floor((x - low[0]) / cell_m), 0), cells[0] - 1)
+    j = min(max(math.floor((y - low[1]) / cell_m), 0), cells[1] - 1)
     cell = i * cells[1] + j
     nearest = CAP_M
     mesh, winding = -1, 0

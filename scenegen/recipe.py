@@ -127,14 +127,24 @@ def _from_table(part: type, table: dict[str, Any], where: str) -> Any:
     names = tuple(item.name for item in dataclasses.fields(part))
     for name in table:
         _check_name(name, names, "parameter", where)
+    for name, value in table.items():
+        default = getattr(part, name)
+        if isinstance(value, bool | str) and type(value) is not type(default):
+            raise RecipeError(f"{where} {name} = {value!r}: expected something like {default!r}")
     try:
-        return pydantic.TypeAdapter(part).validate_python(table)
+        return pydantic.TypeAdapter(_finite(part)).validate_python(table)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         at = ".".join(str(step) for step in first["loc"])
         reason = first["msg"].removeprefix("Value error, ")
-        given = f"{at} = {first['input']!r}: " if at else ""
-        raise RecipeError(f"{where} {given}{reason}") from None
+        named = f"{at} = {first['input']!r}: " if at else ""
+        raise RecipeError(f"{where} {named}{reason}") from None
+
+
+def _finite(part: type) -> type:
+    """`part`, to be checked for numbers that are none."""
+    part.__pydantic_config__ = pydantic.ConfigDict(allow_inf_nan=False)  # type: ignore[attr-defined]
+    return part
 
 
 def _check_name(name: str, known: tuple[str, ...], what: str, where: str) -> None:

@@ -66,6 +66,9 @@ def test_generate_inspect_and_world_work_together(
     assert {name: split["samples"] for name, split in found["splits"].items()} == {"train": 12, "val": 1, "test": 2}
     assert found["digest"] == digest
     assert 0 < found["splits"]["train"]["statistics"]["occupied"]["mean"] < 0.5
+    code, _, error = run(capsys, "world", out, 3, "-o", tmp_path)
+    assert code == 2
+    assert "not a file" in error
     code, said, _ = run(capsys, "inspect", out)
     assert code == 0
     assert "12 samples of 4 worlds" in said
@@ -148,11 +151,16 @@ BAD_RECIPES = {
     "sizes of nothing": ("[world]\nhalf_width_m = [0, 0]", "expected lengths above 0"),
     "ratio below one": ("[world]\noblong_ratio = 0.5", "oblong_ratio = 0.5"),
     "shares above one": ("[world]\nround_share = 0.8\noblong_share = 0.5", "expected at most 1"),
-    "an endless density": ("[world]\ndensity = [0.1, inf]", "expected finite numbers"),
+    "an endless density": ("[world]\ndensity = [0.1, inf]", "density.1 = inf"),
     "an endless spacing": ("[flight]\nspacing_m = inf", "spacing_m = inf"),
-    "an endless height": ("[flight]\naltitude_m = [2, inf]", "altitude_m = [2.0, inf]"),
+    "an endless height": ("[flight]\naltitude_m = [2, inf]", "altitude_m.1 = inf"),
+    "too many": ("[world]\ndensity = [90, 90]", "more than 20000 of them"),
+    "words for numbers": ("[flight]\nviewpoints = '5'", "viewpoints = '5'"),
+    "truth for numbers": ("[flight]\nviewpoints = true", "viewpoints = True"),
+    "a million lines": ("[lidar]\nrows = 100000000", "a million rays"),
+    "no end of distance": ("[grid]\ntruncation_m = 1e9", "truncation_m = 1000000000.0"),
     "no table": ("world = 3", "expected a table"),
-    "not a number": ("[world]\ndensity = [nan, 0.1]", "expected finite numbers"),
+    "not a number": ("[world]\ndensity = [nan, 0.1]", "density.0 = nan"),
     "wrong kind": ('kind = "geometric"', "is a recipe for kind 'geometric'"),
     "not TOML": ("density = = 3", "not valid TOML"),
     "too dense": ("[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2", "lower world.density = (4.0, 4.0)"),
@@ -181,6 +189,10 @@ BAD_SCENES = {
     ),
     "only a plane": ('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>', "flight_bounds"),
     "no room to fly": (BOX.format(name="a", x=0, more=""), "no flight fits between the solids"),
+    "far away": (
+        "<mujoco><worldbody>" + '<geom size="1" pos="500000.123456 0 0"/>' * 2 + "</worldbody></mujoco>",
+        "move the scene to the origin",
+    ),
     "missing mesh": ('<mujoco><asset><mesh name="m" file="gone.obj"/></asset></mujoco>', "gone.obj"),
 }
 

@@ -20,8 +20,10 @@ from scenegen.errors import DatasetError
 from scenegen.recipe import Recipe
 from scenegen.source import SPLITS, Source
 
-FULL_BYTES, COMPACT_BYTES = 110_000, 13_000
-"""About what a sample of the default grid takes on disk at most, for the check of free space."""
+FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
+"""About what a sample of the default grid takes on disk; half of it may do."""
+MOST_SHARDS = 99_999
+"""What five digits can number."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +79,10 @@ def plan_dataset(
     each = recipe.flight.viewpoints
     step = max(shard_samples // each, 1)
     shards = []
+    if sum(counts.values()) > MOST_SHARDS * step * each:
+        raise DatasetError(
+            f"{sum(counts.values())} samples in shards of {step * each}: too many files; raise --shard-samples"
+        )
     for split in SPLITS:
         units = math.ceil(counts[split] / each)
         for index, first in enumerate(range(0, units, step)):
@@ -110,7 +116,7 @@ def build(
 ) -> Summary:
     """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
 
-    `workers` processes write; `force` begins anew, whatever dataset is in the folder. `on_shard` is called for every
+    `workers` processes write; `force` replaces another dataset in the folder. `on_shard` is called for every
     shard that is there already (False) and for every one that is written (True), `on_start` once the workers run. A run
     that ends in any way leaves whole shards, and the next one goes on from there. The manifest is signed complete by
     the run that finds every shard.
@@ -120,8 +126,9 @@ def build(
     first, stop = shard_range or (0, len(plan.shards))
     _open_folder(plan, force=force)
     reports: dict[Path, ShardReport] = {}
+    known = {entry["file"]: entry for entry in manifest.read(plan.folder)["shards"]}
     for shard in plan.shards:
-        report = read_report(shard)
+        report = read_report(shard, known.get(shard.file.name))
         if report is not None:
             reports[shard.file] = report
             on_shard(report, False)
@@ -140,13 +147,16 @@ def build(
                 on_shard(report, True)
     finally:
         remove_drafts(plan.folder)
-    for shard in plan.shards:  # those that other runs wrote meanwhile
-        if shard.file not in reports and (late := read_report(shard)) is not None:
-            reports[shard.file] = late
-    ordered = [reports[shard.file] for shard in plan.shards if shard.file in reports]
-    final = manifest.assemble(plan.parameters, ordered, complete=len(ordered) == len(plan.shards))
-    manifest.write(plan.folder, final)
-    return _summarise(plan, ordered, final, written)
+    while True:  # other runs may write shards meanwhile, and manifests: look again after every one of ours
+        for shard in plan.shards:
+            if shard.file not in reports and (late := read_report(shard)) is not None:
+                reports[shard.file] = late
+        ordered = [reports[shard.file] for shard in plan.shards if shard.file in reports]
+        final = manifest.assemble(plan.parameters, ordered, complete=len(ordered) == len(plan.shards))
+        if manifest.read(plan.folder) != final:
+            manifest.write(plan.folder, final)
+        if not any(shard.file.exists() for shard in plan.shards if shard.file not in reports):
+            return _summarise(plan, ordered, final, written)
 
 
 def _first_unit(shard: ShardSpec) -> None:
@@ -156,10 +166,16 @@ def _first_unit(shard: ShardSpec) -> None:
 
 
 def check_folder(plan: Plan, *, force: bool = False) -> None:
-    """Raise DatasetError unless the plan's folder is free, or holds this dataset, or, with `force`, another one."""
+    """Raise DatasetError unless the plan's folder is free, or holds this dataset, or, with `force`, another one.
+
+    A manifest without a shard, left by a run that drew none, stands in nobody's way.
+    """
     folder = plan.folder
-    if not folder.exists():
-        return
+    try:
+        if not folder.exists():
+            return
+    except OSError as error:
+        raise disk_error(folder, error) from None
     if not folder.is_dir():
         raise DatasetError(f"{folder}: is a file, expected a folder; choose another one with --out")
     if not (folder / manifest.NAME).exists():
@@ -171,7 +187,7 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
         return
     there = manifest.read(folder)
     differing = manifest.differences({name: there.get(name) for name in plan.parameters}, plan.parameters)
-    if differing and not force:
+    if differing and not force and _shard_files(folder):
         more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
         raise DatasetError(
             f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose another folder with --out, or "
@@ -188,15 +204,24 @@ def _open_folder(plan: Plan, *, force: bool) -> None:
         remove_drafts(folder)
     except OSError as error:
         raise disk_error(folder, error) from None
-    replace = force and (folder / manifest.NAME).exists()
-    if replace or not (folder / manifest.NAME).exists():
+    if (folder / manifest.NAME).exists():
+        there = manifest.read(folder)
+        same = not manifest.differences({name: there.get(name) for name in plan.parameters}, plan.parameters)
+    else:
+        same = False
+    if not same:
         # the new manifest comes first: shards that carry another fingerprint are not taken for its own
         manifest.write(folder, manifest.assemble(plan.parameters, [], complete=False))
-    if replace:
-        for split in SPLITS:
-            for pattern in (f"{split}-[0-9]*.h5", f"{split}-[0-9]*.worlds.zip"):
-                for file in folder.glob(pattern):
-                    file.unlink()
+    planned = {path for shard in plan.shards for path in (shard.file, shard.worlds_file)}
+    for file in _shard_files(folder):
+        if not same or file not in planned:  # another dataset's, or left by a replacement that was killed
+            file.unlink(missing_ok=True)
+
+
+def _shard_files(folder: Path) -> list[Path]:
+    """Files in `folder` that are named like a dataset's."""
+    patterns = (f"{split}-{'[0-9]' * 5}{suffix}" for split in SPLITS for suffix in (".h5", ".worlds.zip"))
+    return [file for pattern in patterns for file in folder.glob(pattern)]
 
 
 def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
@@ -205,10 +230,10 @@ def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
         return
     needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
     free = shutil.disk_usage(plan.folder).free
-    if needed > free:
+    if needed / 2 > free:
         raise DatasetError(
-            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free; free some space, use "
-            "--compact, or choose another disk with --out"
+            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free; free some space, or "
+            "choose another disk with --out"
         )
     if not os.access(plan.folder, os.W_OK):
         raise DatasetError(f"{plan.folder}: no permission to write there; choose another folder with --out")

@@ -42,7 +42,7 @@ def sync_folder(folder: Path) -> None:
 def disk_error(path: Path, error: OSError) -> DatasetError:
     """What a user can do about an operating system's refusal."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        advice = "the disk is full: free some space, then give the same command again to go on, or use --compact"
+        advice = "the disk is full: free some space, then give the same command again to go on"
     elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         advice = "no permission to write there: choose another place"
     else:

@@ -5,7 +5,7 @@ import io
 import json
 import zipfile
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,7 +98,8 @@ def write_shard(spec: ShardSpec) -> ShardReport:
                     spec.source, spec.recipe, seed=spec.seed, split=spec.split, unit=unit, derived=not spec.compact
                 )
             )
-        worlds, samples = content.worlds(), content.samples()
+        worlds = content.worlds()
+        samples = content.samples(worlds_sha256=file_digest(worlds))
     write_whole(spec.worlds_file, worlds)
     write_whole(spec.file, samples)
     return ShardReport(
@@ -125,12 +126,21 @@ def file_digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def read_report(spec: ShardSpec) -> ShardReport | None:
-    """The report of a shard that is on disk already, or None where there is none that `spec` describes."""
+def read_report(spec: ShardSpec, listed: Mapping[str, Any] | None = None) -> ShardReport | None:
+    """The report of a shard that is on disk already, or None where there is none that `spec` describes.
+
+    A shard whose files are no longer what the manifest's entry `listed` says, or whose archive is not the one that was
+    written with it, is damaged, and counts as absent.
+    """
     try:
         samples, worlds = spec.file.read_bytes(), spec.worlds_file.read_bytes()
         with h5py.File(io.BytesIO(samples), "r") as file:
             if file.attrs["parameters"] != spec.parameters or len(file["world"]) != spec.samples:
+                return None
+            digests = file_digest(samples), file_digest(worlds)
+            if file.attrs["worlds_sha256"] != digests[1]:
+                return None
+            if listed is not None and (listed["sha256"], listed["worlds_sha256"]) != digests:
                 return None
             rejected = json.loads(file.attrs["rejected"])
             return ShardReport(
@@ -139,8 +149,8 @@ def read_report(spec: ShardSpec) -> ShardReport | None:
                 split=spec.split,
                 samples=spec.samples,
                 first_world=int(file.attrs["first_world"]),
-                sha256=file_digest(samples),
-                worlds_sha256=file_digest(worlds),
+                sha256=digests[0],
+                worlds_sha256=digests[1],
                 size=len(samples) + len(worlds),
                 rejected=Rejections(Counter(rejected["worlds"]), Counter(rejected["viewpoints"])),
                 digests=file[DIGEST][()].tobytes(),
@@ -209,7 +219,7 @@ class _ShardContent:
         self.digests += sample.sha256()
         self._count += 1
 
-    def samples(self) -> bytes:
+    def samples(self, *, worlds_sha256: str) -> bytes:
         """The finished HDF5 file."""
         for name, values in self._small.items():
             self._file[name][:] = np.array(values)
@@ -217,6 +227,7 @@ class _ShardContent:
         self._file.create_dataset(DIGEST, data=digests, chunks=(1, 32))
         self._file.attrs["split"] = self._spec.split
         self._file.attrs["first_world"] = self.first_world
+        self._file.attrs["worlds_sha256"] = worlds_sha256
         self._file.attrs["parameters"] = self._spec.parameters
         self._file.attrs["rejected"] = json.dumps(
             {"worlds": self.rejected.worlds, "viewpoints": self.rejected.viewpoints}, sort_keys=True

@@ -45,15 +45,20 @@ def run(
             f"on, with fewer --workers than {workers} if it happens again"
         ) from None
     finally:
-        for process in multiprocessing.active_children():
+        children = multiprocessing.active_children()
+        for process in children:
             process.terminate()
+        for process in children:
+            process.join(5)
+            process.kill()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _enter(parent: int) -> None:
     """Make this process end with `parent`, and leave Ctrl-C to it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 

@@ -14,7 +14,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, SceneError
 from scenegen.recipe import make_recipe, preset
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
-from scenegen.world import compile_world, load_scene
+from scenegen.world import compile_world, load_scene, write_world
 from tests.conftest import SMALL
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -128,6 +128,15 @@ def test_assets_and_includes_travel_with_the_world(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.mesh_vert, direct.mesh_vert)
     for sample in Dataset(tmp_path / "d").split("train"):
         assert not (sample.observed & ~sample.occupancy).any()
+
+
+def test_worlds_of_many_geoms_compile() -> None:
+    def add(spec: mujoco.MjSpec) -> None:
+        for n in range(12_000):
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], pos=[n % 100, n // 100, 0])
+
+    world = write_world(add, flight_bounds=np.array([[0, 0, 1], [100, 100, 3]]))
+    assert world.model.ngeom == 12_000
 
 
 @pytest.mark.parametrize("name", ["forest", "warehouse", "room_with_gap"])

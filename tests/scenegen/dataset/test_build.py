@@ -198,6 +198,59 @@ def test_force_replaces_a_dataset_and_nothing_else(tmp_path: Path) -> None:
     assert names == {"notes.txt", "dataset.json", "train-00000.h5", "train-00000.worlds.zip"}
 
 
+def test_beginning_anew_with_the_same_parameters_keeps_what_is_there(tmp_path: Path) -> None:
+    before = make(tmp_path / "d")
+    again = build(plan(tmp_path / "d"), force=True, shard_range=(0, 1))
+    assert (again.complete, again.digest, again.samples_written) == (True, before.digest, 0)
+
+
+def test_what_a_killed_replacement_left_behind_goes(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    undisturbed = content(tmp_path / "d")
+    for name in ("train-00099.h5", "train-00099.worlds.zip", "test-00050.h5"):
+        (tmp_path / "d" / name).write_bytes(b"of another dataset")
+    make(tmp_path / "d")
+    assert content(tmp_path / "d") == undisturbed
+
+
+def test_jobs_that_finish_at_the_same_time_sign_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = plan(tmp_path / "d")
+    original = manifest.write
+
+    def overtaken(folder: Path, given: dict[str, Any]) -> None:
+        if given["shards"]:  # the other job finishes just before this one writes what it saw
+            monkeypatch.setattr(manifest, "write", original)
+            assert build(parts, shard_range=(1, len(parts.shards))).complete
+        original(folder, given)
+
+    monkeypatch.setattr(manifest, "write", overtaken)
+    assert build(parts, shard_range=(0, 1)).complete
+    assert manifest.read(tmp_path / "d")["complete"]
+
+
+def test_damage_after_the_signature_is_noticed_and_mended(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    undisturbed = content(tmp_path / "d")
+    shards, archives = sorted((tmp_path / "d").glob("*.h5")), sorted((tmp_path / "d").glob("*.zip"))
+    with h5py.File(shards[0], "r+") as file:
+        file["position"][0, 0] += 1e-9
+    archives[1].write_bytes(archives[2].read_bytes())
+    make(tmp_path / "d")
+    assert content(tmp_path / "d") == undisturbed
+
+
+def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path: Path) -> None:
+    hopeless = small_recipe(accept={"min_solids": 1e6, "max_draws": 1})
+    with pytest.raises(GenerationError):
+        make(tmp_path / "d", recipe=hopeless)
+    assert make(tmp_path / "d").complete
+
+
+def test_more_files_than_five_digits_number_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="raise --shard-samples"):
+        plan(tmp_path / "d", counts={"train": 10**9, "val": 0, "test": 0})
+
+
 def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     for force in (False, True):
