@@ -150,15 +150,15 @@ def generate(
     names = {shard.file.name for shard in chosen}
 
     def start() -> None:
-        for number in STOPS:  # from here on there are workers to end and drafts to remove
-            signal.signal(number, _stop)
+        _raise_if_stopped()
         progress.start(sum(shard.samples for shard in chosen))
 
     def count(report: Any, fresh: bool) -> None:
-        if _stopped:  # the exception was lost in a library's callback
-            raise StoppedError(STOPPED)
+        _raise_if_stopped()
         progress.count(report.samples if report.file in names else 0)
 
+    for number in STOPS:  # from here on there are workers to end and drafts to remove
+        signal.signal(number, _stop)
     with _Progress(plan.parameters["kind"], shown=talk) as progress:
         summary = build(
             plan,
@@ -321,6 +321,12 @@ def _stop_now(number: int, frame: Any) -> NoReturn:
 def _stop(number: int, frame: Any) -> NoReturn:
     _stopped.append(number)
     raise StoppedError(STOPPED)
+
+
+def _raise_if_stopped() -> None:
+    """For an exception that `_stop` raised in a library's callback, and that was lost there."""
+    if _stopped:
+        raise StoppedError(STOPPED)
 
 
 def _cores() -> int:
