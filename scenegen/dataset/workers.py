@@ -33,7 +33,7 @@ def run(
         yield from map(function, tasks)
         return
     # forked workers share the compiled kernels and the imports; elsewhere forking is not safe
-    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
+    context: Any = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     waiting = iter(tasks)
     busy: list[Any] = []
     try:
