@@ -1,5 +1,6 @@
 """Table I: how near a completion comes to the truth, voxel by voxel."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +31,10 @@ def measure(
     classes: NDArray[np.uint8],
     class_count: int,
     config: ReconstructionConfig,
+    union: Sequence[int] = (),
 ) -> NDArray[np.float64]:
-    """The metrics of one map, (1 + class_count, len(METRICS)): over the whole map, then over each class of voxels.
+    """The metrics of one map, (2 + class_count, len(METRICS)): over the whole map, over the voxels of all classes in
+    `union`, and over each class.
 
     All grids have the same shape; `classes` holds numbers below `class_count`. A map in which nothing is occupied and
     nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of nothing to nothing is 0. Distance
@@ -50,7 +53,7 @@ def measure(
         near,
         sums,
     )
-    return np.stack([_metrics(sums.sum(axis=0)), *map(_metrics, sums)])
+    return np.stack([_metrics(sums.sum(axis=0)), _metrics(sums[list(union)].sum(axis=0)), *map(_metrics, sums)])
 
 
 def _metrics(sums: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -57,7 +57,8 @@ def _reconstruction(found: MethodResult, result: DatasetResult, rng: np.random.G
     return {
         **figures(found.reconstruction[:, 0]),
         "tuned": {**figures(found.tuned), "thresholds": dataclasses.asdict(found.thresholds)},
-        "by_class": {name: figures(found.reconstruction[:, 1 + c]) for c, name in enumerate(CLASSES)},
+        "unobserved": figures(found.reconstruction[:, 1]),
+        "by_class": {name: figures(found.reconstruction[:, 2 + c]) for c, name in enumerate(CLASSES)},
     }
 
 

@@ -14,7 +14,7 @@ from model.bench.difficulty import describe
 from model.bench.methods import Method
 from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
 from model.bench.tuning import tune
-from model.bench.visibility import CLASSES, classify
+from model.bench.visibility import CLASSES, UNOBSERVED, classify
 from model.complete import Thresholds
 from model.planning.config import PlanConfig
 from model.planning.measure import Measurement, run_trial
@@ -49,7 +49,7 @@ class MethodResult:
     """One method on one dataset, sample by sample and trial by trial."""
 
     reconstruction: NDArray[np.float64]
-    """(N, 1 + classes, metrics): over the whole map, then by class of voxels."""
+    """(N, 2 + classes, metrics): over the whole map, over its unknown voxels, then by class of voxels."""
     tuned: NDArray[np.float64]
     """(N, metrics): over the whole map, at the tuned thresholds."""
     thresholds: Thresholds
@@ -148,7 +148,9 @@ def _work(task: _Task) -> _Outcome:
             completion = method.completion(sample, split=config.split, grid=grid)
             occupied, distance = completion.occupied(config.thresholds), completion.distance(config.thresholds, grid)
             truth = sample.occupancy, sample.tudf
-            measured = partial(measure, classes=classes, class_count=len(CLASSES), config=config.reconstruction)
+            measured = partial(
+                measure, classes=classes, class_count=len(CLASSES), config=config.reconstruction, union=UNOBSERVED
+            )
             rows.append(measured(occupied, distance, *truth))
             if tuned == config.thresholds:
                 tuned_rows.append(rows[-1][0])

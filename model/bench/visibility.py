@@ -9,6 +9,8 @@ from scenegen.sample import Sample
 CLASSES = ("observed", "crossed", "occluded", "interior", "out_of_view")
 """observed: holds a return · crossed: free by some ray · interior: never seen, inside a solid, all six neighbours
 occupied · occluded: a ray would come by if nothing stood in its way · out_of_view: no ray of the sensor comes by."""
+UNOBSERVED = tuple(CLASSES.index(name) for name in ("occluded", "interior", "out_of_view"))
+"""The classes of unknown voxels: neither observed nor crossed."""
 
 
 def classify(sample: Sample, *, lidar: Lidar, grid: GridSpec) -> NDArray[np.uint8]:

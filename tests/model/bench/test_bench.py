@@ -139,6 +139,9 @@ def test_the_report_holds_every_figure_in_its_place(dataset: Dataset, tmp_path: 
             for name in names:
                 assert set(row[name]) == {"mean", "std", "low", "high", "n"}
     returns = report["reconstruction"]["pillar"]["returns"]
+    assert returns["unobserved"]["iou"]["mean"] == 0, "returns say nothing about unknown voxels"
+    assert {"tuned", "unobserved", "by_class"} < set(returns)
+    assert {"successes", "failures"} < set(report["planning"]["pillar"]["returns"])
     assert returns["precision"]["mean"] == 1.0
     assert returns["iou"]["low"] <= returns["iou"]["mean"] <= returns["iou"]["high"]
     assert report["datasets"]["pillar"]["digest"] == dataset.manifest["digest"]

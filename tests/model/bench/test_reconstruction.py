@@ -21,8 +21,9 @@ def score(occupied: np.ndarray, distance: np.ndarray, truth: np.ndarray, config:
     """Metrics by name over the whole map."""
     true_distance = distance_field(truth, GridSpec(shape=truth.shape))
     whole = np.zeros(truth.shape, np.uint8)
-    rows = measure(occupied, distance, truth, true_distance, classes=whole, class_count=1, config=config)
+    rows = measure(occupied, distance, truth, true_distance, classes=whole, class_count=1, config=config, union=[0])
     np.testing.assert_array_equal(rows[0], rows[1])
+    np.testing.assert_array_equal(rows[0], rows[2])
     return dict(zip(METRICS, rows[0], strict=True))
 
 
@@ -56,6 +57,18 @@ def test_metrics_agree_with_definitions_written_out() -> None:
         assert found["precision"] == pytest.approx(hits / (hits + alarms))
         assert found["recall"] == pytest.approx(hits / (hits + misses))
         assert found["f1"] == pytest.approx(stats.hmean([found["precision"], found["recall"]]))
+
+
+def test_classes_and_their_union_are_measured_on_their_voxels_alone() -> None:
+    occupied, distance, truth = random_maps(7)
+    classes = np.random.default_rng(7).integers(0, 3, truth.shape).astype(np.uint8)
+    true_distance = distance_field(truth, GridSpec(shape=truth.shape))
+    rows = measure(occupied, distance, truth, true_distance, classes=classes, class_count=3, config=PLAIN, union=[0, 2])
+    for row, chosen in zip(rows[1:], [classes != 1, *(classes == c for c in range(3))], strict=True):
+        found = dict(zip(METRICS, row, strict=True))
+        assert found["mae"] == pytest.approx(np.abs(distance.astype(float) - true_distance)[chosen].mean())
+        hits = (occupied & truth & chosen).sum()
+        assert found["iou"] == pytest.approx(hits / ((occupied | truth) & chosen).sum())
 
 
 def test_by_hand_on_three_voxels() -> None:
