@@ -14,11 +14,10 @@ from typing import Any, NoReturn
 import rich_click as click
 from click.shell_completion import CompletionItem, get_completion_class
 
-from scenegen import __version__
+from scenegen import SPLITS, __version__
 from scenegen.errors import ScenegenError, StoppedError
 from scenegen.recipes import kind_names
 
-SPLITS = ("train", "val", "test")
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPPED = "stopped; what is finished is kept, and the same command goes on from there"
 _stopped: list[int] = []
@@ -137,6 +136,7 @@ def generate(
     if talk:
         _announce_compilation()
     from scenegen.dataset.build import build, check_folder
+    from scenegen.dataset.workers import cores
 
     plan = _plan(kind, scene, recipe, counts, options)
     shard_range = options["split_range"]
@@ -162,7 +162,7 @@ def generate(
     with _Progress(plan.parameters["kind"], shown=talk) as progress:
         summary = build(
             plan,
-            workers=workers or _cores(),
+            workers=workers or cores(),
             shard_range=shard_range,
             force=options["force"],
             on_start=start,
@@ -264,6 +264,7 @@ def bench(datasets: tuple[Path, ...], names: tuple[str, ...], out: Path, quiet: 
     if not quiet:
         _announce_compilation()
     from model.bench.command import run_bench, tables
+    from scenegen.dataset.workers import cores
 
     found = datasets or tuple(path.parent for path in sorted(Path("data").glob("*/dataset.json")))
     if not found:
@@ -278,7 +279,7 @@ def bench(datasets: tuple[Path, ...], names: tuple[str, ...], out: Path, quiet: 
         split=options["split"],
         quick=options["quick"],
         seed=options["seed"],
-        workers=options["workers"] or _cores(),
+        workers=options["workers"] or cores(),
         command=" ".join(["scenegen", *sys.argv[1:]]),
         progress=lambda label: _Progress(label, shown=not quiet),
     )
@@ -327,11 +328,6 @@ def _raise_if_stopped() -> None:
     """For an exception that `_stop` raised in a library's callback, and that was lost there."""
     if _stopped:
         raise StoppedError(STOPPED)
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _announce_compilation() -> None:

@@ -1,16 +1,15 @@
 """Is this machine fit? Versions, cores, disk, GPU, and a short self-test of the real thing."""
 
-import os
 import shutil
 import time
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lidarsim.jit import cache_folder
-from scenegen.dataset.manifest import software
+from scenegen.dataset.manifest import installed, software
+from scenegen.dataset.workers import cores
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
@@ -25,9 +24,9 @@ def examine(folder: Path = Path()) -> dict[str, Any]:
     return {
         "ok": test["ok"],
         "software": software(),
-        "torch": _version("torch"),
+        "torch": installed("torch"),
         "gpu": _gpu(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": cores(),
         "disk_free_gb": round(usage.free / 1e9, 1),
         "kernel_cache": str(cache_folder("scenegen").parent),
         "self_test": test,
@@ -59,15 +58,8 @@ def self_test() -> dict[str, Any]:
 
 def _gpu() -> str:
     """Name of the GPU that torch sees, or why there is none."""
-    if _version("torch") == "absent":
+    if installed("torch") == "absent":
         return "unknown (torch is not installed)" if shutil.which("nvidia-smi") else "none"
     import torch
 
     return torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none"
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "absent"

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from lidarsim import Pose, Scan, cast, voxelize
+from scenegen import SPLITS
 from scenegen.errors import GenerationError
 from scenegen.flight import plan, viewpoints
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample
-from scenegen.source import SPLITS, Source
+from scenegen.source import Source
 from scenegen.truth import distance_field, rasterize
 from scenegen.world import World
 

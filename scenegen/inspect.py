@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from scenegen import SPLITS
 from scenegen.dataset.read import Dataset
-from scenegen.source import SPLITS
 
 
 def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:

@@ -128,7 +128,7 @@ def _from_table(part: type, table: dict[str, Any], where: str) -> Any:
     for name in table:
         _check_name(name, names, "parameter", where)
     for name, value in table.items():
-        default = getattr(part, name)
+        default = getattr(part, name, value)  # a kind may have parameters without a default
         if isinstance(value, bool | str) and type(value) is not type(default):
             raise RecipeError(f"{where} {name} = {value!r}: expected something like {default!r}")
     try:

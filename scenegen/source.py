@@ -12,11 +12,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from scenegen import SPLITS
 from scenegen.errors import RecipeError, SceneError
 from scenegen.recipe import Recipe
 from scenegen.world import World, compile_world, load_scene, write_world
 
-SPLITS = ("train", "val", "test")
 SHARES = {"train": 10, "val": 1, "test": 2}
 """How a folder of worlds is dealt out."""
 

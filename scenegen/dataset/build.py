@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lidarsim import GridSpec
+from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.files import disk_error, remove_drafts
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
@@ -18,7 +19,7 @@ from scenegen.dataset.workers import run
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
 from scenegen.recipe import Recipe
-from scenegen.source import SPLITS, Source
+from scenegen.source import Source
 
 FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
 """About what a sample of the default grid takes on disk; half of it may do."""
@@ -125,19 +126,15 @@ def build(
     """
     first, stop = shard_range or (0, len(plan.shards))
     _open_folder(plan, force=force)
-    reports: dict[Path, ShardReport] = {}
     known = {entry["file"]: entry for entry in manifest.read(plan.folder)["shards"]}
-    for shard in plan.shards:
-        report = read_report(shard, known.get(shard.file.name))
-        if report is not None:
-            reports[shard.file] = report
-            on_shard(report, False)
+    reports = _look(plan, known, {}, verify=True)
+    for report in reports.values():
+        on_shard(report, False)
     missing = [shard for shard in plan.shards[first:stop] if shard.file not in reports]
     _check_space(plan, missing)
     written = 0
-    if (
-        len(missing) > 1 and workers > 1
-    ):  # kernels compile here once, and hopeless parameters end here, before workers start
+    # kernels compile here, once, and hopeless parameters end here, before workers start
+    if len(missing) > 1 and workers > 1:
         _first_unit(missing[0])
     try:
         with closing(run(write_shard, missing, workers, on_start)) as results:
@@ -147,16 +144,29 @@ def build(
                 on_shard(report, True)
     finally:
         remove_drafts(plan.folder)
+    late = _look(plan, known, reports)
     while True:  # other runs may write shards meanwhile, and manifests: look again after every one of ours
-        for shard in plan.shards:
-            if shard.file not in reports and (late := read_report(shard)) is not None:
-                reports[shard.file] = late
+        reports |= late
         ordered = [reports[shard.file] for shard in plan.shards if shard.file in reports]
         final = manifest.assemble(plan.parameters, ordered, complete=len(ordered) == len(plan.shards))
         if manifest.read(plan.folder) != final:
             manifest.write(plan.folder, final)
-        if not any(shard.file.exists() for shard in plan.shards if shard.file not in reports):
+        late = _look(plan, known, reports)
+        if not late:
             return _summarise(plan, ordered, final, written)
+
+
+def _look(
+    plan: Plan, known: Mapping[str, Mapping[str, Any]], seen: Mapping[Path, ShardReport], *, verify: bool = False
+) -> dict[Path, ShardReport]:
+    """Reports of the shards on disk that are not among those `seen`, and are as the manifest's entries `known` say."""
+    found = {}
+    for shard in plan.shards:
+        if shard.file not in seen:
+            report = read_report(shard, known.get(shard.file.name), verify=verify)
+            if report is not None:
+                found[shard.file] = report
+    return found
 
 
 def _first_unit(shard: ShardSpec) -> None:

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from lidarsim import GridSpec, Lidar
-from scenegen import __version__
+from scenegen import SPLITS, __version__
 from scenegen.dataset.files import write_whole
 from scenegen.dataset.shard import ShardReport, stored_fields
 from scenegen.errors import DatasetError
 from scenegen.recipe import Recipe
-from scenegen.source import SPLITS, Source
+from scenegen.source import Source
 
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
@@ -51,12 +51,15 @@ def parameters(
 def software() -> dict[str, str]:
     """Versions of what the numbers depend on."""
     found = {"scenegen": __version__, "machine": platform.machine()}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "absent"
-    return found
+    return found | {package: installed(package) for package in PACKAGES}
+
+
+def installed(package: str) -> str:
+    """The installed version of a package, or ``absent``."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "absent"
 
 
 def fingerprint(given: Mapping[str, Any]) -> str:

@@ -9,10 +9,10 @@ from typing import Any, overload
 import h5py
 import numpy as np
 
+from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.errors import DatasetError
 from scenegen.sample import Sample, derive_free, derive_tudf
-from scenegen.source import SPLITS
 
 
 class Dataset:

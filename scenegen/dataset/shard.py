@@ -126,11 +126,14 @@ def file_digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def read_report(spec: ShardSpec, listed: Mapping[str, Any] | None = None) -> ShardReport | None:
+def read_report(
+    spec: ShardSpec, listed: Mapping[str, Any] | None = None, *, verify: bool = False
+) -> ShardReport | None:
     """The report of a shard that is on disk already, or None where there is none that `spec` describes.
 
     A shard whose files are no longer what the manifest's entry `listed` says, or whose archive is not the one that was
-    written with it, is damaged, and counts as absent.
+    written with it, is damaged, and counts as absent. `verify` also holds samples against their own digests where there
+    is no such entry.
     """
     try:
         samples, worlds = spec.file.read_bytes(), spec.worlds_file.read_bytes()
@@ -141,6 +144,8 @@ def read_report(spec: ShardSpec, listed: Mapping[str, Any] | None = None) -> Sha
             if file.attrs["worlds_sha256"] != digests[1]:
                 return None
             if listed is not None and (listed["sha256"], listed["worlds_sha256"]) != digests:
+                return None
+            if listed is None and verify and not _digests_hold(file):
                 return None
             rejected = json.loads(file.attrs["rejected"])
             return ShardReport(
@@ -157,6 +162,15 @@ def read_report(spec: ShardSpec, listed: Mapping[str, Any] | None = None) -> Sha
             )
     except (OSError, KeyError, ValueError):
         return None
+
+
+def _digests_hold(file: h5py.File) -> bool:
+    """Whether every sample of an open shard has the digest that stands beside it."""
+    for row, digest in enumerate(file[DIGEST][()]):
+        stored = {name: file[name][row] for name, meta in SCHEMA.items() if not meta["derived"]}
+        if Sample(free=np.empty(0, np.bool_), tudf=np.empty(0, np.float32), **stored).sha256() != digest.tobytes():
+            return False
+    return True
 
 
 class _ShardContent:

@@ -19,6 +19,11 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def run(
     function: Callable[[Task], Result], tasks: Iterable[Task], workers: int, on_start: Callable[[], None] = lambda: None
 ) -> Generator[Result, None, None]:

@@ -39,6 +39,8 @@ class WorldKind(ABC):
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
+            if isinstance(value, str):
+                continue
             numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
             if not np.isfinite(numbers).all():
                 raise ValueError(f"{name} = {value}: expected finite numbers")

@@ -13,6 +13,7 @@ import pytest
 
 import cli
 from scenegen import doctor
+from scenegen.dataset import manifest
 from scenegen.draw import Unit, draw_unit
 from scenegen.sample import Sample
 
@@ -119,5 +120,5 @@ def test_it_tells_of_the_machine(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_absent_and_one_that_is_there_has_its_version() -> None:
-    assert doctor._version("no-such-package-as-this") == "absent"
-    assert doctor._version("numpy") == np.__version__
+    assert manifest.installed("no-such-package-as-this") == "absent"
+    assert manifest.installed("numpy") == np.__version__

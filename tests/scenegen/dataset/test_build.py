@@ -13,13 +13,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.build import Plan, Summary, build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA
-from scenegen.source import SPLITS, DrawnWorlds
+from scenegen.source import DrawnWorlds
 from tests.conftest import picky_recipe, small_recipe
 
 COUNTS = {"train": 13, "val": 3, "test": 4}
@@ -236,6 +237,20 @@ def test_damage_after_the_signature_is_noticed_and_mended(tmp_path: Path) -> Non
         file["position"][0, 0] += 1e-9
     archives[1].write_bytes(archives[2].read_bytes())
     make(tmp_path / "d")
+    assert content(tmp_path / "d") == undisturbed
+
+
+def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    undisturbed = content(tmp_path / "d")
+    parts = plan(tmp_path / "d")
+    first, last = parts.shards[0].file, parts.shards[-1].file
+    first.write_bytes(first.read_bytes()[:500])
+    with h5py.File(last, "r+") as file:
+        file["position"][0, 0] += 1e-9
+    between = build(parts, shard_range=(1, len(parts.shards) - 1))
+    assert (between.complete, between.shards_missing, between.samples_written) == (False, 2, 0)
+    assert build(parts).complete
     assert content(tmp_path / "d") == undisturbed
 
 
