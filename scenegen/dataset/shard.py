@@ -166,9 +166,11 @@ def read_report(
 
 def _digests_hold(file: h5py.File) -> bool:
     """Whether every sample of an open shard has the digest that stands beside it."""
+    stored = {name: file[name][()] for name, meta in SCHEMA.items() if not meta["derived"]}
     for row, digest in enumerate(file[DIGEST][()]):
-        stored = {name: file[name][row] for name, meta in SCHEMA.items() if not meta["derived"]}
-        if Sample(free=np.empty(0, np.bool_), tudf=np.empty(0, np.float32), **stored).sha256() != digest.tobytes():
+        fields = {name: values[row] for name, values in stored.items()}
+        sample = Sample(free=np.empty(0, np.bool_), tudf=np.empty(0, np.float32), **fields)
+        if sample.sha256() != digest.tobytes():
             return False
     return True
 
