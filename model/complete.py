@@ -27,22 +27,22 @@ class Thresholds:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Completion:
+class Prediction:
     """What a method says about a map; at least one of the two is given. Raises ValueError where neither is."""
 
-    probability: NDArray[np.float32] | None = None
+    occupancy_probability: NDArray[np.float32] | None = None
     """(*shape): of being occupied, from 0 to 1."""
     tudf: NDArray[np.float32] | None = None
     """(*shape): distance to the nearest occupied voxel's centre, metres."""
 
     def __post_init__(self) -> None:
-        if self.probability is None and self.tudf is None:
+        if self.occupancy_probability is None and self.tudf is None:
             raise ValueError("a completion needs a probability of occupancy, a distance, or both")
 
     def occupied(self, thresholds: Thresholds) -> NDArray[np.bool_]:
         """The binary map, (*shape)."""
-        if self.probability is not None:
-            return self.probability >= np.float32(thresholds.probability)
+        if self.occupancy_probability is not None:
+            return self.occupancy_probability >= np.float32(thresholds.probability)
         assert self.tudf is not None
         return self.tudf < np.float32(thresholds.distance_m)
 
@@ -53,13 +53,13 @@ class Completion:
         return distance_field(self.occupied(thresholds), grid)
 
 
-class Completer(Protocol):
+class MapCompleter(Protocol):
     """Anything that completes a map. A method of your own is a class with these two."""
 
     name: str
     """How the method is called in tables."""
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Completion:
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
         """Complete one map from its observed and free voxels, (*grid.shape) each."""
         ...
 
@@ -69,9 +69,9 @@ class Returns:
 
     name = "returns"
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Completion:
-        """See `Completer.complete`."""
-        return Completion(probability=observed.astype(np.float32))
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=observed.astype(np.float32))
 
 
 class Conservative:
@@ -79,9 +79,9 @@ class Conservative:
 
     name = "conservative"
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Completion:
-        """See `Completer.complete`."""
-        return Completion(probability=(~free).astype(np.float32))
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=(~free).astype(np.float32))
 
 
 class Extrude:
@@ -90,11 +90,11 @@ class Extrude:
 
     name = "extrude"
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Completion:
-        """See `Completer.complete`."""
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
         extended = np.zeros(observed.shape, dtype=np.float32)
         _extend(observed, free, extended)
-        return Completion(probability=extended)
+        return Prediction(occupancy_probability=extended)
 
 
 @kernel
@@ -114,5 +114,5 @@ def _extend(observed, free, extended):
                     seen = True
 
 
-UNLEARNED: tuple[Completer, ...] = (Returns(), Conservative(), Extrude())
+UNLEARNED: tuple[MapCompleter, ...] = (Returns(), Conservative(), Extrude())
 """The methods that need no learning."""

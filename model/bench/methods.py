@@ -9,13 +9,13 @@ import h5py
 import numpy as np
 
 from lidarsim import GridSpec
-from model.complete import Completer, Completion
+from model.complete import MapCompleter, Prediction
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.sample import Sample
 
-FIELDS = {"probability": "occupancy_probability", "tudf": "tudf"}
-"""Names of a completion's parts in a predictions file."""
+FIELDS = ("occupancy_probability", "tudf")
+"""Names of a prediction's parts in a predictions file."""
 
 
 class Method(Protocol):
@@ -26,7 +26,7 @@ class Method(Protocol):
         """How the method is called in tables."""
         ...
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Completion:
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
         """What the method says about a sample's map."""
         ...
 
@@ -35,14 +35,14 @@ class Method(Protocol):
 class Completed:
     """A completer, shown nothing but what was seen."""
 
-    completer: Completer
+    completer: MapCompleter
 
     @property
     def name(self) -> str:
         """The completer's."""
         return self.completer.name
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Completion:
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
         """See `Method.completion`."""
         return self.completer.complete(sample.observed, sample.free, grid=grid)
 
@@ -53,9 +53,9 @@ class Truth:
 
     name: str = "truth"
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Completion:
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
         """See `Method.completion`."""
-        return Completion(probability=sample.occupancy.astype(np.float32), tudf=sample.tudf)
+        return Prediction(occupancy_probability=sample.occupancy.astype(np.float32), tudf=sample.tudf)
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,10 @@ class Predicted:
             )
         if file.attrs.get("split") != split:
             raise DatasetError(f"{self.path}: predicts split {file.attrs.get('split')!r}, expected {split!r}")
-        parts = [name for name in FIELDS.values() if name in file]
+        parts = [name for name in FIELDS if name in file]
         if not parts or "world" not in file or "viewpoint" not in file:
             raise DatasetError(
-                f"{self.path}: expected world, viewpoint, and at least one of {', '.join(FIELDS.values())}; "
+                f"{self.path}: expected world, viewpoint, and at least one of {', '.join(FIELDS)}; "
                 f"found {', '.join(file) or 'nothing'}"
             )
         missing = [name for name in dataset.split(split).names if name[1:] not in self._rows]
@@ -111,10 +111,8 @@ class Predicted:
             pairs = zip(file["world"][:].tolist(), file["viewpoint"][:].tolist(), strict=True)
             return {pair: row for row, pair in enumerate(pairs)}
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Completion:
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
         """See `Method.completion`."""
         row = self._rows[int(sample.world), int(sample.viewpoint)]
         with h5py.File(self.path, "r") as file:
-            return Completion(
-                **{part: file[name][row].astype(np.float32) for part, name in FIELDS.items() if name in file}
-            )
+            return Prediction(**{name: file[name][row].astype(np.float32) for name in FIELDS if name in file})

@@ -28,7 +28,7 @@ def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds)
             completion = method.completion(sample, split="val", grid=dataset.grid)
         except KeyError:  # a file that predicts the test split alone
             return thresholds
-        if completion.probability is None:
+        if completion.occupancy_probability is None:
             name, candidates = "distance_m", DISTANCES_M
         row = []
         for value in candidates:

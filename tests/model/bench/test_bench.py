@@ -12,7 +12,7 @@ from model.bench.methods import Completed, Predicted, Truth
 from model.bench.reconstruction import METRICS
 from model.bench.run import BenchConfig, bench
 from model.bench.tuning import tune
-from model.complete import Completion, Returns, Thresholds
+from model.complete import Prediction, Returns, Thresholds
 from model.planning.config import PlanConfig
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
@@ -37,9 +37,9 @@ class Nothing:
 
     name = "nothing"
 
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Completion:
-        return Completion(
-            probability=np.zeros(observed.shape, np.float32), tudf=np.full(observed.shape, 2.0, np.float32)
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        return Prediction(
+            occupancy_probability=np.zeros(observed.shape, np.float32), tudf=np.full(observed.shape, 2.0, np.float32)
         )
 
 
@@ -51,9 +51,9 @@ class Copied:
     def __init__(self, dataset: Dataset):
         self.answers = {s.observed.tobytes(): s for name in ("val", "test") for s in dataset.split(name)}
 
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Completion:
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
         sample = self.answers[observed.tobytes()]
-        return Completion(probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)), tudf=sample.tudf)
+        return Prediction(occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)), tudf=sample.tudf)
 
 
 def write_predictions(path: Path, dataset: Dataset, *, drop: int = 0, digest: str | None = None) -> Path:

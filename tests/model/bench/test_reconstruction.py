@@ -7,7 +7,7 @@ from scipy import stats
 from lidarsim import GridSpec
 from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
 from model.bench.visibility import CLASSES, classify
-from model.complete import UNLEARNED, Completion, Conservative, Extrude, Returns, Thresholds
+from model.complete import UNLEARNED, Prediction, Conservative, Extrude, Returns, Thresholds
 from scenegen.draw import draw_unit
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
@@ -130,8 +130,8 @@ def test_unlearned_methods_do_what_they_say() -> None:
 
 def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused() -> None:
     tudf = np.linspace(0, 3, 8, dtype=np.float32).reshape(2, 2, 2)
-    completion = Completion(tudf=tudf)
+    completion = Prediction(tudf=tudf)
     np.testing.assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
     assert completion.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
     with pytest.raises(ValueError, match="probability"):
-        Completion()
+        Prediction()

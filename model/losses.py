@@ -1,0 +1,92 @@
+"""The learning objective: the paper's section "Learning Objective", equation by equation.
+
+All losses take (B, X, Y, Z) tensors and are computed in float32, whatever the network computed in.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F  # noqa: N812 (its usual name)
+from torch import Tensor
+
+from model.network import Output
+
+ROOT_EPSILON = 1e-8
+"""Under the root of the gradient's length, so that a flat field has a finite derivative."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LossConfig:
+    """Weights of the objective. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
+    open."""
+
+    occupancy: float = 0.1
+    """lambda_occ (paper)."""
+    tudf: float = 1.0
+    """lambda_tudf (paper)."""
+    eikonal: float = 0.05
+    """lambda_eik (paper)."""
+    occupied_weight: float = 5.0
+    """w^o of occupied voxels; free ones have 1 (paper)."""
+    near_weight: float = 2.0
+    """w^t of voxels near a surface; others have 1 (paper)."""
+    near_m: float = 0.5
+    """How near, metres (paper)."""
+    beta_m: float = 1.0
+    """Where Smooth-L1 turns from a parabola into a line, metres (ours)."""
+
+    def __post_init__(self) -> None:
+        for name in ("occupancy", "tudf", "eikonal", "occupied_weight", "near_weight", "near_m"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise ValueError(f"loss: {name} = {getattr(self, name)} must be finite and at least 0")
+        if not 0 < self.beta_m < float("inf"):
+            raise ValueError(f"loss: beta_m = {self.beta_m} must be finite and above 0, metres")
+
+
+def objective(
+    output: Output, occupancy: Tensor, tudf: Tensor, config: LossConfig, *, voxel_m: float, truncation_m: float
+) -> dict[str, Tensor]:
+    """Eq. 7 and 11: the parts that the output has, and their weighted sum under ``loss``. Scalars."""
+    parts = {}
+    total = torch.zeros((), device=occupancy.device)
+    if output.logits is not None:
+        parts["occupancy"] = occupancy_loss(output.logits, occupancy, occupied_weight=config.occupied_weight)
+        total = total + config.occupancy * parts["occupancy"]
+    if output.tudf is not None:
+        parts["regression"] = regression_loss(
+            output.tudf, tudf, near_m=config.near_m, near_weight=config.near_weight, beta_m=config.beta_m
+        )
+        parts["eikonal"] = eikonal_loss(output.tudf, tudf, voxel_m=voxel_m, truncation_m=truncation_m)
+        total = total + config.tudf * (parts["regression"] + config.eikonal * parts["eikonal"])
+    return {"loss": total, **parts}
+
+
+def occupancy_loss(logits: Tensor, occupancy: Tensor, *, occupied_weight: float) -> Tensor:
+    """Eq. 8: binary cross-entropy over all voxels, occupied ones weighted; `occupancy` is bool.
+
+    -[w o log p + (1 - o) log(1 - p)] with log p = -softplus(-logit): no probability is ever rounded to 0 or 1.
+    """
+    logits = logits.float()
+    loss = F.softplus(torch.where(occupancy, -logits, logits))
+    return torch.where(occupancy, occupied_weight * loss, loss).mean()
+
+
+def regression_loss(predicted: Tensor, tudf: Tensor, *, near_m: float, near_weight: float, beta_m: float) -> Tensor:
+    """Eq. 9: Smooth-L1 over all voxels, those within `near_m` of a surface weighted; metres."""
+    loss = F.smooth_l1_loss(predicted.float(), tudf, beta=beta_m, reduction="none")
+    return torch.where(tudf <= near_m, near_weight * loss, loss).mean()
+
+
+def eikonal_loss(predicted: Tensor, tudf: Tensor, *, voxel_m: float, truncation_m: float) -> Tensor:
+    """Eq. 10: how far the predicted field's slope is from 1, over voxels whose true distance lies strictly between 0
+    and the truncation; by forward differences, so the last voxel of every line has none. 0 over no voxel.
+    """
+    d = predicted.float()
+    here = d[:, :-1, :-1, :-1]
+    squares = (d[:, 1:, :-1, :-1] - here).square()
+    squares = squares + (d[:, :-1, 1:, :-1] - here).square()
+    squares = squares + (d[:, :-1, :-1, 1:] - here).square()
+    slope = (squares / voxel_m**2 + ROOT_EPSILON).sqrt()
+    mask = (tudf > 0) & (tudf < truncation_m)
+    mask = mask[:, :-1, :-1, :-1]
+    return torch.where(mask, (slope - 1).abs(), 0).sum() / mask.sum().clamp(min=1)

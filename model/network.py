@@ -1,0 +1,214 @@
+"""The completion network, whole: the paper's dual-decoder U-Net with CrossFusion, and the variants that isolate it.
+
+For a map of 80 x 80 x 40 voxels and width 8 (channels x cells):
+
+    X 1x80x80x40 ─ Preprocess ─ Encode ──────── Encode ──────── Encode ─ SelfAttention ─ F_s
+                                8x40x40x20      16x20x20x10     32x10x10x5
+                                S1 │            S2 │            S3 │
+    D 1x80x80x40 ─ FinalUp h_t ─ f_t1 ─ C1 ─── f_t2 ─ C2 ───── f_t3 ─ C3 ───── F_s
+    O 1x80x80x40 ─ FinalUp h_o ─ f_o1 ─ C1 ─── f_o2 ─ C2 ───── f_o3 ─ C3 ───── F_s
+
+Equations are numbered as in docs/network.md, which holds them against this file.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import torch
+import torch.nn.functional as F  # noqa: N812 (its usual name)
+from torch import Tensor, nn
+
+Variant = Literal["proposed", "occ", "tudf", "dual", "shared"]
+VARIANTS: tuple[Variant, ...] = get_args(Variant)
+"""Both branches, coupled · occupancy alone · distances alone · both, uncoupled · one decoder with two heads."""
+LEVELS = 3
+TASKS = ("tudf", "occupancy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig:
+    """What a network looks like. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
+    open."""
+
+    variant: Variant = "proposed"
+    """Which of the paper's three networks, or of the two baselines that it leaves out."""
+    width: int = 8
+    """Channels at the first level; they double from level to level (paper)."""
+    stem_stride: Literal[1, 2] = 2
+    """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second, after one at full
+    resolution (ours)."""
+    heads: int = 4
+    """Of the self-attention (ours)."""
+
+    def __post_init__(self) -> None:
+        if self.variant not in VARIANTS:
+            raise ValueError(f"variant = {self.variant!r} must be one of {', '.join(VARIANTS)}")
+        if self.stem_stride not in (1, 2):
+            raise ValueError(f"stem_stride = {self.stem_stride} must be 1 or 2")
+        if self.heads < 1 or self.width < 1 or self.width * 2 ** (LEVELS - 1) % self.heads:
+            raise ValueError(
+                f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width must be a multiple "
+                "of the heads, and both at least 1"
+            )
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """What is predicted: of "tudf" and "occupancy", in this order."""
+        return {"occ": TASKS[1:], "tudf": TASKS[:1]}.get(self.variant, TASKS)
+
+    @property
+    def stride(self) -> int:
+        """Every edge of a map must be a multiple of this many voxels."""
+        return int(2**LEVELS)
+
+
+class Output(NamedTuple):
+    """What a network says about a batch of maps; None for what its variant does not predict."""
+
+    logits: Tensor | None
+    """(B, X, Y, Z): the probability of occupancy before its sigmoid."""
+    tudf: Tensor | None
+    """(B, X, Y, Z): metres, not negative, not truncated."""
+
+
+class Network(nn.Module):
+    """Maps observed voxels, (B, X, Y, Z) as numbers 0 and 1, to an `Output` (the paper, section "Coupled
+    TUDF-Occupancy Learning")."""
+
+    def __init__(self, config: NetworkConfig):
+        super().__init__()
+        self.config = config
+        widths = [config.width * 2**level for level in range(LEVELS)]
+        self.preprocess = Preprocess(widths[0], config.stem_stride)
+        self.encoder = nn.ModuleList(
+            Encode(below, width, stride=1 if level == 0 else 2)
+            for level, (below, width) in enumerate(zip([widths[0], *widths], widths, strict=False))
+        )
+        self.attention = SelfAttention(widths[-1], config.heads)
+        branches = ("shared",) if config.variant == "shared" else config.tasks
+        self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in branches})
+        self.fusion = nn.ModuleList(CrossFusion(width) for width in widths) if config.variant == "proposed" else None
+        self.head = nn.ModuleDict({task: FinalUp(widths[0]) for task in config.tasks})
+
+    def forward(self, observed: Tensor) -> Output:
+        """See the class."""
+        x = self.preprocess(observed.unsqueeze(1))
+        skips = []
+        for encode in self.encoder:
+            x = encode(x)
+            skips.append(x)
+        shared = self.attention(x)  # F_s
+        features = dict.fromkeys(self.decoder, shared)
+        for level in reversed(range(LEVELS)):
+            features = {
+                branch: decoder.stages[level](features[branch], skips[level])  # eq. 3 and 4
+                for branch, decoder in self.decoder.items()
+            }
+            if self.fusion is not None:
+                t, o = self.fusion[level](features["tudf"], features["occupancy"])  # eq. 5
+                features = {"tudf": t, "occupancy": o}
+        found = {task: head(features.get(task, features.get("shared"))) for task, head in self.head.items()}  # eq. 6
+        return Output(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
+
+
+class Preprocess(nn.Sequential):
+    """(B, 1, X, Y, Z) → (B, width, X/2, Y/2, Z/2)."""
+
+    def __init__(self, width: int, stride: int):
+        super().__init__(
+            *_convolution(1, width, stride=stride),
+            *_convolution(width, width, stride=2 // stride),
+        )
+
+
+class Encode(nn.Sequential):
+    """(B, below, ...) → (B, width, .../stride): a level of the encoder; what it gives is the level's skip S."""
+
+    def __init__(self, below: int, width: int, stride: int):
+        super().__init__(*_convolution(below, width, stride=stride), *_convolution(width, width))
+
+
+class SelfAttention(nn.Module):
+    """(B, C, x, y, z) → the same: every cell looks at every other, and adds what it found."""
+
+    def __init__(self, width: int, heads: int):
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.to_qkv = nn.Linear(width, 3 * width)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """See the class."""
+        cells = x.flatten(2).transpose(1, 2)  # (B, cells, C)
+        q, k, v = self.to_qkv(self.norm(cells)).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        found = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+        return x + self.out(found).transpose(1, 2).unflatten(2, x.shape[2:])
+
+
+class Decoder(nn.Module):
+    """One branch: f^(1), f^(2), f^(3), finest first."""
+
+    def __init__(self, widths: list[int]):
+        super().__init__()
+        coarser = [*widths[1:], None]
+        self.stages = nn.ModuleList(Decode(width, above) for width, above in zip(widths, coarser, strict=True))
+
+
+class Decode(nn.Module):
+    """f^(l): (B, above, ...) and the skip (B, width, 2 ...) → (B, width, 2 ...); the coarsest has nothing to double."""
+
+    def __init__(self, width: int, above: int | None):
+        super().__init__()
+        self.up = nn.Identity() if above is None else nn.ConvTranspose3d(above, width, kernel_size=2, stride=2)
+        self.refine = nn.Sequential(*_convolution(2 * width, width), *_convolution(width, width))
+
+    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        """See the class."""
+        return self.refine(torch.cat((self.up(x), skip), dim=1))
+
+
+class CrossFusion(nn.Module):
+    """Each branch adds what it learns from both; occupancy sees distances already refined, as eq. 5 is written."""
+
+    def __init__(self, width: int):
+        super().__init__()
+        self.to_tudf, self.to_occupancy = (
+            nn.Sequential(nn.Conv3d(2 * width, width, 1), nn.ReLU(inplace=True), nn.Conv3d(width, width, 1))
+            for _ in TASKS
+        )
+
+    def forward(self, t: Tensor, o: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, width, ...) each → the same."""
+        t = t + self.to_tudf(torch.cat((t, o), dim=1))
+        o = o + self.to_occupancy(torch.cat((o, t), dim=1))
+        return t, o
+
+
+class FinalUp(nn.Module):
+    """(B, width, X/2, Y/2, Z/2) → (B, X, Y, Z): eight values a cell, one for each voxel in it.
+
+    The slope below zero is not flat: with a ReLU here, channels that die leave the bias alone as an upper bound of the
+    logit, and no probability ever passes the threshold.
+    """
+
+    def __init__(self, width: int):
+        super().__init__()
+        self.refine = nn.Sequential(*_convolution(width, width)[:-1], nn.LeakyReLU(0.1, inplace=True))
+        self.split = nn.Conv3d(width, 8, 3, padding=1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """See the class."""
+        x = self.refine(x)
+        with torch.autocast(x.device.type, enabled=False):  # bf16 keeps distances to a centimetre: slopes need better
+            parts = self.split(x.float()).unflatten(1, (2, 2, 2))  # (B, i, j, k, x, y, z)
+        return parts.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2)
+
+
+def _convolution(below: int, width: int, stride: int = 1) -> list[nn.Module]:
+    """A 3 x 3 x 3 convolution, normalised, with its activation."""
+    return [
+        nn.Conv3d(below, width, 3, stride=stride, padding=1, bias=False),
+        nn.BatchNorm3d(width),
+        nn.ReLU(inplace=True),
+    ]

@@ -1,0 +1,127 @@
+"""A training run on disk: its settings, its figures, its best network, and all that is needed to go on."""
+
+import csv
+import dataclasses
+import io
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from lidarsim import GridSpec
+from model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
+from model.network import Network
+from scenegen.dataset.files import disk_error, remove_drafts, write_whole
+from scenegen.dataset.manifest import differences
+from scenegen.errors import DatasetError
+
+CONFIG, METRICS, CURVE = "config.json", "metrics.csv", "curve.png"
+BEST, LAST = "best.safetensors", "last.safetensors"
+
+
+@dataclass
+class Progress:
+    """How far a run has come; with the weights and the optimiser's moments, all that the rest of it depends on."""
+
+    epoch: int = 0
+    """Epochs that are finished."""
+    step: int = 0
+    """Steps of the next epoch that are done."""
+    best_epoch: int = -1
+    """The epoch of the best validation loss; -1 for none yet."""
+    best_loss: float = float("inf")
+    sums: dict[str, float] = field(default_factory=dict)
+    """Of the losses over the epoch's steps so far."""
+    seconds: float = 0.0
+    """Spent on the epoch so far."""
+    rows: list[dict[str, float]] = field(default_factory=list)
+    """One a finished epoch: see docs/training.md."""
+
+
+class RunFolder:
+    """The folder of one run. Files in it are whole or absent, and the last good ones outlive any failure."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def open(self, settings: dict[str, Any], *, resume: bool) -> None:
+        """Begin a run with `settings`, or go on with it.
+
+        Raises DatasetError where the folder holds a run that was not to be resumed, or one with other settings.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise disk_error(self.path, error) from None
+        remove_drafts(self.path)
+        config = self.path / CONFIG
+        if config.exists() and not resume:
+            raise DatasetError(f"{self.path}: holds a run already; give --resume to go on with it, or another --out")
+        if config.exists():
+            there = self.settings()
+            unlike = differences(there["settings"], json.loads(json.dumps(settings["settings"])))
+            if unlike:
+                raise DatasetError(
+                    f"{self.path}: was begun with other settings ({'; '.join(unlike)}); give those, or another --out"
+                )
+            return
+        write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
+
+    def settings(self) -> dict[str, Any]:
+        """What the run was begun with. Raises DatasetError where there is none."""
+        try:
+            return dict(json.loads((self.path / CONFIG).read_text(encoding="utf-8")))
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{self.path / CONFIG}: cannot be read ({error}); choose another --out") from None
+
+    def save(self, progress: Progress, tensors: dict[str, Tensor]) -> None:
+        """Write all that is needed to go on from here."""
+        save_tensors(self.path / LAST, tensors, dataclasses.asdict(progress))
+
+    def restore(self) -> tuple[Progress, dict[str, Tensor]] | None:
+        """What `save` wrote last, or None. Raises CheckpointError where it is damaged."""
+        if not (self.path / LAST).exists():
+            return None
+        tensors, header = load_tensors(self.path / LAST)
+        try:
+            return Progress(**header), tensors
+        except TypeError:
+            raise CheckpointError(
+                f"{self.path / LAST}: not the state of a run; remove it to begin again, {BEST} stays"
+            ) from None
+
+    def save_best(self, network: Network, grid: GridSpec, about: dict[str, Any]) -> None:
+        """Write the best network so far."""
+        save_network(self.path / BEST, network, grid, about)
+
+    def write_rows(self, rows: list[dict[str, float]]) -> None:
+        """Write the figures of all epochs, and their picture where matplotlib is installed."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
+        write_whole(self.path / METRICS, text.getvalue().encode())
+        picture = draw_curve(rows)
+        if picture is not None:
+            write_whole(self.path / CURVE, picture)
+
+
+def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
+    """Losses, IoU and Near-MAE by epoch, as PNG; None where matplotlib is not installed."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        return None
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    panels = {"loss": ("train_loss", "val_loss"), "IoU": ("val_iou",), "Near-MAE, m": ("val_near_mae",)}
+    for axes, (title, names) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
+        for name in names:
+            axes.plot([row["epoch"] for row in rows], [row[name] for row in rows], marker=".", label=name)
+        axes.set(title=title, xlabel="epoch")
+        axes.grid(alpha=0.3)
+        axes.legend()
+    memory = io.BytesIO()
+    figure.savefig(memory, format="png", dpi=100)
+    return memory.getvalue()
