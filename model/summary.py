@@ -5,6 +5,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 from model.network import VARIANTS, Network, NetworkConfig
@@ -36,8 +37,11 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> Cost:
     for parameter in network.parameters():  # weights are kept anyway
         kept[parameter.untyped_storage().data_ptr()] = 0
     counter = FlopCounterMode(display=False)
-    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor), counter:
-        network(torch.zeros(1, *shape))
+    maps = torch.zeros(1, *shape)
+    with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), counter:  # fused attention is not counted
+        network(maps)
+    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        network(maps)
     return Cost(
         variant=config.variant,
         stem_stride=config.stem_stride,
