@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import logging
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -50,15 +52,18 @@ def export_onnx(network: Network, grid: GridSpec, path: Path, *, about: dict[str
         import onnxscript  # noqa: F401 (torch's exporter imports it)
     except ImportError:
         raise CheckpointError(f"{path}: exporting needs onnx and onnxscript; pip install 'scenegen[export]'") from None
-    program = torch.onnx.export(
-        _Traced(network.cpu().eval()),
-        (torch.zeros(1, *grid.shape),),
-        input_names=[INPUT],
-        output_names=[name for task, name in NAMES.items() if task in network.config.tasks],
-        dynamic_shapes=({0: torch.export.Dim("batch", min=1, max=4096)},),
-        dynamo=True,
-        verbose=False,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of torch's own code, and of the torchvision that is not there
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            _Traced(network.cpu()).eval(),
+            (torch.zeros(1, *grid.shape),),
+            input_names=[INPUT],
+            output_names=[name for task, name in NAMES.items() if task in network.config.tasks],
+            dynamic_shapes=({0: torch.export.Dim("batch", min=1, max=4096)},),
+            dynamo=True,
+            verbose=False,
+        )
     assert program is not None
     header = {"grid": dataclasses.asdict(grid), "network": dataclasses.asdict(network.config), "about": about}
     model = program.model_proto

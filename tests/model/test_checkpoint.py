@@ -55,7 +55,7 @@ def test_a_pickle_is_refused_and_not_run(tmp_path: Path, zipped: bool) -> None:
 
 
 def test_files_that_hold_no_network_are_refused(saved: tuple[Path, Network], tmp_path: Path) -> None:
-    path, network = saved
+    path, _ = saved
     whole = path.read_bytes()
     cases = {
         "missing": (None, "no such file"),

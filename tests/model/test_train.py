@@ -33,7 +33,7 @@ def test_one_batch_is_learned_by_heart(folders: list[Path]) -> None:
     torch.manual_seed(0)
     network = Network(NetworkConfig())
     optimizer = torch.optim.AdamW(network.parameters(), 3e-3)
-    for _ in range(400):
+    for _ in range(300):
         optimizer.zero_grad()
         output = network(observed.float())
         objective(output, occupancy, tudf, LossConfig(), voxel_m=0.2, truncation_m=2.0)["loss"].backward()
@@ -227,7 +227,7 @@ def test_the_learning_rate_rises_then_falls_to_nothing() -> None:
     assert rates[:10] == pytest.approx([0.2 * n for n in range(1, 11)])
     assert rates[10] == 2.0
     assert rates[55] == pytest.approx(1.0)
-    assert all(late <= early for early, late in zip(rates[10:], rates[11:], strict=False))
+    assert rates[10:] == sorted(rates[10:], reverse=True)
     assert 0 < rates[-1] < 1e-3
 
 
