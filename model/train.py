@@ -123,7 +123,7 @@ def train(
             folder.open({"settings": settings, **about}, resume=resume)
         group.wait()
         progress = folder.restore(network, optimizer)
-        learn = _Step(network, optimizer, config, maps.grid, where, precision, group)
+        learn = Step(network, optimizer, config, maps.grid, where, precision, group)
         steps = len(epoch_batches(maps, batch=config.batch, seed=config.seed, epoch=0))
         saved = time.monotonic()
         while progress.epoch < config.epochs and progress.epoch - progress.best_epoch <= config.patience:
@@ -163,7 +163,7 @@ def train(
         return progress.rows
 
 
-class _Step:
+class Step:
     """One optimiser step: loss, gradient, update."""
 
     def __init__(

@@ -1,0 +1,81 @@
+"""Inference on the CPU: milliseconds a map by variant, stem and runtime, and against eager torch in the same run.
+
+    python benchmarks/inference.py                          # all variants, both stems; compiling takes a minute each
+    python benchmarks/inference.py --variant proposed --stem-stride 2 --no-compile
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from lidarsim import GridSpec
+from model.device import autocast, resolve_precision
+from model.export import RUNTIMES, export_onnx, load_onnx
+from model.network import VARIANTS, Network, NetworkConfig
+
+ROUNDS = 10
+GRID = GridSpec()
+
+
+def main() -> None:
+    """Print one table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--variant", nargs="*", choices=VARIANTS, default=VARIANTS)
+    parser.add_argument("--stem-stride", nargs="*", type=int, choices=(2, 1), default=(2, 1))
+    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
+    parser.add_argument("--no-compile", action="store_true")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    print(f"{options.threads} threads, one map of {GRID.shape}, median of {ROUNDS} rounds in turn; (ratio to eager)")
+    for stride in options.stem_stride:
+        for variant in options.variant:
+            network = Network(NetworkConfig(variant=variant, stem_stride=stride)).eval()
+            found = measure(runners(network, options.threads, compiled=not options.no_compile))
+            cells = "  ".join(f"{name} {ms:6.1f} ms ({ms / found['eager']:.2f})" for name, ms in found.items())
+            print(f"{variant:<9} stem {stride}:  {cells}", flush=True)
+
+
+def runners(network: Network, threads: int, *, compiled: bool) -> dict[str, Callable[[torch.Tensor], Any]]:
+    """Every way to run `network`, by name."""
+    folder = Path(tempfile.mkdtemp())
+    export_onnx(network, GRID, folder / "net.onnx", about={})
+    network.to(memory_format=torch.channels_last_3d)
+    device = torch.device("cpu")
+    ways: dict[str, Callable[[torch.Tensor], Any]] = {"eager": network}
+    if resolve_precision("auto", device) == torch.bfloat16:
+
+        def in_bfloat16(maps: torch.Tensor) -> Any:
+            with autocast(device, torch.bfloat16):
+                return network(maps)
+
+        ways["eager bf16"] = in_bfloat16
+    if compiled:
+        ways["compiled"] = torch.compile(network)
+    for runtime in RUNTIMES:
+        ways[runtime] = load_onnx(folder / "net.onnx", runtime=runtime, threads=threads)[0]
+    return ways
+
+
+@torch.inference_mode()
+def measure(ways: dict[str, Callable[[torch.Tensor], Any]]) -> dict[str, float]:
+    """Median milliseconds of each; the ways take turns, so that all meet the same machine."""
+    maps = (torch.rand(1, *GRID.shape, generator=torch.Generator().manual_seed(0)) < 0.02).float()
+    for run in ways.values():
+        run(maps)
+    times: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(ROUNDS):
+        for name, run in ways.items():
+            begin = time.perf_counter()
+            run(maps)
+            times[name].append((time.perf_counter() - begin) * 1e3)
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""Training: what the loader gives a second, and milliseconds a map of a step, by variant, stem and precision.
+
+    python benchmarks/training.py data/pillar data/geometric
+"""
+
+import argparse
+import statistics
+import time
+from pathlib import Path
+
+import torch
+
+from model.data import Maps, TudfOf, epoch_batches, load
+from model.device import Group, choose_device
+from model.network import VARIANTS, Network, NetworkConfig
+from model.train import Step, TrainConfig
+
+ROUNDS = 5
+
+
+def main() -> None:
+    """Print the loader's rate and one table of steps."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("datasets", nargs="+", type=Path)
+    parser.add_argument("--variant", nargs="*", choices=VARIANTS, default=VARIANTS)
+    parser.add_argument("--stem-stride", nargs="*", type=int, choices=(2, 1), default=(2, 1))
+    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    maps = Maps(options.datasets, "train")
+    loader(maps, options.batch)
+    device = choose_device(options.device)
+    batch = next(load(maps, epoch_batches(maps, batch=options.batch, seed=0, epoch=0)[:1], workers=0, pinned=False))
+    print(f"steps on {device}, {options.threads} threads, batch {options.batch}; median of {ROUNDS}")
+    for stride in options.stem_stride:
+        for variant in options.variant:
+            cells = []
+            for precision in (torch.float32, torch.bfloat16):
+                config = TrainConfig(network=NetworkConfig(variant=variant, stem_stride=stride), batch=options.batch)
+                network = Network(config.network).to(device, memory_format=torch.channels_last_3d)
+                optimizer = torch.optim.AdamW(network.parameters())
+                learn = Step(network, optimizer, config, maps.grid, device, precision, Group())
+                cells.append(f"{str(precision).removeprefix('torch.')} {step_ms(learn, batch):6.1f} ms a map")
+            print(f"{variant:<9} stem {stride}:  {'   '.join(cells)}", flush=True)
+
+
+def loader(maps: Maps, batch: int) -> None:
+    """Print samples a second in one process, with and without the distances."""
+    batches = epoch_batches(maps, batch=batch, seed=0, epoch=0)[:60]
+    for name, tudf_of in (("observed, occupancy", None), ("and distances", TudfOf(maps.grid))):
+        begin, cpu = time.perf_counter(), time.process_time()
+        for _, occupancy in load(maps, batches, workers=0, pinned=False):
+            if tudf_of is not None:
+                tudf_of(occupancy)
+        count = len(batches) * batch
+        wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
+        print(f"loader, one process, {name}: {count / wall:.0f} samples/s, {count / cpu:.0f} per second of CPU time")
+
+
+def step_ms(learn: Step, batch: tuple[torch.Tensor, torch.Tensor]) -> float:
+    """Median milliseconds a map of a whole step: to the device, forward, losses, backward, update."""
+    times = []
+    for _ in range(ROUNDS + 2):
+        begin = time.perf_counter()
+        learn(*batch, 1e-3)
+        times.append((time.perf_counter() - begin) * 1e3 / len(batch[0]))
+    return statistics.median(times[2:])
+
+
+if __name__ == "__main__":
+    main()
