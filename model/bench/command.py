@@ -35,7 +35,7 @@ def run_bench(
     folders: Sequence[Path],
     *,
     names: Sequence[str],
-    weights: Sequence[str],
+    weights: Sequence[str] = (),
     predictions: Path | None,
     out: Path,
     split: str,

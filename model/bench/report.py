@@ -17,8 +17,14 @@ from model.bench.statistics import holm, paired_p, summarize
 from model.bench.visibility import CLASSES
 
 PLAN_METRICS = ("success", "length", "min_clearance", "avg_clearance")
-TESTED = ("near_rmse", "iou", "f1")
-"""Metrics of reconstruction that methods are tested on in pairs; in planning it is success."""
+TESTED = {
+    "near_rmse": (0, "near_rmse"),
+    "near_mae": (0, "near_mae"),
+    "iou": (0, "iou"),
+    "f1": (0, "f1"),
+    "unobserved_iou": (1, "iou"),
+}
+"""What methods are tested on in pairs, beside success in planning: name, to row and metric of the reconstruction."""
 
 
 def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -88,26 +94,30 @@ def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generat
 
 
 def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Every pair of methods on every tested metric: mean difference and its p-value, corrected over all of them."""
+    """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and its p-value,
+    corrected over all of them."""
     rows: list[tuple[str, str, str, np.ndarray, np.ndarray, np.ndarray]] = []
     for (first, one), (second, other) in combinations(result.methods.items(), 2):
-        for metric in TESTED:
+        for name, (row, metric) in TESTED.items():
             m = METRICS.index(metric)
-            a, b = one.reconstruction[:, 0, m], other.reconstruction[:, 0, m]
-            rows.append((first, second, metric, a, b, result.worlds))
+            a, b = one.reconstruction[:, row, m], other.reconstruction[:, row, m]
+            rows.append((first, second, name, a, b, result.worlds))
         a, b = (np.array([trial.success for trial in found.trials], dtype=float) for found in (one, other))
         rows.append((first, second, "success", a, b, result.trial_worlds))
+    paired = [summarize(a - b, worlds, rng=rng) for *_, a, b, worlds in rows]
     raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
     return [
         {
             "first": first,
             "second": second,
             "metric": metric,
-            "difference": float(np.nanmean(a - b)),
+            "difference": difference.mean,
+            "low": difference.low,
+            "high": difference.high,
             "p": p,
             "p_holm": float(corrected),
         }
-        for (first, second, metric, a, b, _), p, corrected in zip(rows, raw, holm(raw), strict=True)
+        for (first, second, metric, *_), difference, p, corrected in zip(rows, paired, raw, holm(raw), strict=True)
     ]
 
 
@@ -151,7 +161,8 @@ def to_markdown(report: Mapping[str, Any]) -> str:
         ]
         for test in report["tests"][kind]:
             pair = f"{test['first']} − {test['second']}"
-            lines.append(f"| {pair} | {test['metric']} | {test['difference']:+.3f} | {test['p_holm']:.4f} |")
+            interval = f"{test['difference']:+.3f} [{test['low']:+.3f}, {test['high']:+.3f}]"
+            lines.append(f"| {pair} | {test['metric']} | {interval} | {test['p_holm']:.4f} |")
     return "\n".join(lines) + "\n"
 
 
