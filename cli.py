@@ -18,6 +18,8 @@ from scenegen import SPLITS, __version__
 from scenegen.errors import ScenegenError, StoppedError
 from scenegen.recipes import kind_names
 
+EXTRAS = {"torch": "train", "safetensors": "train"}
+"""Packages that commands need beyond the core, and the extra that brings each."""
 VARIANTS = ("proposed", "occ", "tudf", "dual", "shared")
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -45,6 +47,10 @@ def main() -> NoReturn:
     except BrokenPipeError:
         code, line = 0, ""
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (nobody reads any more; keeps the interpreter from complaining)
+    except ModuleNotFoundError as error:
+        if error.name not in EXTRAS:
+            raise
+        code, line = 1, f"this needs {error.name}, which is not installed; pip install 'scenegen[{EXTRAS[error.name]}]'"
     except OSError as error:
         code, line = 1, f"{error.filename or 'the system'}: {error.strerror or error}; nothing finished is lost"
     except MemoryError:

@@ -1,7 +1,7 @@
 """Inference on the CPU: milliseconds a map by variant, stem and runtime, and against eager torch in the same run.
 
-    python benchmarks/inference.py                          # all variants, both stems; compiling takes a minute each
-    python benchmarks/inference.py --variant proposed --stem-stride 2 --no-compile
+python benchmarks/inference.py                          # all variants, both stems; compiling takes a minute each
+python benchmarks/inference.py --variant proposed --stem-stride 2 --no-compile
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Training: what the loader gives a second, and milliseconds a map of a step, by variant, stem and precision.
 
-    python benchmarks/training.py data/pillar data/geometric
+python benchmarks/training.py data/pillar data/geometric
 """
 
 import argparse

@@ -70,6 +70,25 @@ def test_without_datasets_it_says_which_command_makes_one(
     assert "scenegen generate --kind pillar" in error
 
 
+def test_without_torch_it_says_what_to_install(tmp_path: Path) -> None:
+    code = "import sys; sys.modules['torch'] = None; sys.argv = ['scenegen', *sys.argv[1:]]; import cli; cli.main()"
+    for words in (
+        ("train", "anything"),
+        ("complete", "anything"),
+        ("networks",),
+        ("bench", "data", "--weights", "proposed"),
+    ):
+        ended = subprocess.run(
+            [sys.executable, "-c", code, *words],
+            cwd=Path(__file__).parents[1],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+        assert "pip install 'scenegen[train]'" in ended.stderr
+
+
 def test_a_signal_saves_and_resume_goes_on(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = [sys.executable, Path(__file__).parents[1] / "cli.py", "train", "--epochs", 1000, *QUICK]
     running = subprocess.Popen([str(word) for word in command], cwd=here, stderr=subprocess.PIPE, text=True)
