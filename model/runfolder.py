@@ -12,13 +12,14 @@ import torch
 from torch import Tensor
 
 from lidarsim import GridSpec
+from model.card import card
 from model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
 from model.network import Network
 from scenegen.dataset.files import disk_error, remove_drafts, write_whole
 from scenegen.dataset.manifest import differences
 from scenegen.errors import DatasetError
 
-CONFIG, METRICS, CURVE = "config.json", "metrics.csv", "curve.png"
+CONFIG, METRICS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 BEST, LAST = "best.safetensors", "last.safetensors"
 
 
@@ -111,8 +112,9 @@ class RunFolder:
             ) from None
 
     def save_best(self, network: Network, grid: GridSpec, about: dict[str, Any]) -> None:
-        """Write the best network so far."""
+        """Write the best network so far, and its card."""
         save_network(self.path / BEST, network, grid, about)
+        write_whole(self.path / CARD, card(self.path.name, about).encode())
 
     def write_rows(self, rows: list[dict[str, float]]) -> None:
         """Write the figures of all epochs, and their picture where matplotlib is installed."""

@@ -55,7 +55,7 @@ def run_train(
     workers = options["workers"]
     if workers is None:
         workers = 0 if device.type == "cpu" else min(8, cores())
-    recent = 0.0
+    recent, iou = 0.0, ""
 
     def on_start(epoch: int, total: int, done: int) -> None:
         progress.restart(f"{variant}, epoch {epoch + 1} of {config.epochs}", total, done)
@@ -64,9 +64,11 @@ def run_train(
         nonlocal recent
         recent = loss if recent == 0.0 else 0.98 * recent + 0.02 * loss
         progress.count(maps)
-        progress.note(f"loss {recent:.4f}")
+        progress.note(f"loss {recent:.4f}{iou}")
 
     def on_epoch(row: dict[str, float]) -> None:
+        nonlocal iou
+        iou = f", validation IoU {row['val_iou']:.3f}"
         say(
             f"epoch {row['epoch']:.0f}: loss {row['train_loss']:.4f}, validation loss {row['val_loss']:.4f}, "
             f"IoU {row['val_iou']:.3f}, Near-MAE {row['val_near_mae']:.3f} m, {row['seconds']:.0f} s"

@@ -17,10 +17,12 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def make_dataset(folder: Path, kind: str = "pillar", *, compact: bool = False, seed: int = 0, **tables: dict) -> Path:
+def make_dataset(
+    folder: Path, kind: str = "pillar", *, compact: bool = False, counts: dict = COUNTS, **tables: dict
+) -> Path:
     """A dataset of a few small maps."""
     recipe = small_recipe(kind, **tables)
-    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=seed, counts=COUNTS, compact=compact, shard_samples=5)
+    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=5)
     build(plan, workers=1, force=False)
     return folder
 

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 import model.train
+from model.card import SHOWN
 from model.checkpoint import load_network, load_tensors
 from model.data import Maps, TudfOf
 from model.device import TrainingError
@@ -72,6 +73,9 @@ def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path,
     assert grid == Maps(folders, "val").grid
     assert about["figures"]["val_loss"] == pytest.approx(min(float(row["val_loss"]) for row in rows), rel=1e-5)
     assert about["settings"]["datasets"] == [str(data.manifest["digest"]) for data in Maps(folders, "val").datasets]
+    card = (uninterrupted / "card.md").read_text()
+    assert f"{about['figures']['val_iou']:.3f}" in card
+    assert "This is not the full protocol" in card
     assert (uninterrupted / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -142,8 +146,8 @@ def test_training_ends_after_so_many_epochs_without_improvement(
 ) -> None:
     """Validation losses 3 2 2 4 1 …: the second epoch is the best of the first five with patience 3."""
     losses = iter([3.0, 2.0, 2.0, 4.0, 2.5, 1.0])
-    fixed = {"iou": 0.0, "near_mae": 0.0}
-    monkeypatch.setattr(model.train, "validate", lambda *given: {"loss": next(losses), **fixed})
+    fixed = dict.fromkeys((name.removeprefix("val_") for name in SHOWN), 0.0)
+    monkeypatch.setattr(model.train, "validate", lambda *given: {**fixed, "loss": next(losses)})
     config = dataclasses.replace(SMALL, epochs=50, patience=3)
     rows = train(folders, config, tmp_path / "run", device="cpu")
     assert [row["val_loss"] for row in rows] == [3.0, 2.0, 2.0, 4.0, 2.5]
@@ -192,6 +196,9 @@ def test_what_cannot_be_trained_on_is_refused(folders: list[Path], tmp_path: Pat
     odd = make_dataset(tmp_path / "odd", grid={"shape": (20, 24, 16)})
     with pytest.raises(DatasetError, match="multiple of 8"):
         train([odd], SMALL, tmp_path / "run", device="cpu")
+    empty = make_dataset(tmp_path / "empty", counts={"train": 2, "val": 0, "test": 0})
+    with pytest.raises(DatasetError, match="the val split is empty; generate some samples with --val"):
+        train([empty], SMALL, tmp_path / "run", device="cpu")
     with pytest.raises(TrainingError, match="--device tpu"):
         train(folders, SMALL, tmp_path / "run", device="tpu")
     (tmp_path / "file").write_text("")
