@@ -39,8 +39,8 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         "|---|---|",
         f"| on | {settings['samples']} samples: datasets {data} |",
         f"| by | `{about['command']}` |",
-        f"| for | {figures['epoch']:.0f} epochs to the best of {settings['epochs']} at most, batch {settings['batch']}, "
-        f"AdamW at {settings['lr']:g}, seed {settings['seed']}, {settings['precision']} |",
+        f"| for | {figures['epoch']:.0f} epochs to the best of {settings['epochs']} at most, "
+        f"batch {settings['batch']}, AdamW at {settings['lr']:g}, seed {settings['seed']}, {settings['precision']} |",
         f"| on hardware | {about['device']} |",
         f"| with | commit {about['commit']}; {versions} |",
         "",
