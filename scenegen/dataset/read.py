@@ -14,7 +14,10 @@ import numpy as np
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.errors import DatasetError
-from scenegen.sample import Sample, derive_free, derive_tudf
+from scenegen.sample import Sample, derive_free, derive_tudf, describe_fields
+
+MOST_OPEN = 64
+"""Shards that a reader keeps open in one process; a large dataset has more than a process may open."""
 
 
 class Dataset:
@@ -97,6 +100,10 @@ class Split(Sequence[Sample]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": {}}
 
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
+        return describe_fields(self.dataset.grid, self.dataset.lidar)
+
     def stored(self, index: int, *names: str) -> tuple[Any, ...]:
         """Fields of one sample as they are stored, and no others: an array or a number for each of `names`.
 
@@ -120,13 +127,17 @@ class Split(Sequence[Sample]):
     def _shard(self, number: int) -> h5py.File:
         if self._process != os.getpid():  # a fork shares its parent's handles, and their positions in the file
             self._open, self._process = {}, os.getpid()
-        if number not in self._open:
+        file = self._open.pop(number, None)
+        if file is None:
             path = self.dataset._file(self._shards[number]["file"])
             try:
-                self._open[number] = h5py.File(path, "r")
+                file = h5py.File(path, "r")
             except OSError as error:
                 raise DatasetError(f"{path}: is damaged ({error}); copy the dataset again, or generate it") from None
-        return self._open[number]
+        self._open[number] = file  # last in line: the one used longest ago stands first
+        for old in list(self._open)[:-MOST_OPEN]:
+            self._open.pop(old, None)  # closed once no other thread reads from it
+        return file
 
     def _value(self, file: h5py.File, name: str, row: int) -> Any:
         """One row of a field. A chunk that is gzip alone is unpacked by isal, at several times HDF5's speed."""
