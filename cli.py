@@ -72,6 +72,25 @@ class KindName(click.ParamType):
         return [CompletionItem(name) for name in kind_names() if name.startswith(incomplete)]
 
 
+class DatasetPath(click.ParamType):
+    """A dataset: a folder, or hf://user/name[@revision], which the command fetches, and not the parsing."""
+
+    name = "dataset"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Path | str:
+        """A path as it is, or the Hub's name, if it is one."""
+        from scenegen.dataset.locate import is_remote, parse
+
+        if not is_remote(value):
+            return Path(value)
+        parse(value)
+        return str(value)
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        """Folders."""
+        return [CompletionItem(incomplete, type="dir")]
+
+
 class ShardRange(click.ParamType):
     """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
 
@@ -205,13 +224,14 @@ def _plan(kind: str | None, scene: Path | None, recipe_file: Path | None, counts
 
 
 @app.command()
-@click.argument("dataset", type=click.Path(path_type=Path))
+@click.argument("dataset", type=DatasetPath())
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
-def inspect(dataset: Path, as_json: bool) -> None:
+def inspect(dataset: Path | str, as_json: bool) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth."""
+    from scenegen.dataset.locate import locate
     from scenegen.inspect import inspect as examine
 
-    found = examine(dataset)
+    found = examine(locate(dataset))
     if as_json:
         print(json.dumps(found))
     else:
@@ -219,16 +239,17 @@ def inspect(dataset: Path, as_json: bool) -> None:
 
 
 @app.command()
-@click.argument("dataset", type=click.Path(path_type=Path))
+@click.argument("dataset", type=DatasetPath())
 @click.argument("number", type=click.IntRange(min=0))
 @click.option("--split", type=click.Choice(SPLITS), default="train", show_default=True)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="MJCF file to write.  [default: standard output]")
-def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
+def world(dataset: Path | str, number: int, split: str, output: Path | None) -> None:
     """Take one world's MJCF, and the files it refers to, out of a dataset."""
     from scenegen.dataset.files import write_whole
+    from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
 
-    files = Dataset(dataset, partial=True).world(split, number)
+    files = Dataset(locate(dataset), partial=True).world(split, number)
     document = files.pop("world.xml")
     if output is None:
         if files:
@@ -246,7 +267,7 @@ def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
 
 
 @app.command()
-@click.argument("datasets", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("datasets", nargs=-1, type=DatasetPath())
 @click.option("--method", "names", multiple=True, help="A row: returns, conservative, extrude, truth, or MODULE:CLASS.")
 @click.option(
     "--predictions", type=click.Path(path_type=Path), help="HDF5 file of somebody's predictions: one more row."
@@ -259,14 +280,17 @@ def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of goals and intervals.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
-def bench(datasets: tuple[Path, ...], names: tuple[str, ...], out: Path, quiet: bool, **options: Any) -> None:
+def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, quiet: bool, **options: Any) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
     if not quiet:
         _announce_compilation()
     from model.bench.command import run_bench, tables
+    from scenegen.dataset.locate import locate
     from scenegen.dataset.workers import cores
 
-    found = datasets or tuple(path.parent for path in sorted(Path("data").glob("*/dataset.json")))
+    found = tuple(locate(dataset) for dataset in datasets) or tuple(
+        path.parent for path in sorted(Path("data").glob("*/dataset.json"))
+    )
     if not found:
         raise click.UsageError(
             "no dataset given, and none under data/; make one with `scenegen generate --kind pillar`"
@@ -286,6 +310,68 @@ def bench(datasets: tuple[Path, ...], names: tuple[str, ...], out: Path, quiet: 
     if not quiet:
         click.echo(tables(report))
         click.echo(f"\nwritten: {out / 'report.md'}, {out / 'report.json'}")
+
+
+@app.command()
+@click.argument("dataset", type=DatasetPath())
+@click.option("--repo", required=True, metavar="USER/NAME", help="Dataset repository on the Hugging Face Hub.")
+@click.option("--tag", help="Revision to give it, last of all.  [default: named by the content]")
+@click.option("--licence", default="CC-BY-4.0", show_default=True, help="SPDX name of the data's licence.")
+@click.option("--out", type=click.Path(path_type=Path), help="Where the folder goes.  [default: publish/<name>]")
+@click.option("--private", is_flag=True, help="Make the repository a private one.")
+@click.option("--dry-run", is_flag=True, help="Make the folder, list what would go, and contact nobody.")
+@click.option("--quick", is_flag=True, help="Verify some samples, not all.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def publish(
+    dataset: Path | str, repo: str, out: Path | None, dry_run: bool, as_json: bool, quiet: bool, **options: Any
+) -> None:
+    """Verify a dataset, make a folder of it for the Hugging Face Hub, and send that.
+
+    Given again after a stop, it goes on where it was. The token is the one that `hf auth login` keeps, or HF_TOKEN.
+    """
+    begin = time.perf_counter()
+    talk = not (quiet or as_json)
+    if talk:
+        _announce_compilation()
+    from model.provenance import commit
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.workers import cores
+    from scenegen.publish.run import publish as run_publish
+    from scenegen.publish.stage import Request
+
+    request = Request(
+        dataset=locate(dataset),
+        repository=repo,
+        out=out or Path("publish") / repo.rpartition("/")[2],
+        tag=options["tag"],
+        licence=options["licence"],
+        commit=commit(),
+    )
+    for number in STOPS:  # from here on there are workers to end and drafts to remove
+        signal.signal(number, _stop)
+    with _Progress("verify", shown=talk) as progress:
+
+        def staged(found: Any) -> None:
+            _raise_if_stopped()
+            progress.stop()
+            if talk:
+                print(f"{found.folder} stands; {'nothing is sent' if dry_run else 'sending …'}", file=sys.stderr)
+
+        done = run_publish(
+            request,
+            dry_run=dry_run,
+            private=options["private"],
+            quick=options["quick"],
+            workers=options["workers"] or cores(),
+            quiet=not talk,
+            on_start=progress.start,
+            on_done=progress.count,
+            on_staged=staged,
+        )
+    if not quiet:
+        _print_published(done, time.perf_counter() - begin, as_json)
 
 
 @app.command()
@@ -351,6 +437,10 @@ class _Progress:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Leave the bar as it stands."""
         if self._bar is not None:
             self._bar.stop()
 
@@ -418,10 +508,32 @@ def _print_summary(summary: Any, seconds: float) -> None:
     _print_table(rows)
 
 
-def _print_inspection(folder: Path, found: dict[str, Any]) -> None:
+def _print_published(done: Any, seconds: float, as_json: bool) -> None:
+    staged = done.staged
+    url = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+    size = sum(staged.files.values())
+    if as_json:
+        rows = {"folder": str(staged.folder), "repository": staged.repository, "tag": staged.tag, "commit": done.commit}
+        print(json.dumps({**rows, "digest": staged.digest, "files": staged.files, "bytes": size, "seconds": seconds}))
+        return
+    if done.commit is None:
+        _print_table({name: f"{size:>12,}" for name, size in staged.files.items()}, "would send, in bytes")
     _print_table(
         {
-            "dataset": folder,
+            "folder": staged.folder,
+            "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
+            "revision": f"hf://{staged.repository}@{staged.tag}",
+            "time": f"{seconds:.1f} s",
+            **({"next": "the same command without --dry-run"} if done.commit is None else {"page": url}),
+        },
+        "published" if done.commit else "ready",
+    )
+
+
+def _print_inspection(name: Path | str, found: dict[str, Any]) -> None:
+    _print_table(
+        {
+            "dataset": name,
             "kind": found["kind"],
             "seed": found["seed"],
             "complete": "yes" if found["complete"] else "no",

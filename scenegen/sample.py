@@ -36,7 +36,9 @@ class Sample:
         unit="m",
         derived=True,
     )
-    ranges: NDArray[np.float32] = _stored("<f4", "rays", "distance along each ray; inf where nothing returned", unit="m")
+    ranges: NDArray[np.float32] = _stored(
+        "<f4", "rays", "distance along each ray; inf where nothing returned", unit="m"
+    )
     position: NDArray[np.float64] = _stored("<f8", "3", "of the sensor in the world: x, y, z", unit="m")
     quaternion: NDArray[np.float64] = _stored("<f8", "4", "the body's attitude in the world: w, x, y, z")
     origin: NDArray[np.float64] = _stored("<f8", "3", "the grid's least corner in the world: x, y, z", unit="m")

@@ -59,18 +59,21 @@ def _fields(it: Publication) -> str:
         kind = f"{field['dtype']} ({shape})" if shape else field["dtype"]
         rows.append(f"| `{name}` | {kind} | {field['unit'] or '–'} | {field['meaning']} |")
     grid, lidar = it.manifest["grid"], it.manifest["lidar"]
-    absent = [name for name in ("free", "tudf") if name not in it.fields]
-    derived = f" {' and '.join(f'`{name}`' for name in absent)} follow from these; scenegen derives them on reading."
-    return (
-        "## What is in it\n\n" + "\n".join(rows) + f"\n\nGrids are indexed x, y, z; z points up; voxels are "
-        f"{grid['voxel']:g} m wide and the sensor sits at the map's centre. A voxel that is neither observed nor free "
-        f"is unknown. Distances end at {grid['truncation']:g} m. The LiDAR has {lidar['rows']} × {lidar['columns']} rays over "
-        f"{lidar['vertical_fov_deg']:g}° × {lidar['horizontal_fov_deg']:g}°, {lidar['pitch_deg']:g}° nose down, and reaches "
-        f"{lidar['max_range_m']:g} m." + (derived if absent else "") + "\n\nEvery `SPLIT-NNNNN.h5` is a plain HDF5 "
-        "file with samples along the first dimension; the `.worlds.zip` beside it holds the MuJoCo model (MJCF) of "
-        "each of its worlds. No world is in two splits. `dataset.json` lists all files with their SHA-256 and every "
-        "parameter; `SHA256SUMS` checks them all: `sha256sum -c SHA256SUMS`."
-    )
+    absent = [f"`{name}`" for name in ("free", "tudf") if name not in it.fields]
+    derived = f" {' and '.join(absent)} follow from these; scenegen derives them on reading." if absent else ""
+    table = "\n".join(rows)
+    return f"""## What is in it
+
+{table}
+
+Grids are indexed x, y, z; z points up; voxels are {grid["voxel"]:g} m wide and the sensor sits at the map's centre.
+A voxel that is neither observed nor free is unknown. Distances end at {grid["truncation"]:g} m. The LiDAR has
+{lidar["rows"]} × {lidar["columns"]} rays over {lidar["vertical_fov_deg"]:g}° × {lidar["horizontal_fov_deg"]:g}°,
+{lidar["pitch_deg"]:g}° nose down, and reaches {lidar["max_range_m"]:g} m.{derived}
+
+Every `SPLIT-NNNNN.h5` is a plain HDF5 file with samples along the first dimension; the `.worlds.zip` beside it holds
+the MuJoCo model (MJCF) of each of its worlds. No world is in two splits. `dataset.json` lists these files with their
+SHA-256, and every parameter; `sha256sum -c SHA256SUMS` checks them all."""
 
 
 def _loading(it: Publication) -> str:
@@ -130,7 +133,9 @@ def _statistics(it: Publication) -> str:
         if counts
     )
     return (
-        "## Statistics\n\n" + "\n".join(rows) + f"\n\nMean ± standard deviation over evenly spread samples ({measured}). "
+        "## Statistics\n\n"
+        + "\n".join(rows)
+        + f"\n\nMean ± standard deviation over evenly spread samples ({measured}). "
         f"The whole takes {it.statistics['bytes'] / 1e6:.0f} MB, {it.statistics['bytes_per_sample'] / 1e3:.0f} KB a "
         f"sample. Rejected while drawing: {dropped or 'none'}."
     )
@@ -165,8 +170,8 @@ Before publication it passed `scenegen verify`:
 def _limits(it: Publication) -> str:
     return f"""## What to mind
 
-- The worlds are synthetic and simple, and so is the scan: no noise, no motion during a turn, no dropped returns beyond range
-  and geometry. What is learned here need not hold outside; measure it there.
+- The worlds are synthetic and simple, and so is the scan: no noise, no motion during a turn, no return lost within
+  range. What is learned here need not hold outside; measure it there.
 - Truth ends at the map's faces: distances know nothing of solids outside.
 - A free voxel may be occupied in the truth: rays graze.
 - Evenly drawn worlds are not a sample of any real place, and hold neither people nor personal data.

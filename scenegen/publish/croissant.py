@@ -73,15 +73,15 @@ def _responsible(it: Publication) -> dict[str, Any]:
     made = ", ".join(f"{name} {number}" for name, number in it.manifest["software"].items())
     return {
         "rai:dataCollection": (
-            f"Simulated. Random worlds are drawn from seed {it.manifest['seed']}, a planner flies a robot through each, and "
-            f"a LiDAR of {lidar['rows']} × {lidar['columns']} rays is cast from poses on its way with MuJoCo. Nothing was "
-            "recorded in the real world."
+            f"Simulated. Random worlds are drawn from seed {it.manifest['seed']}, a planner flies a robot through "
+            f"each, and a LiDAR of {lidar['rows']} × {lidar['columns']} rays is cast from poses on its way with MuJoCo. "
+            "Nothing was recorded in the real world."
         ),
         "rai:dataCollectionType": ["Software Collection"],
         "rai:dataCollectionRawData": "The MJCF model of every world, in the archives beside the shards.",
         "rai:dataCollectionMissingData": (
-            "Rays without a return within the sensor's reach are stored as infinity; voxels that no ray met are neither "
-            f"observed nor free. {rejected} worlds and viewpoints with too little to see were drawn again."
+            "Rays without a return within the sensor's reach are stored as infinity; voxels that no ray met are "
+            f"neither observed nor free. {rejected} worlds and viewpoints with too little to see were drawn again."
         ),
         "rai:dataPreprocessingProtocol": [
             "Returns are sorted into voxels; voxels that rays cross are marked free.",
@@ -97,14 +97,14 @@ def _responsible(it: Publication) -> dict[str, Any]:
             "Not for certifying the safety of a robot.",
         ],
         "rai:dataBiases": [
-            "Worlds follow the distributions of recipe.toml and no real place; frequencies of shapes, gaps and densities "
-            "are those of the recipe."
+            "Worlds follow the distributions of recipe.toml and no real place; the frequencies of shapes, gaps and "
+            "densities are those of the recipe."
         ],
         "rai:dataLimitations": [
             "Rigid and static solids, a scan without noise or motion, one sensor and one voxel size.",
             "Maps end at their faces: distances do not know what lies outside.",
         ],
-        "rai:dataSocialImpact": "Reproducible data for research on navigation, at the price of a few minutes' computing.",
+        "rai:dataSocialImpact": "Reproducible data for research on navigation, at the price of minutes of computing.",
         "rai:personalSensitiveInformation": ["None: there are no people, places or personal data in it."],
         "rai:dataReleaseMaintenancePlan": (
             f"Revision {it.tag} stays as it is; a correction gets a tag of its own. Digest {it.manifest['digest']}."

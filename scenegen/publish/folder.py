@@ -93,7 +93,7 @@ def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
 
 
 def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
-    """Write `SUMS` over all files of `draft`, of which `known` have their SHA-256 already. Name to size of all files."""
+    """Write `SUMS` over all files of `draft`, those in `known` with the SHA-256 given there. Returns name to size."""
     names = sorted(str(path.relative_to(draft)) for path in draft.rglob("*") if path.is_file())
     lines = [f"{known.get(name) or file_sha256(draft / name)}  {name}\n" for name in names]
     write_whole(draft / SUMS, "".join(lines).encode())

@@ -14,9 +14,9 @@ _NAME = re.compile(r"[A-Za-z0-9][\w.-]*", re.ASCII)
 def environment_lock(made_with: Mapping[str, str], commit: str = "unknown") -> str:
     """A requirements file of what scenegen needs, as installed here.
 
-    Packages in `made_with`, the manifest's `software`, come in the version that made the dataset, which counts. scenegen
-    itself stands in a comment, with the `commit` of its checkout: it is installed from its own source, and a line here
-    would ask a package index for whatever bears its name there.
+    Packages in `made_with`, the manifest's `software`, come in the version that made the dataset. scenegen itself
+    stands in a comment, with the `commit` of its checkout: it is installed from its own source, and a line here would
+    ask a package index for whatever bears its name there.
     """
     found = {name: made_with.get(name, number) for name, number in sorted(closure("scenegen").items())}
     made = made_with.get("scenegen", __version__)

@@ -1,4 +1,4 @@
-"""Pictures of samples for the card, drawn with numpy alone: blocks seen from above at an angle, and a level of distances."""
+"""Pictures of samples for the card, drawn with numpy alone: blocks seen at an angle, and a level of distances."""
 
 import struct
 import zlib
@@ -25,8 +25,8 @@ Image = NDArray[np.uint8]
 def draw_sample(sample: Sample, truncation_m: float) -> bytes:
     """A PNG of three panels: `observed`, `occupancy`, and `tudf` in the level just below the sensor, x right and y up.
 
-    Blocks are coloured by height, seen from above and from the side of greatest x and y, which point down right and
-    down left; the dot is the sensor. Distances go from 0 (dark) to `truncation_m` (light).
+    Blocks are coloured by height, seen from above, over the corner of greatest x and least y: x points down right, y up
+    right, which is the third panel turned by 45°. The dot is the sensor. Distances go from 0 (dark) to `truncation_m`.
     """
     level = sample.tudf.shape[2] // 2 - 1
     panels = [draw_blocks(sample.observed), draw_blocks(sample.occupancy)]
@@ -37,6 +37,7 @@ def draw_sample(sample: Sample, truncation_m: float) -> bytes:
 
 def draw_blocks(mask: NDArray[np.bool_]) -> Image:
     """Cubes where `mask` (x, y, z) is set, above the map's floor."""
+    mask = mask[:, ::-1]  # below, the second axis comes towards the eye
     nx, ny, nz = mask.shape
     half = max(2, 2 * (PANEL_PX // (2 * (nx + ny))))  # half a block's width in pixels, even; its height is the same
     image = np.full(((nx + ny) * half // 2 + nz * half, (nx + ny) * half, 3), PAPER, np.uint8)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.files import write_whole
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256, listed_files
@@ -130,7 +131,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
 def _draw(dataset: Dataset, draft: Path) -> tuple[tuple[str, str], ...]:
     """Pictures of a few training samples, evenly spread: name and caption of each."""
     (draft / "pictures").mkdir()
-    split: Any = next((found for name in ("train", "val", "test") if len(found := dataset.split(name))))
+    split: Any = next(found for name in SPLITS if len(found := dataset.split(name)))
     pictures = []
     for number, index in enumerate(np.unique(np.linspace(0, len(split) - 1, min(SHOWN, len(split))).astype(int))):
         sample = split[int(index)]

@@ -34,7 +34,8 @@ def upload(staged: Staged, *, private: bool = False, quiet: bool = False) -> str
     """
     check_token()
     from huggingface_hub import HfApi, get_token
-    from huggingface_hub.utils import disable_progress_bars, logging
+    from huggingface_hub.utils import logging
+    from huggingface_hub.utils.tqdm import disable_progress_bars
 
     logging.set_verbosity_error()
     if quiet:
@@ -58,7 +59,9 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
     if staged.tag in tags:
         wrong = differences(api, staged, tags[staged.tag])
         if wrong:
-            raise PublishError(f"{target}: tag {staged.tag} is there with other content ({wrong[0]}); give another --tag")
+            raise PublishError(
+                f"{target}: tag {staged.tag} is there with other content ({wrong[0]}); give another --tag"
+            )
         return str(tags[staged.tag])
     there = [path for path in api.list_repo_files(**where) if OURS.fullmatch(path) and path not in staged.files]
     sent = api.upload_folder(
