@@ -119,11 +119,10 @@ def _check_listing(repository: str, revision: str | None) -> None:
 
     Without network there is nothing to ask: the client then looks into its cache.
     """
-    from huggingface_hub import HfApi
-    from huggingface_hub.constants import is_offline_mode
+    from huggingface_hub import HfApi, constants
     from huggingface_hub.errors import HfHubHTTPError
 
-    if is_offline_mode():
+    if constants.HF_HUB_OFFLINE:
         return
     try:
         info = HfApi().dataset_info(repository, revision=revision, files_metadata=True, timeout=TIMEOUT_S)

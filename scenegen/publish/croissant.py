@@ -74,7 +74,7 @@ def _responsible(it: Publication) -> dict[str, Any]:
     return {
         "rai:dataCollection": (
             f"Simulated. Random worlds are drawn from seed {it.manifest['seed']}, a planner flies a robot through "
-            f"each, and a LiDAR of {lidar['rows']} × {lidar['columns']} rays is cast from poses on its way with MuJoCo. "
+            f"each, and a LiDAR of {lidar['rows']} × {lidar['columns']} rays is cast from its poses by MuJoCo. "
             "Nothing was recorded in the real world."
         ),
         "rai:dataCollectionType": ["Software Collection"],
