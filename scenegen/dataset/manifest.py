@@ -113,7 +113,9 @@ def read(folder: Path) -> dict[str, Any]:
         with open(path, "rb") as file:  # however large it grows meanwhile
             content = file.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
-            raise DatasetError(f"{path}: larger than {MOST_BYTES >> 20} MB, which no manifest is; choose another folder")
+            raise DatasetError(
+                f"{path}: larger than {MOST_BYTES >> 20} MB, which no manifest is; choose another folder"
+            )
         manifest = json.loads(content.decode())
     except (FileNotFoundError, NotADirectoryError):
         raise DatasetError(f"{folder}: not a dataset, it has no {NAME}; make one with `scenegen generate`") from None

@@ -24,9 +24,13 @@ MOST_DEPTH = 200
 
 FORBIDDEN = {"include", "attach", "model", "plugin", "extension", "replicate", "composite", "flexcomp", "skin", "flex"}
 """MJCF elements that read other files, run other code, multiply, or are not solids. An archived world has none."""
-MOST_ASKED = {"memory": 1 << 30, "nuser_": 100, "njmax": 1 << 20, "nconmax": 1 << 20, "nstack": 1 << 27, "nkey": 1000}
+MOST_ASKED = {"memory": 1 << 30, "njmax": 1 << 20, "nconmax": 1 << 20, "nstack": 1 << 27, "nkey": 1000}
 MOST_ASKED |= {"nuserdata": 1 << 20, "nrow": MOST_CELLS, "ncol": MOST_CELLS, "width": MOST_CELLS, "height": MOST_CELLS}
-"""Attributes (by how they begin) for which MuJoCo takes memory as they say, whatever the document's size."""
+MOST_ASKED |= {f"nuser_{what}": 100 for what in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}
+"""Attributes for which MuJoCo takes memory as they say, whatever the document's size, and the most they may say."""
+FILES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
+FOLDERS = {"meshdir", "texturedir", "assetdir"}
+WATCHED = FILES | FOLDERS | set(MOST_ASKED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,19 +136,8 @@ def screen(document: bytes, assets: frozenset[str], name: str) -> None:
             raise BrokenError(
                 f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} levels of them"
             )
-        for key, value in attributes.items():
-            if key.startswith("file") and value not in assets:
-                raise BrokenError(f"{name}: <{tag} {key}={value[:80]!r}>: expected a file of the archive")
-            if key in ("meshdir", "texturedir", "assetdir") and value:
-                raise BrokenError(f"{name}: <{tag} {key}={value[:80]!r}>: expected files beside the document")
-            most = next((most for begin, most in MOST_ASKED.items() if key.startswith(begin)), None)
-            most = 100_000 if (tag, key) == ("numeric", "size") else most
-            if most is not None and not -1 <= _amount(value) <= most:
-                raise BrokenError(f"{name}: <{tag} {key}={value[:80]!r}>: expected {most} at most")
-        if tag == "hfield" and int(attributes.get("nrow", 0)) * int(attributes.get("ncol", 0)) > MOST_CELLS:
-            raise BrokenError(f"{name}: a height field of more than {MOST_CELLS} cells")
-        if tag == "texture" and int(attributes.get("width", 0)) * int(attributes.get("height", 0) or 1) > MOST_CELLS:
-            raise BrokenError(f"{name}: a texture of more than {MOST_CELLS} pixels")
+        if tag == "numeric" or not WATCHED.isdisjoint(attributes):
+            _check_attributes(tag, attributes, assets, name)
 
     def end(tag: str) -> None:
         nonlocal depth
@@ -160,6 +153,22 @@ def screen(document: bytes, assets: frozenset[str], name: str) -> None:
         parser.Parse(document, True)
     except (expat.ExpatError, ValueError) as error:
         raise BrokenError(f"{name}: is not plain XML ({error})") from None
+
+
+def _check_attributes(tag: str, attributes: dict[str, str], assets: frozenset[str], name: str) -> None:
+    """Files and amounts that an element asks for. Raises BrokenError, or ValueError for no number."""
+    for key, value in attributes.items():
+        where = f"{name}: <{tag} {key}={value[:80]!r}>"
+        if key in FILES and value not in assets:
+            raise BrokenError(f"{where}: expected a file of the archive")
+        if key in FOLDERS and value:
+            raise BrokenError(f"{where}: expected files beside the document")
+        most = 100_000 if (tag, key) == ("numeric", "size") else MOST_ASKED.get(key)
+        if most is not None and not -1 <= _amount(value) <= most:
+            raise BrokenError(f"{where}: expected {most} at most")
+    for one, other in (("nrow", "ncol"), ("width", "height")):
+        if _amount(attributes.get(one, "0")) * _amount(attributes.get(other, "0")) > MOST_CELLS:
+            raise BrokenError(f"{name}: <{tag}>: {one} times {other} is more than {MOST_CELLS}")
 
 
 def _amount(value: str) -> float:

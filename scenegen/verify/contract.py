@@ -133,7 +133,9 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
     if math.prod(max(n, 0) for n in typed.grid.shape) > MOST_VOXELS:
         raise BrokenError(f"{manifest.NAME}: grid.shape = {typed.grid.shape}: expected {MOST_VOXELS} voxels at most")
     if tuple(typed.fields) not in (stored_fields(False), stored_fields(True)):
-        raise BrokenError(f"{manifest.NAME}: fields = {_short(typed.fields)}: expected all, or all but the derived ones")
+        raise BrokenError(
+            f"{manifest.NAME}: fields = {_short(typed.fields)}: expected all, or all but the derived ones"
+        )
     drawn = typed.kind in kind_names()
     recipe = _recipe(typed, drawn)
     scenes = None
@@ -188,7 +190,9 @@ def _scenes(recipe: dict[str, Any]) -> dict[str, list[dict[str, str]]]:
     try:
         return dict(kind.validate_python(found, strict=True))
     except pydantic.ValidationError:
-        raise BrokenError(f"{manifest.NAME}: recipe.scenes = {_short(found)}: expected the worlds of each split") from None
+        raise BrokenError(
+            f"{manifest.NAME}: recipe.scenes = {_short(found)}: expected the worlds of each split"
+        ) from None
 
 
 def _check_shards(contract: Contract, given: dict[str, Any], ledger: Ledger) -> None:
@@ -220,7 +224,9 @@ def _check_shards(contract: Contract, given: dict[str, Any], ledger: Ledger) -> 
             ledger.expect("manifest", full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut")
     listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
     others = [p.name for p in contract.folder.iterdir() if p.suffix in (".h5", ".zip") and p.name not in listed]
-    ledger.expect("manifest", not others, f"{', '.join(sorted(others)[:3])}: in the folder, but {where} does not list it")
+    ledger.expect(
+        "manifest", not others, f"{', '.join(sorted(others)[:3])}: in the folder, but {where} does not list it"
+    )
 
 
 def _check_name(entry: Entry, number: int | None, ledger: Ledger) -> None:

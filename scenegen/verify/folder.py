@@ -3,17 +3,19 @@
 import hashlib
 from collections import Counter
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.workers import Limits, run
 from scenegen.verify.contract import Contract, read_contract
-from scenegen.verify.layout import open_shard
-from scenegen.verify.report import BrokenError, Ledger, Report
+from scenegen.verify.layout import ShardFile, open_file, open_shard
+from scenegen.verify.regenerate import why_not_comparable
+from scenegen.verify.report import Ledger, Report
 from scenegen.verify.shard import Findings, Task, examine
 from scenegen.verify.twins import MOST_PAIRS, OBSERVED_IOU, OCCUPIED_IOU, candidates, overlap
 from scenegen.verify.warm import warm_up
@@ -44,10 +46,10 @@ def verify(
     contract = read_contract(folder, ledger)
     if contract is None:
         return Report(folder=str(folder), quick=quick, seed=seed, samples=0, checks=ledger.checks(quick=quick))
-    starts = contract.starts
+    reason = why_not_comparable(contract)
     tasks = [
-        Task(contract=contract, number=number, start=starts[number], quick=quick, seed=seed)
-        for number in range(len(contract.shards))
+        Task(contract=contract, number=number, start=start, quick=quick, seed=seed, not_comparable=reason)
+        for number, start in enumerate(contract.starts)
     ]
     samples = sum(entry.samples for entry in contract.shards)
     limits = Limits(lambda task: SECONDS + SECONDS_A_SAMPLE * task.entry.samples, MEMORY_BYTES, _given_up)
@@ -120,7 +122,7 @@ def _check_splits(contract: Contract, findings: list[Findings], ledger: Ledger) 
 
 def _check_twins(contract: Contract, findings: list[Findings], ledger: Ledger) -> None:
     """No sample shows next to the same map, seen next to the same way, as one of another split."""
-    with ledger.checking("near-twins"):
+    with ledger.checking("near-twins"), _Maps(contract) as maps:
         places = [(shard.number, row) for shard in findings for row in shard.rows]
         ledger.count("near-twins", samples=len(places))
         if not places:
@@ -130,26 +132,44 @@ def _check_twins(contract: Contract, findings: list[Findings], ledger: Ledger) -
         ledger.count("near-twins", compared=len(pairs))
         found = 0
         for a, b in pairs:
-            maps = [_maps(contract, *places[int(n)]) for n in (a, b)]
-            occupied, observed = (overlap(one, other) for one, other in zip(*maps, strict=True))
-            if occupied >= OCCUPIED_IOU and observed >= OBSERVED_IOU:
+            one, other = places[int(a)], places[int(b)]
+            observed = overlap(maps.of("observed", *one), maps.of("observed", *other))
+            if observed < OBSERVED_IOU:
+                continue
+            occupied = overlap(maps.of("occupancy", *one), maps.of("occupancy", *other))
+            if occupied >= OCCUPIED_IOU:
                 found += 1
-                (one, row), (other, place) = places[int(a)], places[int(b)]
                 ledger.fault(
                     "near-twins",
-                    f"{contract.shards[one].file}: sample {row} shows the map of {contract.shards[other].file}: sample "
-                    f"{place} (occupied IoU {occupied:.3f}, observed {observed:.3f}), expected another world",
+                    f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
+                    f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU {occupied:.3f}, observed "
+                    f"{observed:.3f}), expected another world",
                 )
         if not complete and not found:
             ledger.skip("near-twins", f"only the likeliest {MOST_PAIRS} pairs were compared, and no twins among them")
 
 
-def _maps(contract: Contract, number: int, row: int) -> tuple[np.ndarray, np.ndarray]:
-    """Occupied and observed voxels of one sample."""
-    entry = contract.shards[number]
-    try:
-        with open(contract.folder / entry.file, "rb") as file:
-            shard = open_shard(file, entry, contract)
-            return shard.value("occupancy", row), shard.value("observed", row)
-    except OSError as error:
-        raise BrokenError(f"{entry.file}: cannot be read any more ({error.strerror})") from None
+class _Maps:
+    """Grids of any samples of a folder; its files stay open."""
+
+    def __init__(self, contract: Contract):
+        self._contract = contract
+        self._files = ExitStack()
+        self._shards: dict[int, ShardFile] = {}
+
+    def __enter__(self) -> "_Maps":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._files.close()
+
+    def of(self, field: str, number: int, row: int) -> NDArray[np.bool_]:
+        """A grid of sample `row` of shard `number`. Raises BrokenError."""
+        if number not in self._shards:
+            if len(self._shards) >= 100:
+                self._files.close()
+                self._shards.clear()
+            entry = self._contract.shards[number]
+            file = self._files.enter_context(open_file(self._contract.folder / entry.file))
+            self._shards[number] = open_shard(file, entry, self._contract)
+        return self._shards[number].value(field, row)

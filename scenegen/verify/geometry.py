@@ -69,9 +69,7 @@ def _form(
     elif shape == BOX:
         # a box is its three half edges, in any order and of either sign
         edges = _unsigned((rotation * size[:, None, :]).transpose(0, 2, 1))
-        keys = np.rint(edges / ROUND_M)
-        order = np.array([np.lexsort(key.T[::-1]) for key in keys])
-        form[:, 3:] = np.take_along_axis(edges, order[:, :, None], axis=1).reshape(-1, 9)
+        form[:, 3:] = _ordered(edges).reshape(-1, 9)
     elif shape == ELLIPSOID:
         form[:, 3:] = np.einsum("nij,nj,nkj->nik", rotation, size**2, rotation).reshape(-1, 9)
     return form
@@ -84,9 +82,15 @@ def _unsigned(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(first < 0, -vectors, vectors)
 
 
+def _ordered(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each three of `vectors` (n, 3, 3) in an order that depends on them alone: by a sum that tells rounded vectors
+    apart."""
+    rounded = np.rint(vectors / ROUND_M)
+    key = rounded[..., 0] + np.sqrt(2.0) * rounded[..., 1] + np.sqrt(3.0) * rounded[..., 2]
+    return np.take_along_axis(vectors, np.argsort(key, axis=1)[:, :, None], axis=1)
+
+
 def _mesh_digest(triangles: NDArray[np.float64], filled: bool) -> bytes:
     """Of a soup of triangles (T, 3, 3), whatever their order and whichever corner is first."""
-    corners = (np.rint(triangles / ROUND_M) + 0.0).reshape(-1, 3, 3)
-    order = np.array([np.lexsort(corner.T[::-1]) for corner in corners], dtype=np.intp).reshape(-1, 3)
-    table = np.take_along_axis(corners, order[:, :, None], axis=1).reshape(-1, 9)
+    table = (np.rint(_ordered(triangles) / ROUND_M) + 0.0).reshape(-1, 9)
     return hashlib.sha256(bytes([filled]) + table[np.lexsort(table.T[::-1])].tobytes()).digest()

@@ -9,6 +9,7 @@ import math
 import os
 from collections import Counter
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import h5py
@@ -95,6 +96,16 @@ def _unpack(packed: bytes, column: Column, left_out: int) -> bytes:
     return data
 
 
+def open_file(path: Path) -> BinaryIO:
+    """A regular file, and no pipe that would never end. Raises BrokenError."""
+    if not path.is_file():
+        raise BrokenError(f"{path.name}: is missing, or no file, though the manifest lists it")
+    try:
+        return open(path, "rb")
+    except OSError as error:
+        raise BrokenError(f"{path.name}: cannot be opened ({error.strerror})") from None
+
+
 def open_shard(file: BinaryIO, entry: Entry, contract: Contract) -> ShardFile:
     """The shard in `file`, its layout checked. Raises BrokenError with what is wrong.
 
@@ -111,7 +122,10 @@ def open_shard(file: BinaryIO, entry: Entry, contract: Contract) -> ShardFile:
 
 
 def _open(opened: h5py.File, file: BinaryIO, entry: Entry, contract: Contract) -> ShardFile:
-    expected = {name: (np.dtype(SCHEMA[name]["dtype"]), shape_of(name, contract.grid, contract.lidar)) for name in contract.fields}
+    expected = {
+        name: (np.dtype(SCHEMA[name]["dtype"]), shape_of(name, contract.grid, contract.lidar))
+        for name in contract.fields
+    }
     expected[DIGEST] = (np.dtype(np.uint8), (32,))
     size = os.fstat(file.fileno()).st_size
     count = opened.id.get_num_objs() if hasattr(opened.id, "get_num_objs") else len(opened)
@@ -124,9 +138,7 @@ def _open(opened: h5py.File, file: BinaryIO, entry: Entry, contract: Contract) -
     if sorted(names) != sorted(expected):
         odd = sorted(set(names) ^ set(expected))
         raise BrokenError(f"{entry.file}: {', '.join(odd)}: there or missing, expected just {', '.join(expected)}")
-    columns = {
-        name: _column(opened.id, name, dtype, shape, entry, size) for name, (dtype, shape) in expected.items()
-    }
+    columns = {name: _column(opened.id, name, dtype, shape, entry, size) for name, (dtype, shape) in expected.items()}
     stored = sum(chunk[1] for column in columns.values() for chunk in column.chunks)
     # the format's own overhead: an index entry a chunk, and some kilobytes
     if size > stored + 200 * len(columns) * entry.samples + (1 << 20):
@@ -134,9 +146,7 @@ def _open(opened: h5py.File, file: BinaryIO, entry: Entry, contract: Contract) -
     return ShardFile(file, entry.file, columns, _attributes(opened, entry, contract))
 
 
-def _column(
-    group: Any, name: str, dtype: np.dtype, shape: tuple[int, ...], entry: Entry, size: int
-) -> Column:
+def _column(group: Any, name: str, dtype: np.dtype, shape: tuple[int, ...], entry: Entry, size: int) -> Column:
     """The dataset `name`, checked. Raises BrokenError."""
     where = f"{entry.file}: {name}"
     if h5py.h5o.get_info(group, name.encode()).type != h5py.h5o.TYPE_DATASET:

@@ -94,6 +94,7 @@ class Ledger:
 
     def __init__(self) -> None:
         self._entries = {name: _Entry() for name in CHECKS}
+        self._inner = 0.0  # seconds of the checks within the one being made
 
     def fault(self, check: str, line: str) -> None:
         """Write down a fault: one line, which names the file, the sample and what was expected."""
@@ -135,14 +136,16 @@ class Ledger:
 
     @contextmanager
     def checking(self, check: str) -> Iterator[None]:
-        """Time what belongs to a check; what cannot be examined becomes its fault."""
-        begin = time.perf_counter()
+        """Time what belongs to a check, less the checks within; what cannot be examined becomes its fault."""
+        begin, before, self._inner = time.perf_counter(), self._inner, 0.0
         try:
             yield
         except BrokenError as error:
             self.fault(check, str(error))
         finally:
-            self._entries[check].seconds += time.perf_counter() - begin
+            whole = time.perf_counter() - begin
+            self._entries[check].seconds += whole - self._inner
+            self._inner = before + whole
 
     def checks(self, *, quick: bool) -> tuple[Check, ...]:
         """The report's checks: those that `quick` leaves out, or that had nothing to examine, are not there."""

@@ -17,9 +17,9 @@ from scenegen.truth import Solids, rasterize
 from scenegen.verify.archive import Archive, read_archive
 from scenegen.verify.contract import Contract, Entry
 from scenegen.verify.geometry import compile_solids, geometry_digest
-from scenegen.verify.layout import ShardFile, open_shard
+from scenegen.verify.layout import ShardFile, open_file, open_shard
 from scenegen.verify.rays import TOLERANCE_M, audit
-from scenegen.verify.regenerate import regenerate, why_not_comparable
+from scenegen.verify.regenerate import regenerate
 from scenegen.verify.report import BrokenError, Ledger
 from scenegen.verify.twins import signature
 
@@ -40,6 +40,8 @@ class Task:
     """Place of its first sample within its split."""
     quick: bool
     seed: int
+    not_comparable: str
+    """Why samples made here need not have the dataset's bits; empty where they must."""
 
     @property
     def entry(self) -> Entry:
@@ -72,7 +74,7 @@ def examine(task: Task) -> Findings:
     archive = _examine_worlds(task, found.ledger)
     solids = _compile(task, archive, found)
     path = task.contract.folder / task.entry.file
-    with found.ledger.checking("layout"), _open(path) as file:
+    with found.ledger.checking("layout"), open_file(path) as file:
         shard = open_shard(file, task.entry, task.contract)
         found.ledger.count("layout", files=1)
         with found.ledger.checking("checksums"):
@@ -83,23 +85,13 @@ def examine(task: Task) -> Findings:
             _make_again(task, shard, archive, found.ledger)
         return found
     if path.is_file():
-        with found.ledger.checking("checksums"), _open(path) as file:
+        with found.ledger.checking("checksums"), open_file(path) as file:
             _check_sum(file, path, task.entry.sha256, found.ledger)
     return found
 
 
 def _ignore(text: str) -> None:
     pass
-
-
-def _open(path: Path) -> BinaryIO:
-    """A regular file, and no pipe that would never end. Raises BrokenError."""
-    if not path.is_file():
-        raise BrokenError(f"{path.name}: is missing, or no file, though the manifest lists it")
-    try:
-        return open(path, "rb")
-    except OSError as error:
-        raise BrokenError(f"{path.name}: cannot be opened ({error.strerror})") from None
 
 
 def _check_sum(file: BinaryIO, path: Path, expected: str, ledger: Ledger) -> None:
@@ -114,7 +106,7 @@ def _check_sum(file: BinaryIO, path: Path, expected: str, ledger: Ledger) -> Non
 def _examine_worlds(task: Task, ledger: Ledger) -> Archive | None:
     """The shard's archive, if it can be read."""
     path, archive = task.contract.folder / task.entry.worlds, None
-    with ledger.checking("archives"), _open(path) as file:
+    with ledger.checking("archives"), open_file(path) as file:
         ledger.count("archives", files=1)
         archive = read_archive(file, path.name)
         with ledger.checking("checksums"):
@@ -219,7 +211,12 @@ class _Samples:
         with self._ledger.checking("names"):
             self._ledger.count("names", samples=1)
             expected = self._task.contract.name(self._task.entry.split, self._task.start + row)
-            self._expect("names", (world, viewpoint) == expected, row, f"is world {world}, viewpoint {viewpoint}, expected {expected}")
+            self._expect(
+                "names",
+                (world, viewpoint) == expected,
+                row,
+                f"is world {world}, viewpoint {viewpoint}, expected {expected}",
+            )
         with self._ledger.checking("centred"):
             self._ledger.count("centred", samples=1)
             position, quaternion = stored["position"], stored["quaternion"]
@@ -232,7 +229,9 @@ class _Samples:
             self._ledger.count("laws", samples=1)
             ranges, most = stored["ranges"], self._task.contract.lidar.max_range_m
             held = (ranges >= 0) & ((ranges <= np.float32(most)) | np.isposinf(ranges))
-            self._expect("laws", held.all(), row, f"{np.count_nonzero(~held)} ranges are not from 0 to {most:g} m, or inf")
+            self._expect(
+                "laws", held.all(), row, f"{np.count_nonzero(~held)} ranges are not from 0 to {most:g} m, or inf"
+            )
             stray = np.count_nonzero(stored["observed"] > stored["occupancy"])
             self._expect("laws", not stray, row, f"{stray} observed voxels are not occupied")
             if "free" in stored:
@@ -245,7 +244,9 @@ class _Samples:
         if "tudf" in stored:
             with self._ledger.checking("tudf"):
                 self._ledger.count("tudf", samples=1)
-                self._same("tudf", row, stored["tudf"], derive_tudf(stored["occupancy"], grid=contract.grid), "occupancy")
+                self._same(
+                    "tudf", row, stored["tudf"], derive_tudf(stored["occupancy"], grid=contract.grid), "occupancy"
+                )
         with self._ledger.checking("voxels"):
             self._ledger.count("voxels", samples=1)
             try:
@@ -297,14 +298,14 @@ class _Samples:
                 "rays",
                 False,
                 row,
-                f"{len(wrong)} of {len(rays)} rays differ; ray {ray} has {stored['ranges'][ray]} m, the solids of world "
-                f"{int(stored['world'])} are {found[n]:.7g} m away",
+                f"{len(wrong)} of {len(rays)} rays differ; ray {ray} has {stored['ranges'][ray]} m, the solids of "
+                f"world {int(stored['world'])} are {found[n]:.7g} m away",
             )
 
 
 def _make_again(task: Task, shard: ShardFile, archive: Archive, ledger: Ledger) -> None:
     """A few of the shard's flights flown again, and their samples compared bit for bit."""
-    reason = why_not_comparable(task.contract)
+    reason = task.not_comparable
     if reason and not task.contract.drawn and task.contract.scenes is None:
         ledger.skip("regenerated", reason)
         return

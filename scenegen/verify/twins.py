@@ -37,9 +37,7 @@ def _count(occupied, blocks):
                 blocks[row + block] += total
 
 
-def candidates(
-    signatures: NDArray[np.uint32], splits: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], bool]:
+def candidates(signatures: NDArray[np.uint32], splits: NDArray[np.int64]) -> tuple[NDArray[np.int64], bool]:
     """Pairs (P, 2) of samples of different splits that may be near-twins, the likeliest first, and whether these are
     all. No near-twin is missed as long as they are.
 

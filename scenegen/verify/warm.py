@@ -7,7 +7,7 @@ from scenegen.draw import draw_unit
 from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
 from scenegen.verify.geometry import compile_solids
-from scenegen.verify.rays import cast
+from scenegen.verify.intersect import cast
 from scenegen.verify.twins import candidates, signature
 
 
@@ -15,7 +15,9 @@ def warm_up(*, quick: bool) -> None:
     """Run every kernel that verification needs, on next to nothing: tens of milliseconds once they are compiled."""
     field = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/>'
     geoms = '<geom type="box" size="1 1 1"/><geom type="hfield" hfield="h"/>'
-    solids = compile_solids(f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>".encode(), {}, "warm-up")
+    solids = compile_solids(
+        f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>".encode(), {}, "warm-up"
+    )
     if quick:
         return
     grid, lidar = GridSpec(shape=(24, 24, 16)), Lidar(rows=4, columns=8)
