@@ -246,6 +246,44 @@ def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
 
 
 @app.command()
+@click.argument("dataset", type=click.Path(path_type=Path))
+@click.option("--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of what is audited at random.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def verify(dataset: Path, quick: bool, seed: int, workers: int | None, as_json: bool, quiet: bool) -> None:
+    """Prove a dataset against the format: files, digests, truth, rays, splits; end with 1 where a check fails."""
+    talk = not (quiet or as_json)
+    if talk:
+        _announce_compilation()
+    from scenegen.dataset.workers import cores
+    from scenegen.verify import verify as prove
+
+    def start(samples: int) -> None:
+        _raise_if_stopped()
+        progress.start(samples)
+
+    def count(samples: int) -> None:
+        _raise_if_stopped()
+        progress.count(samples)
+
+    for number in STOPS:  # from here on there are workers to end
+        signal.signal(number, _stop)
+    begin = time.perf_counter()
+    with _Progress(dataset.name, shown=talk) as progress:
+        report = prove(dataset, quick=quick, seed=seed, workers=workers or cores(), on_start=start, on_done=count)
+    if as_json:
+        print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
+    elif talk:
+        _print_report(report, time.perf_counter() - begin)
+    if not report.ok:
+        raise ScenegenError(
+            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: {', '.join(report.failed)}"
+        )
+
+
+@app.command()
 @click.argument("datasets", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--method", "names", multiple=True, help="A row: returns, conservative, extrude, truth, or MODULE:CLASS.")
 @click.option(
@@ -416,6 +454,16 @@ def _print_summary(summary: Any, seconds: float) -> None:
         "next": f"scenegen inspect {summary.folder}",
     }
     _print_table(rows)
+
+
+def _print_report(report: Any, seconds: float) -> None:
+    rows = {}
+    for check in report.checks:
+        verdict = "FAILED " if not check.ok else "skipped" if check.skipped else "ok     "
+        colour = "red" if not check.ok else "yellow" if check.skipped else "green"
+        rows[check.name] = f"{click.style(verdict, fg=colour)}  {check.seconds:7.2f} s  {check.detail}"
+    _print_table(rows)
+    click.echo(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
 
 
 def _print_inspection(folder: Path, found: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 No threads, queues or locks of the parent's are involved, so that a signal may end it at any point without a deadlock.
 """
 
+import itertools
 import math
 import multiprocessing
 import multiprocessing.connection
@@ -67,9 +68,9 @@ def run(
     busy: list[_Worker] = []
     replaced = 0
     try:
-        for task in zip(range(workers), waiting):  # noqa: B905 (no more workers than tasks)
+        for task in itertools.islice(waiting, workers):
             busy.append(_Worker(function, start, limits))
-            busy[-1].give(task[1])
+            busy[-1].give(task)
         on_start()
         while busy:
             for worker in _ready(busy):

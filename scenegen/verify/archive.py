@@ -1,11 +1,12 @@
 """The worlds' archive: a zip of MJCF from anywhere, screened before MuJoCo sees it. Nothing is written to disk."""
 
+import hashlib
 import os
 import struct
 import zipfile
 from collections import Counter
 from dataclasses import dataclass
-from typing import BinaryIO
+from io import BufferedReader
 from xml.parsers import expat
 
 from scenegen.verify.report import BrokenError
@@ -30,6 +31,8 @@ MOST_ASKED |= {f"nuser_{what}": 100 for what in ("body", "jnt", "geom", "site", 
 """Attributes for which MuJoCo takes memory as they say, whatever the document's size, and the most they may say."""
 FILES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
 FOLDERS = {"meshdir", "texturedir", "assetdir"}
+LOOKS = {"name", "rgba", "material"}
+"""Attributes that say nothing of where a solid is; a world's outline leaves them out."""
 WATCHED = FILES | FOLDERS | set(MOST_ASKED)
 
 
@@ -39,6 +42,8 @@ class Archive:
 
     documents: dict[int, bytes]
     """MJCF by the world's number."""
+    outlines: dict[int, bytes]
+    """What `screen` gives for each document."""
     assets: dict[str, bytes]
 
     def world(self, number: int) -> tuple[bytes, dict[str, bytes]]:
@@ -49,7 +54,7 @@ class Archive:
         return document, {name: content for name, content in self.assets.items() if name.encode() in document}
 
 
-def read_archive(file: BinaryIO, name: str) -> Archive:
+def read_archive(file: BufferedReader, name: str) -> Archive:
     """Every member of the archive in `file`, screened. Raises BrokenError, naming `name`, with what is wrong."""
     try:
         _check_directory(file)
@@ -61,18 +66,19 @@ def read_archive(file: BinaryIO, name: str) -> Archive:
         assets = {member: content for member, content in contents.items() if not member.endswith(".xml")}
         for member, content in assets.items():
             _check_image(member, content)
-        for number, document in documents.items():
-            screen(document, frozenset(assets), f"{number:06d}.xml")
+        outlines = {
+            number: screen(document, frozenset(assets), f"{number:06d}.xml") for number, document in documents.items()
+        }
     except BrokenError as error:
         raise BrokenError(f"{name}: {error}") from None
     except (zipfile.BadZipFile, OSError, ValueError, EOFError, RuntimeError, NotImplementedError) as error:
         raise BrokenError(f"{name}: is damaged ({' '.join(str(error).split())[:200]})") from None
     except Exception as error:  # zlib.error, struct.error and what else a crafted file may bring forth
         raise BrokenError(f"{name}: is damaged ({type(error).__name__})") from None
-    return Archive(documents, assets)
+    return Archive(documents, outlines, assets)
 
 
-def _check_directory(file: BinaryIO) -> None:
+def _check_directory(file: BufferedReader) -> None:
     """Before zipfile reads the directory of members, see that it is small."""
     size = file.seek(0, os.SEEK_END)
     if size > MOST_ARCHIVE_BYTES:
@@ -116,32 +122,34 @@ def _check_image(name: str, content: bytes) -> None:
             raise BrokenError(f"member {name}: an image of {width} x {height}, expected {MOST_CELLS} pixels at most")
 
 
-def screen(document: bytes, assets: frozenset[str], name: str) -> None:
+def screen(document: bytes, assets: frozenset[str], name: str) -> bytes:
     """See that an MJCF document is self-contained and of bounded size. Raises BrokenError, naming `name`.
+
+    Returns a digest of its elements but for names and colours, whatever their order: equal for documents of the same
+    solids that were renamed or reordered, though not for every way to write the same solids (`geometry_digest`).
 
     MuJoCo would read included files and assets from anywhere on disk, expand what multiplies, and take memory as it is
     told; none of that is in a document that scenegen has archived.
     """
-    counts: Counter[str] = Counter()
-    depth = 0
+    geoms, outline, within = 0, list[str](), [""]
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        counts["elements"] += 1
-        counts["geoms"] += tag == "geom"
+        nonlocal geoms
+        geoms += tag == "geom"
         if tag in FORBIDDEN:
             raise BrokenError(f"{name}: has <{tag}>, expected a self-contained world of solids")
-        if depth > MOST_DEPTH or counts["elements"] > MOST_ELEMENTS or counts["geoms"] > MOST_GEOMS:
+        if len(within) > MOST_DEPTH or len(outline) >= MOST_ELEMENTS or geoms > MOST_GEOMS:
             raise BrokenError(
                 f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} levels of them"
             )
         if tag == "numeric" or not WATCHED.isdisjoint(attributes):
             _check_attributes(tag, attributes, assets, name)
+        written = [f"{key}={value}" for key, value in sorted(attributes.items()) if key not in LOOKS]
+        outline.append(f"{within[-1]} {tag} {' '.join(written)}")
+        within.append("" if tag == "geom" else hashlib.sha256(outline[-1].encode()).hexdigest()[:16])
 
     def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
+        within.pop()
 
     def refuse(*_: object) -> None:
         raise BrokenError(f"{name}: declares a document type or entities, expected plain MJCF")
@@ -153,6 +161,7 @@ def screen(document: bytes, assets: frozenset[str], name: str) -> None:
         parser.Parse(document, True)
     except (expat.ExpatError, ValueError) as error:
         raise BrokenError(f"{name}: is not plain XML ({error})") from None
+    return hashlib.sha256("\n".join(sorted(outline)).encode()).digest()
 
 
 def _check_attributes(tag: str, attributes: dict[str, str], assets: frozenset[str], name: str) -> None:

@@ -188,7 +188,7 @@ def _scenes(recipe: dict[str, Any]) -> dict[str, list[dict[str, str]]]:
     found = recipe.get("scenes")
     kind = pydantic.TypeAdapter(dict[Literal["train", "val", "test"], list[dict[str, str]]])
     try:
-        return dict(kind.validate_python(found, strict=True))
+        return {str(split): worlds for split, worlds in kind.validate_python(found, strict=True).items()}
     except pydantic.ValidationError:
         raise BrokenError(
             f"{manifest.NAME}: recipe.scenes = {_short(found)}: expected the worlds of each split"

@@ -8,9 +8,10 @@ import json
 import math
 import os
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import h5py
 import isal.isal_zlib
@@ -49,27 +50,51 @@ class Column:
 class ShardFile:
     """An open shard whose layout is as the format says."""
 
-    file: BinaryIO
+    file: BufferedReader
     name: str
     columns: dict[str, Column]
     attributes: dict[str, Any]
+    _read: dict[str, NDArray[Any]] = field(default_factory=dict)
+    """Whole columns, as far as they have been read."""
 
-    def value(self, field: str, row: int) -> NDArray[Any]:
+    def value(self, name: str, row: int) -> NDArray[Any]:
         """A sample's field. Raises BrokenError for a chunk that does not unpack to just what it should."""
-        column = self.columns[field]
+        column = self.columns[name]
+        if not column.filters:
+            return self._plain(column)[row]
         begin, size, left_out = column.chunks[row]
         packed = os.pread(self.file.fileno(), size, begin)
         try:
             raw = _unpack(packed, column, left_out)
         except (isal.isal_zlib.error, EOFError, ValueError) as error:
-            raise BrokenError(f"{self.name}: sample {row}: {field} cannot be unpacked ({error})") from None
-        # a copy, since kernels are compiled for arrays that can be written
-        values = np.frombuffer(raw, dtype=np.uint8 if column.dtype == np.bool_ else column.dtype).copy()
-        if column.dtype == np.bool_:
-            if values.max(initial=0) > 1:
-                raise BrokenError(f"{self.name}: sample {row}: {field} holds bytes other than 0 and 1")
-            values = values.view(np.bool_)
-        return values.reshape(column.shape)
+            raise BrokenError(f"{self.name}: sample {row}: {name} cannot be unpacked ({error})") from None
+        return _array(raw, column, column.shape, f"{self.name}: sample {row}")
+
+    def _plain(self, column: Column) -> NDArray[Any]:
+        """All samples of a field that no filter has changed; where the chunks lie in a row, they are read as one."""
+        if column.name not in self._read:
+            size, first = column.bytes, column.chunks[0][0]
+            count = len(column.chunks)
+            if any(chunk[1] != size for chunk in column.chunks):
+                raise BrokenError(f"{self.name}: {column.name}: samples of other sizes than {size} bytes")
+            if all(chunk[0] == first + n * size for n, chunk in enumerate(column.chunks)):
+                raw = os.pread(self.file.fileno(), count * size, first)
+            else:
+                raw = b"".join(os.pread(self.file.fileno(), size, chunk[0]) for chunk in column.chunks)
+            if len(raw) != count * size:
+                raise BrokenError(f"{self.name}: {column.name}: the file ends within it")
+            self._read[column.name] = _array(raw, column, (count, *column.shape), self.name)
+        return self._read[column.name]
+
+
+def _array(raw: bytes, column: Column, shape: tuple[int, ...], where: str) -> NDArray[Any]:
+    """Bytes as an array of a column's type; one that can be written, since kernels are compiled for such."""
+    values = np.frombuffer(raw, dtype=np.uint8 if column.dtype == np.bool_ else column.dtype).copy()
+    if column.dtype == np.bool_:
+        if values.max(initial=0) > 1:
+            raise BrokenError(f"{where}: {column.name} holds bytes other than 0 and 1")
+        values = values.view(np.bool_)
+    return values.reshape(shape)
 
 
 def _unpack(packed: bytes, column: Column, left_out: int) -> bytes:
@@ -96,7 +121,7 @@ def _unpack(packed: bytes, column: Column, left_out: int) -> bytes:
     return data
 
 
-def open_file(path: Path) -> BinaryIO:
+def open_file(path: Path) -> BufferedReader:
     """A regular file, and no pipe that would never end. Raises BrokenError."""
     if not path.is_file():
         raise BrokenError(f"{path.name}: is missing, or no file, though the manifest lists it")
@@ -106,7 +131,7 @@ def open_file(path: Path) -> BinaryIO:
         raise BrokenError(f"{path.name}: cannot be opened ({error.strerror})") from None
 
 
-def open_shard(file: BinaryIO, entry: Entry, contract: Contract) -> ShardFile:
+def open_shard(file: BufferedReader, entry: Entry, contract: Contract) -> ShardFile:
     """The shard in `file`, its layout checked. Raises BrokenError with what is wrong.
 
     HDF5 answers damaged structures with exceptions of many kinds; all mean that the file is damaged.
@@ -121,7 +146,7 @@ def open_shard(file: BinaryIO, entry: Entry, contract: Contract) -> ShardFile:
         raise BrokenError(f"{entry.file}: is damaged, HDF5 says: {reason or type(error).__name__}") from None
 
 
-def _open(opened: h5py.File, file: BinaryIO, entry: Entry, contract: Contract) -> ShardFile:
+def _open(opened: h5py.File, file: BufferedReader, entry: Entry, contract: Contract) -> ShardFile:
     expected = {
         name: (np.dtype(SCHEMA[name]["dtype"]), shape_of(name, contract.grid, contract.lidar))
         for name in contract.fields
@@ -167,17 +192,15 @@ def _column(group: Any, name: str, dtype: np.dtype, shape: tuple[int, ...], entr
     if odd or len(set(filters)) < len(filters):
         raise BrokenError(f"{where} has filters {filters}, expected only gzip (1), shuffle (2) and fletcher32 (3)")
     raw = int(dtype.itemsize * math.prod(shape))
-    found: dict[int, tuple[int, int, int]] = {}
-
-    def take(chunk: Any) -> None:
-        begin, stored = int(chunk.byte_offset), int(chunk.size)
-        if stored > raw + raw // 100 + 1000 or begin + stored > size:
-            raise BrokenError(f"{where}: sample {chunk.chunk_offset[0]}: {stored} bytes at {begin} cannot be one of it")
-        found[int(chunk.chunk_offset[0])] = (begin, stored, int(chunk.filter_mask))
-
-    dataset.chunk_iter(take)
-    if sorted(found) != list(range(entry.samples)):
+    chunks: list[Any] = []
+    dataset.chunk_iter(chunks.append)
+    most = raw + raw // 100 + 1000
+    found = {chunk.chunk_offset[0]: (chunk.byte_offset, chunk.size, chunk.filter_mask) for chunk in chunks}
+    if len(chunks) != entry.samples or len(found) != entry.samples:
         raise BrokenError(f"{where}: {len(found)} of {entry.samples} samples are stored")
+    for row, (begin, stored, _) in found.items():
+        if stored > most or begin + stored > size:
+            raise BrokenError(f"{where}: sample {row}: {stored} bytes at byte {begin} cannot be its own")
     return Column(name, dtype, shape, filters, tuple(found[row] for row in range(entry.samples)))
 
 

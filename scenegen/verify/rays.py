@@ -9,32 +9,31 @@ from lidarsim import Lidar
 from scenegen.truth import Solids
 from scenegen.verify.intersect import cast
 
-TOLERANCE_M = 5e-6
-"""How far a stored range may be from ours: float32 rounds ranges below 16 m by 4.8e-7 m, and MuJoCo keeps meshes and
-height fields in float32."""
-GRAZING_M = 1e-5
-"""A ray that passes an edge, or touches a surface, within this may go either way."""
+TOLERANCE_M = 1e-6
+"""How far a stored range may be from ours, and one part in 2^23 of it besides, which is what float32 keeps."""
 MOST_PAIRS = 2_000_000_000
 """Rays times solids that are tried for one sample; of more, a random part of the rays is audited."""
 
 
 def ray_directions(lidar: Lidar, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit vectors (rows, columns, 3) in the world, written from docs/sensor.md and not from `lidarsim`."""
-    vertical, horizontal = math.radians(lidar.vertical_fov_deg), math.radians(lidar.horizontal_fov_deg)
-    gaps = lidar.columns if lidar.horizontal_fov_deg >= 360.0 else lidar.columns - 1
-    r, c = np.arange(lidar.rows), np.arange(lidar.columns)
-    e = -vertical / 2 + vertical * r / max(lidar.rows - 1, 1) if lidar.rows > 1 else np.zeros(1)
-    a = -horizontal / 2 + horizontal * c / max(gaps, 1) if lidar.columns > 1 else np.zeros(1)
+    rows = _angles(lidar.rows, lidar.vertical_fov_deg, full_turn=False)[:, None]
+    a = _angles(lidar.columns, lidar.horizontal_fov_deg, full_turn=lidar.horizontal_fov_deg == 360.0)[None, :]
     pitch = math.radians(lidar.pitch_deg)
-    if lidar.mount == "band":
-        e, pitch = e - pitch, 0.0
-    e, a = e[:, None], a[None, :]
+    e, tilt = (rows, pitch) if lidar.mount == "tilt" else (rows - pitch, 0.0)
     x, y, z = np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e) + 0.0 * a
-    x, z = x * math.cos(pitch) + z * math.sin(pitch), -x * math.sin(pitch) + z * math.cos(pitch)
+    # R_y takes x to (cos, 0, -sin)
+    body = np.stack([x * math.cos(tilt) + z * math.sin(tilt), y, z * math.cos(tilt) - x * math.sin(tilt)], axis=-1)
     w, u = quaternion[0], quaternion[1:]
-    v = np.stack([x, y, z], axis=-1)
-    twice = 2.0 * np.cross(u, v)
-    return np.asarray(v + w * twice + np.cross(u, twice))
+    twice = 2.0 * np.cross(u, body)
+    return np.asarray(body + w * twice + np.cross(u, twice))
+
+
+def _angles(count: int, fov_deg: float, *, full_turn: bool) -> NDArray[np.float64]:
+    """Angles in radians, from minus half the field of view to plus half of it; a full turn leaves its end out."""
+    if count == 1:
+        return np.zeros(1)
+    return np.radians(np.arange(count) * fov_deg / (count if full_turn else count - 1) - fov_deg / 2)
 
 
 def audit(
@@ -45,34 +44,19 @@ def audit(
     lidar: Lidar,
     *,
     rng: np.random.Generator,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Cast the rays of one sample anew: (rays,), numbers in C order; (rays,), the ranges found, metres, inf where
-    none; (rays,), how far the stored ones are from them; (rays,), whether a ray that differs only grazes something:
-    one of four rays around it, `GRAZING_M` away at its end, finds what is stored."""
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Cast the rays of one sample anew: their numbers in C order, (n,); the ranges found, (n,) metres, inf where none;
+    how far the stored ones are from them, (n,) metres, where no return counts as one from the end of the range."""
     directions = ray_directions(lidar, quaternion).reshape(-1, 3)
     chosen = np.arange(len(directions))
     most = max(MOST_PAIRS // max(len(solids.shape) + len(solids.triangles), 1), 100)
     if len(chosen) > most:
         chosen = np.sort(rng.choice(chosen, most, replace=False))
-    stored = ranges.reshape(-1)[chosen].astype(np.float64)
     found = cast(position, directions[chosen], solids, lidar.max_range_m)
-    differing = np.flatnonzero(_gap(stored, found, lidar.max_range_m) > TOLERANCE_M)
-    grazing = np.zeros(len(chosen), dtype=np.bool_)
-    if len(differing):
-        across = np.cross(directions[chosen[differing]], [[0.0, 0.0, 1.0]])
-        steep = (across**2).sum(axis=1) < 1e-12
-        across[steep] = [1.0, 0.0, 0.0]
-        across /= np.sqrt((across**2).sum(axis=1, keepdims=True))
-        along = np.cross(across, directions[chosen[differing]])
-        reach = np.minimum(stored[differing], lidar.max_range_m)[:, None]
-        for step in (across, -across, along, -along):
-            near = directions[chosen[differing]] + step * (GRAZING_M / np.maximum(reach, GRAZING_M))
-            again = cast(position, near, solids, lidar.max_range_m)
-            # the nearby ray meets a slanted surface a little before or after
-            grazing[differing] |= _gap(stored[differing], again, lidar.max_range_m) <= 100 * GRAZING_M
-    return chosen, found, _gap(stored, found, lidar.max_range_m), grazing
+    stored = np.minimum(ranges.reshape(-1)[chosen].astype(np.float64), lidar.max_range_m)
+    return chosen, found, np.abs(stored - np.minimum(found, lidar.max_range_m))
 
 
-def _gap(stored: NDArray[np.float64], found: NDArray[np.float64], max_range_m: float) -> NDArray[np.float64]:
-    """Metres between two ranges of a ray; nothing returned counts as a return from the end of the sensor's range."""
-    return np.abs(np.minimum(stored, max_range_m) - np.minimum(found, max_range_m))
+def disagrees(gap: NDArray[np.float64], found: NDArray[np.float64], max_range_m: float) -> NDArray[np.bool_]:
+    """Where the difference of two ranges is more than rounding makes, or is no number."""
+    return ~(gap <= TOLERANCE_M + np.minimum(found, max_range_m) / 2**23)

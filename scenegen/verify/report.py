@@ -115,7 +115,9 @@ class Ledger:
 
     def count(self, check: str, **counts: int) -> None:
         """Add to what a check examined."""
-        self._entries[check].counts.update(counts)
+        entry = self._entries[check].counts
+        for what, count in counts.items():
+            entry[what] += count
 
     def note_greatest(self, check: str, what: str, value: float) -> None:
         """Keep the greatest `value` of a figure that the report shall name."""

@@ -105,4 +105,4 @@ def _beyond(a, b, most):
 
 def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
     """Intersection over union; 0 where both are empty."""
-    return float(np.count_nonzero(a & b) / max(np.count_nonzero(a | b), 1))
+    return float(np.count_nonzero(a & b)) / max(float(np.count_nonzero(a | b)), 1.0)

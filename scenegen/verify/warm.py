@@ -1,5 +1,7 @@
 """Kernels compiled, or loaded, once, before workers are forked that would each do it anew."""
 
+import functools
+
 import numpy as np
 
 from lidarsim import GridSpec, Lidar
@@ -11,6 +13,7 @@ from scenegen.verify.intersect import cast
 from scenegen.verify.twins import candidates, signature
 
 
+@functools.cache
 def warm_up(*, quick: bool) -> None:
     """Run every kernel that verification needs, on next to nothing: tens of milliseconds once they are compiled."""
     field = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/>'
