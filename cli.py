@@ -267,6 +267,47 @@ def world(dataset: Path | str, number: int, split: str, output: Path | None) -> 
 
 
 @app.command()
+@click.argument("dataset", type=DatasetPath())
+@click.option("--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of what is audited at random.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_json: bool, quiet: bool) -> None:
+    """Prove a dataset against the format: files, digests, truth, rays, splits; end with 1 where a check fails."""
+    talk = not (quiet or as_json)
+    if talk:
+        _announce_compilation()
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.workers import cores
+    from scenegen.verify import verify as prove
+
+    folder = locate(dataset)
+
+    def start(samples: int) -> None:
+        _raise_if_stopped()
+        progress.start(samples)
+
+    def count(samples: int) -> None:
+        _raise_if_stopped()
+        progress.count(samples)
+
+    for number in STOPS:  # from here on there are workers to end
+        signal.signal(number, _stop)
+    begin = time.perf_counter()
+    with _Progress("verify", shown=talk) as progress:
+        report = prove(folder, quick=quick, seed=seed, workers=workers or cores(), on_start=start, on_done=count)
+    if as_json:
+        print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
+    elif talk:
+        _print_report(report, time.perf_counter() - begin)
+    if not report.ok:
+        raise ScenegenError(
+            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: {', '.join(report.failed)}"
+        )
+
+
+@app.command()
 @click.argument("datasets", nargs=-1, type=DatasetPath())
 @click.option("--method", "names", multiple=True, help="A row: returns, conservative, extrude, truth, or MODULE:CLASS.")
 @click.option(
@@ -320,7 +361,7 @@ def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, q
 @click.option("--out", type=click.Path(path_type=Path), help="Where the folder goes.  [default: publish/<name>]")
 @click.option("--private", is_flag=True, help="Make the repository a private one.")
 @click.option("--dry-run", is_flag=True, help="Make the folder, list what would go, and contact nobody.")
-@click.option("--quick", is_flag=True, help="Verify some samples, not all.")
+@click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
@@ -353,6 +394,14 @@ def publish(
         signal.signal(number, _stop)
     with _Progress("verify", shown=talk) as progress:
 
+        def start(samples: int) -> None:
+            _raise_if_stopped()
+            progress.start(samples)
+
+        def count(samples: int) -> None:
+            _raise_if_stopped()
+            progress.count(samples)
+
         def staged(found: Any) -> None:
             _raise_if_stopped()
             progress.stop()
@@ -366,8 +415,8 @@ def publish(
             quick=options["quick"],
             workers=options["workers"] or cores(),
             quiet=not talk,
-            on_start=progress.start,
-            on_done=progress.count,
+            on_start=start,
+            on_done=count,
             on_staged=staged,
         )
     if not quiet:
@@ -508,6 +557,16 @@ def _print_summary(summary: Any, seconds: float) -> None:
     _print_table(rows)
 
 
+def _print_report(report: Any, seconds: float) -> None:
+    rows = {}
+    for check in report.checks:
+        verdict = "FAILED " if not check.ok else "skipped" if check.skipped else "ok     "
+        colour = "red" if not check.ok else "yellow" if check.skipped else "green"
+        rows[check.name] = f"{click.style(verdict, fg=colour)}  {check.seconds:7.2f} s  {check.detail}"
+    _print_table(rows)
+    click.echo(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
+
+
 def _print_published(done: Any, seconds: float, as_json: bool) -> None:
     staged = done.staged
     url = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
@@ -530,10 +589,10 @@ def _print_published(done: Any, seconds: float, as_json: bool) -> None:
     )
 
 
-def _print_inspection(name: Path | str, found: dict[str, Any]) -> None:
+def _print_inspection(dataset: Path | str, found: dict[str, Any]) -> None:
     _print_table(
         {
-            "dataset": name,
+            "dataset": dataset,
             "kind": found["kind"],
             "seed": found["seed"],
             "complete": "yes" if found["complete"] else "no",

@@ -13,8 +13,6 @@ REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.A
 REVISION = re.compile(r"[A-Za-z0-9][\w./-]{0,249}", re.ASCII)
 SHARD_FILE = re.compile(r"(train|val|test)-\d{5}(\.h5|\.worlds\.zip)", re.ASCII)
 """What a file of a dataset may be called, besides the manifest."""
-MOST_MANIFEST_BYTES = 64 << 20
-"""A manifest of a hundred thousand shards takes half of it."""
 TIMEOUT_S = 20.0
 """After which a silent Hub counts as out of reach, seconds."""
 
@@ -70,9 +68,6 @@ def listed_files(folder: Path, name: str) -> dict[str, str]:
     Raises DatasetError where the manifest is absent, no manifest, or lists what no dataset of ours is called: what it
     says comes from a stranger, and is about to be used as file names.
     """
-    path = folder / manifest.NAME
-    if path.is_file() and path.stat().st_size > MOST_MANIFEST_BYTES:
-        raise DatasetError(f"{name}: its {manifest.NAME} has {path.stat().st_size} bytes; that is no manifest of ours")
     found = manifest.read(folder)
     files = {}
     try:
@@ -133,7 +128,7 @@ def _check_listing(repository: str, revision: str | None) -> None:
     sizes = {file.rfilename: file.size or 0 for file in info.siblings or []}
     if manifest.NAME not in sizes:
         raise DatasetError(f"{SCHEME}{repository}: not a scenegen dataset, it has no {manifest.NAME}")
-    if sizes[manifest.NAME] > MOST_MANIFEST_BYTES:
+    if sizes[manifest.NAME] > manifest.MOST_BYTES:
         raise DatasetError(
             f"{SCHEME}{repository}: its {manifest.NAME} has {sizes[manifest.NAME]} bytes; that is no manifest of ours"
         )

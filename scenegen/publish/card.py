@@ -162,7 +162,7 @@ result is the same to the bit, with the digest
 {it.manifest["digest"]}
 ```
 {scenes}
-Before publication it passed `scenegen verify`:
+Before publication `scenegen verify` found:
 
 {checks}"""
 

@@ -29,7 +29,7 @@ def publish(
     on_done: Callable[[int], None] = lambda samples: None,
     on_staged: Callable[[Staged], None] = lambda staged: None,
 ) -> Published:
-    """Check the dataset with `workers` processes (all samples, or, with `quick`, some), put the folder together, and,
+    """Check the dataset with `workers` processes (with `quick`, the cheap half of it), put the folder together, and,
     unless `dry_run`, send it.
 
     Nothing is contacted before the folder stands, nor at all in a dry run. Raises DatasetError, PublishError.
@@ -46,6 +46,7 @@ def publish(
         raise PublishError(
             f"{request.dataset}: does not pass `scenegen verify`:{first} nothing is published; generate it again"
         )
-    staged = stage(request, tuple((check.name, check.detail) for check in report.checks))
+    checks = tuple((check.name, f"{'not checked, ' * check.skipped}{check.detail}") for check in report.checks)
+    staged = stage(request, checks)
     on_staged(staged)
     return Published(staged=staged, commit=None if dry_run else upload(staged, private=private, quiet=quiet))

@@ -24,6 +24,7 @@ class Check:
     name: str
     ok: bool
     detail: str
+    skipped: bool = False
 
 
 @pytest.fixture(scope="session")
