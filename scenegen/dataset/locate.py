@@ -6,13 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from scenegen.dataset import manifest
+from scenegen.dataset.trust import check_manifest
 from scenegen.errors import DatasetError
 
 SCHEME = "hf://"
 REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
 REVISION = re.compile(r"[A-Za-z0-9][\w./-]{0,249}", re.ASCII)
-SHARD_FILE = re.compile(r"(train|val|test)-\d{5}(\.h5|\.worlds\.zip)", re.ASCII)
-"""What a file of a dataset may be called, besides the manifest."""
 TIMEOUT_S = 20.0
 """After which a silent Hub counts as out of reach, seconds."""
 
@@ -65,20 +64,15 @@ def locate(name: str | Path) -> Path:
 def listed_files(folder: Path, name: str) -> dict[str, str]:
     """Every file that the manifest in `folder` lists, with its SHA-256.
 
-    Raises DatasetError where the manifest is absent, no manifest, or lists what no dataset of ours is called: what it
-    says comes from a stranger, and is about to be used as file names.
+    Raises DatasetError where it is no manifest, or lists what no file of a dataset is called: what it says may come
+    from a stranger, and is about to be used as file names.
     """
     found = manifest.read(folder)
+    check_manifest(found, name)
     files = {}
-    try:
-        for shard in found["shards"]:
-            files[shard["file"]] = shard["sha256"]
-            files[shard["worlds"]] = shard["worlds_sha256"]
-    except (TypeError, KeyError, AttributeError):
-        raise DatasetError(f"{name}: its {manifest.NAME} lists no shards as it should; it is damaged") from None
-    for file in files:
-        if not (isinstance(file, str) and SHARD_FILE.fullmatch(file)):
-            raise DatasetError(f"{name}: its {manifest.NAME} lists {file!r}, which no dataset has; do not trust it")
+    for shard in found["shards"]:
+        files[shard["file"]] = shard["sha256"]
+        files[shard["worlds"]] = shard["worlds_sha256"]
     return files
 
 

@@ -78,11 +78,13 @@ def examine(request: Request) -> Dataset:
     files = len(listed_files(request.dataset, str(request.dataset))) + _BESIDES
     if files > MOST_FILES:
         samples = sum(shard["samples"] for shard in dataset.manifest["shards"])
-        room = (MOST_FILES - _BESIDES) // 2 - len(dataset.manifest["counts"])
+        room = (MOST_FILES - _BESIDES) // 2 - len(SPLITS)
         raise PublishError(
             f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; generate it again with "
             f"--shard-samples {-(-samples // room // 100) * 100 + 100}, which changes no sample"
         )
+    if not (dataset.manifest.get("counts") and dataset.manifest.get("shard_samples")):
+        raise PublishError(f"{request.dataset}: {manifest.NAME} names no counts, so it cannot say how to make it again")
     check_recipe(dataset.manifest, recipe_text(dataset.manifest))
     return dataset
 
