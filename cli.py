@@ -231,7 +231,7 @@ def inspect(dataset: Path | str, as_json: bool) -> None:
     from scenegen.dataset.locate import locate
     from scenegen.inspect import inspect as examine
 
-    found = examine(locate(dataset))
+    found = examine(locate(dataset, shown=not as_json))
     if as_json:
         print(json.dumps(found))
     else:
@@ -249,7 +249,7 @@ def world(dataset: Path | str, number: int, split: str, output: Path | None) -> 
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
 
-    files = Dataset(locate(dataset), partial=True).world(split, number)
+    files = Dataset(locate(dataset, shown=True), partial=True).world(split, number)
     document = files.pop("world.xml")
     if output is None:
         if files:
@@ -282,7 +282,7 @@ def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_
     from scenegen.dataset.workers import cores
     from scenegen.verify import verify as prove
 
-    folder = locate(dataset)
+    folder = locate(dataset, shown=talk)
 
     def start(samples: int) -> None:
         _raise_if_stopped()
@@ -329,7 +329,7 @@ def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, q
     from scenegen.dataset.locate import locate
     from scenegen.dataset.workers import cores
 
-    found = tuple(locate(dataset) for dataset in datasets) or tuple(
+    found = tuple(locate(dataset, shown=not quiet) for dataset in datasets) or tuple(
         path.parent for path in sorted(Path("data").glob("*/dataset.json"))
     )
     if not found:
@@ -383,7 +383,7 @@ def publish(
     from scenegen.publish.stage import Request
 
     request = Request(
-        dataset=locate(dataset),
+        dataset=locate(dataset, shown=talk),
         repository=repo,
         out=out or Path("publish") / repo.rpartition("/")[2],
         tag=options["tag"],
@@ -414,7 +414,7 @@ def publish(
             private=options["private"],
             quick=options["quick"],
             workers=options["workers"] or cores(),
-            quiet=not talk,
+            shown=talk,
             on_start=start,
             on_done=count,
             on_staged=staged,

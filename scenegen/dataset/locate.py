@@ -1,7 +1,9 @@
 """Where a dataset is: a folder as it stands, or ``hf://user/name[@revision]`` downloaded from the Hugging Face Hub."""
 
+import contextlib
 import hashlib
 import re
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -29,11 +31,12 @@ def parse(name: str) -> tuple[str, str | None]:
     return repository, revision or None
 
 
-def locate(name: str | Path) -> Path:
+def locate(name: str | Path, *, shown: bool = False) -> Path:
     """The folder of a dataset. A path comes back as it is; only ``hf://…`` is looked for on the Hub.
 
     What the Hub has is downloaded into the client's usual cache by revision, no file but those that the manifest
-    lists, and held against the manifest's SHA-256s at every call. Raises DatasetError.
+    lists, and held against the manifest's SHA-256s at every call; with `shown`, the client shows how far it has come.
+    Raises DatasetError.
     """
     if not is_remote(name):
         return Path(name)
@@ -42,23 +45,41 @@ def locate(name: str | Path) -> Path:
         from huggingface_hub import snapshot_download
     except ImportError:
         raise DatasetError(f"{name}: needs huggingface_hub; pip install 'scenegen[publish]'") from None
+
+    def download(revision: str | None, *files: str) -> Path:
+        return Path(snapshot_download(repository, repo_type="dataset", revision=revision, allow_patterns=list(files)))
+
     try:
-        _check_listing(repository, revision)
-        folder = Path(
-            snapshot_download(repository, repo_type="dataset", revision=revision, allow_patterns=[manifest.NAME])
-        )
-        listed = listed_files(folder, str(name))
-        folder = Path(  # by commit, whose name the folder bears: should the branch move on, nothing is mixed
-            snapshot_download(
-                repository, repo_type="dataset", revision=folder.name, allow_patterns=[manifest.NAME, *listed]
-            )
-        )
+        with client_output(shown):
+            _check_listing(repository, revision)
+            folder = download(revision, manifest.NAME)
+            listed = listed_files(folder, str(name))
+            # by commit, whose name the folder bears: should the branch move on, nothing is mixed
+            folder = download(folder.name, manifest.NAME, *listed)
     except DatasetError:
         raise
     except Exception as error:  # whatever the Hub's client or the network beneath it raises
         raise DatasetError(f"{name}: {reason(error)}; check the name, the revision and the network") from None
     check_files(folder, listed, str(name))
     return folder
+
+
+@contextlib.contextmanager
+def client_output(shown: bool) -> Iterator[None]:
+    """Whether the Hub's client shows its progress; it never gives advice, which would be about itself."""
+    from huggingface_hub.utils import logging
+    from huggingface_hub.utils.tqdm import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
+
+    before, let_be = logging.get_verbosity(), shown or are_progress_bars_disabled()
+    logging.set_verbosity_error()
+    if not let_be:
+        disable_progress_bars()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(before)
+        if not let_be:
+            enable_progress_bars()
 
 
 def listed_files(folder: Path, name: str) -> dict[str, str]:

@@ -24,7 +24,7 @@ def publish(
     private: bool = False,
     quick: bool = False,
     workers: int = 1,
-    quiet: bool = False,
+    shown: bool = False,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
     on_staged: Callable[[Staged], None] = lambda staged: None,
@@ -49,4 +49,4 @@ def publish(
     checks = tuple((check.name, f"{'not checked, ' * check.skipped}{check.detail}") for check in report.checks)
     staged = stage(request, checks)
     on_staged(staged)
-    return Published(staged=staged, commit=None if dry_run else upload(staged, private=private, quiet=quiet))
+    return Published(staged=staged, commit=None if dry_run else upload(staged, private=private, shown=shown))

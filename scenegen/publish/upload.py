@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from scenegen import __version__
-from scenegen.dataset.locate import reason
+from scenegen.dataset.locate import client_output, reason
 from scenegen.errors import PublishError, ScenegenError
 from scenegen.publish.folder import SUMS
 from scenegen.publish.stage import Staged
@@ -26,23 +26,20 @@ def check_token() -> None:
         raise PublishError(TOKEN)
 
 
-def upload(staged: Staged, *, private: bool = False, quiet: bool = False) -> str:
+def upload(staged: Staged, *, private: bool = False, shown: bool = False) -> str:
     """Send the folder and return the commit that the tag names.
 
     Given again after an interruption it goes on: the client sends no content that the Hub has. A tag that is there
-    already is left alone, and is in order where it names the same files. Raises PublishError.
+    already is left alone, and is in order where it names the same files. `shown`: the client shows its progress.
+    Raises PublishError.
     """
     check_token()
     from huggingface_hub import HfApi, get_token
-    from huggingface_hub.utils import logging
-    from huggingface_hub.utils.tqdm import disable_progress_bars
 
-    logging.set_verbosity_error()
-    if quiet:
-        disable_progress_bars()
     api = HfApi(library_name="scenegen", library_version=__version__)
     try:
-        return _send(api, staged, private)
+        with client_output(shown):
+            return _send(api, staged, private)
     except ScenegenError:
         raise
     except Exception as error:  # whatever the Hub's client or the network beneath it raises

@@ -40,11 +40,13 @@ def test_what_was_published_is_read_back_by_revision(
     hub: Hub,
     verified: list,
     made: Path,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     tag = publish(asked).staged.tag
     repository = hub.repositories[asked.repository]
     repository.commit({"README.md": b"emptied since"})
     split = load(f"{NAME}@{tag}", split="test")
+    assert capfd.readouterr() == ("", "")  # a library does not print
     assert split.names == Dataset(made).split("test").names
     assert split[0].sha256() == Dataset(made).split("test")[0].sha256()
     folder = split.dataset.folder
