@@ -18,7 +18,7 @@ from scenegen.truth import Solids, rasterize
 from scenegen.verify.archive import Archive, read_archive
 from scenegen.verify.contract import Contract, Entry
 from scenegen.verify.geometry import compile_solids, geometry_digest
-from scenegen.verify.layout import ShardFile, open_file, open_shard
+from scenegen.verify.layout import ShardFile, most_bytes, open_file, open_shard
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate
 from scenegen.verify.report import BrokenError, Ledger
@@ -82,12 +82,18 @@ def examine(task: Task) -> Findings:
         found.ledger.count("layout", files=1)
         with found.ledger.checking("checksums"):
             _check_sum(file, path, task.entry.sha256, found.ledger)
+        found.ledger.expect(
+            "manifest",
+            shard.attributes["parameters"] == task.contract.fingerprint,
+            f"{task.entry.file}: was written for other parameters than the manifest's: one of the two was edited, or "
+            "the shard is another dataset's",
+        )
         found.rejected = shard.attributes["rejected"]
         _Samples(task, shard, solids, found).examine()
         if archive is not None and not task.quick:
             _make_again(task, shard, archive, found.ledger)
         return found
-    if path.is_file():
+    if path.is_file() and path.stat().st_size <= most_bytes(task.entry, task.contract):
         with found.ledger.checking("checksums"), open_file(path) as file:
             _check_sum(file, path, task.entry.sha256, found.ledger)
     return found

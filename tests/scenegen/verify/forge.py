@@ -69,12 +69,26 @@ def sign(folder: Path, **changes: Any) -> None:
     """Make the manifest's checksums and digest, and what shards say of themselves, those of the files."""
     given = {**manifest.read(folder), **changes}
     total = hashlib.sha256()
-    parts = ("format", "version", "kind", "seed", "counts", "recipe", "fields", "grid", "lidar", "shard_samples", "software")
+    parts = (
+        "format",
+        "version",
+        "kind",
+        "seed",
+        "counts",
+        "recipe",
+        "fields",
+        "grid",
+        "lidar",
+        "shard_samples",
+        "software",
+    )
     fingerprint = manifest.fingerprint({name: given[name] for name in parts})
     for entry in given["shards"]:
         entry["worlds_sha256"] = hashlib.sha256((folder / entry["worlds"]).read_bytes()).hexdigest()
         with h5py.File(folder / entry["file"], "r+") as shard:
-            if dict(shard.attrs) | {"worlds_sha256": entry["worlds_sha256"], "parameters": fingerprint} != dict(shard.attrs):
+            if dict(shard.attrs) | {"worlds_sha256": entry["worlds_sha256"], "parameters": fingerprint} != dict(
+                shard.attrs
+            ):
                 shard.attrs["worlds_sha256"], shard.attrs["parameters"] = entry["worlds_sha256"], fingerprint
             total.update(shard["sha256"][()].tobytes())
         entry["sha256"] = hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest()

@@ -265,9 +265,13 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "check", "said"),
     [
-        ({"seed": 1}, "layout", f"{SHARD}: was written with parameters"),
+        ({"seed": 1}, "manifest", f"{SHARD}: was written for other parameters than the manifest's"),
         ({"digest": "0" * 64}, "digest", "dataset.json: digest 0000000000000000…"),
-        ({"rejected": {"worlds": {"no_flight": 7}, "viewpoints": {}}}, "manifest", "rejected.worlds = {'no_flight': 7}"),
+        (
+            {"rejected": {"worlds": {"no_flight": 7}, "viewpoints": {}}},
+            "manifest",
+            "rejected.worlds = {'no_flight': 7}",
+        ),
         ({"counts": {"train": 7, "val": 3, "test": 3}}, "manifest", "counts.train = 7, but its shards hold 6 samples"),
         ({"complete": False}, "manifest", "complete is false"),
         ({"seed": "0"}, "manifest", "seed = '0'"),
