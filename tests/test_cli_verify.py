@@ -28,9 +28,11 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(
     (folder / "train-00000.h5").write_bytes((folder / "train-00000.h5").read_bytes()[:-1])
     code, said, complaint = run(capsys, "verify", folder, "--quick", "--quiet")
     assert (code, said) == (1, "")
-    assert complaint == "scenegen: verify: 3 of 9 checks failed: checksums, layout, digest\n"
+    assert complaint == "scenegen: verify: 3 of 10 checks failed: checksums, layout, digest\n"
     code, said, complaint = run(capsys, "verify", folder, "--json", "--quick")
     assert (code, json.loads(said)["failed"]) == (1, ["checksums", "layout", "digest"])
+    left = {check["name"]: check["detail"] for check in json.loads(said)["checks"] if check["skipped"]}
+    assert left == dict.fromkeys(["names", "centred", "laws"], "nothing that could be examined: see what failed")
     code, said, complaint = run(capsys, "verify", tmp_path / "nowhere")
     assert (code, said) == (1, "")
     assert "not a dataset, it has no dataset.json" in complaint
