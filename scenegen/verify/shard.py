@@ -22,7 +22,7 @@ from scenegen.verify.layout import ShardFile, most_bytes, open_file, open_shard
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate
 from scenegen.verify.report import BrokenError, Ledger
-from scenegen.verify.twins import signature
+from scenegen.verify.twins import fold, signature
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 """Of a shard's samples, as many have their rays cast anew."""
@@ -63,9 +63,11 @@ class Findings:
     """The samples' own, as computed; 32 bytes each."""
     worlds: dict[bytes, int] = field(default_factory=dict)
     """Digest of a world's geometry → its number."""
-    signatures: NDArray[np.uint32] = field(default_factory=lambda: np.empty((0, 320), np.uint32))
     rows: list[int] = field(default_factory=list)
-    """The samples that `signatures` belong to."""
+    """The samples that the next three belong to; see `scenegen.verify.twins`."""
+    signatures: list[NDArray[np.uint32]] = field(default_factory=list)
+    folds: list[NDArray[np.uint64]] = field(default_factory=list)
+    observed: list[int] = field(default_factory=list)
     rejected: dict[str, Counter[str]] = field(default_factory=dict)
 
 
@@ -191,7 +193,6 @@ class _Samples:
 
     def examine(self) -> None:
         """Examine every sample; one that cannot be read is a fault of `layout`, and the others go on."""
-        signatures = []
         for row in range(self._task.entry.samples):
             with self._ledger.checking("layout"):
                 self._ledger.count("layout", samples=1)
@@ -202,9 +203,9 @@ class _Samples:
                     self._recompute(row, stored)
                     self._found.rows.append(row)
                     with self._ledger.checking("near-twins"):
-                        signatures.append(signature(stored["occupancy"]))
-        if signatures:
-            self._found.signatures = np.array(signatures)
+                        self._found.signatures.append(signature(stored["occupancy"]))
+                        self._found.folds.append(fold(stored["observed"]))
+                        self._found.observed.append(int(np.count_nonzero(stored["observed"])))
 
     def _expect(self, check: str, holds: Any, row: int, line: str) -> None:
         if not holds:

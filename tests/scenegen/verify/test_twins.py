@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenegen.verify.twins import OCCUPIED_IOU, candidates, overlap, signature
+from scenegen.verify.twins import OBSERVED_IOU, OCCUPIED_IOU, candidates, fold, overlap, signature
 
 
 @pytest.mark.parametrize("shape", [(24, 24, 16), (80, 80, 40), (7, 9, 3), (1, 1, 1)])
@@ -16,28 +16,39 @@ def test_a_signature_counts_every_voxel_once(shape: tuple[int, int, int]) -> Non
 
 def test_no_near_twin_is_missed() -> None:
     rng = np.random.default_rng(1)
-    maps = [rng.random((16, 16, 10)) < rng.uniform(0.02, 0.5) for _ in range(60)]
-    for n in range(20):  # half of these are near enough to be twins
-        flipped = rng.random((16, 16, 10)) < rng.uniform(0.0, 0.1) * maps[n].mean()
-        maps.append(maps[n] ^ flipped)
+    shape = (16, 16, 10)
+    maps = [rng.random(shape) < rng.uniform(0.02, 0.5) for _ in range(60)]
+    seen = [map_ & (rng.random(shape) < 0.3) for map_ in maps]
+    for n in range(40):  # some of these are near enough to be twins, some only in one of the two ways
+        maps.append(maps[n] ^ (rng.random(shape) < rng.uniform(0.0, 0.08) * maps[n].mean()))
+        seen.append(seen[n] ^ (rng.random(shape) < rng.uniform(0.0, 1.2) * seen[n].mean()))
     splits = rng.integers(0, 3, len(maps))
-    found, complete = candidates(np.array([signature(m) for m in maps]), splits)
+    found, complete = candidates(
+        np.array([signature(map_) for map_ in maps]),
+        np.array([fold(map_) for map_ in seen]),
+        np.array([map_.sum() for map_ in seen]),
+        splits,
+    )
     assert complete
     pairs = {frozenset(map(int, pair)) for pair in found}
     assert len(pairs) == len(found)
-    expected = {
-        frozenset((a, b))
-        for a in range(len(maps))
-        for b in range(a)
-        if splits[a] != splits[b] and overlap(maps[a], maps[b]) >= OCCUPIED_IOU
-    }
-    assert len(expected) > 3
+    different = [(a, b) for a in range(len(maps)) for b in range(a) if splits[a] != splits[b]]
+    occupied = {frozenset(pair) for pair in different if overlap(*(maps[n] for n in pair)) >= OCCUPIED_IOU}
+    expected = {pair for pair in occupied if overlap(*(seen[n] for n in pair)) >= OBSERVED_IOU}
+    assert 5 < len(expected) < len(occupied)
     assert expected <= pairs
-    assert len(pairs) < 60  # of 2000 and more
+    assert len(pairs) < 2 * len(expected)  # of 3000 and more
     assert all(splits[a] != splits[b] for a, b in found)
 
 
 def test_empty_maps_are_no_twins() -> None:
-    empty = np.zeros((4, 320), np.uint32)
-    found, complete = candidates(empty, np.array([0, 1, 2, 0]))
+    found, complete = candidates(
+        np.zeros((4, 320), np.uint32), np.zeros((4, 128), np.uint64), np.zeros(4, np.int64), np.array([0, 1, 2, 0])
+    )
     assert (len(found), complete) == (0, True)
+
+
+def test_a_folder_full_of_the_same_map_ends_soon() -> None:
+    same = np.ones((2500, 320), np.uint32), np.ones((2500, 128), np.uint64), np.full(2500, 128)
+    found, complete = candidates(*same, np.arange(2500) % 3)
+    assert (len(found), complete) == (5000, False)
