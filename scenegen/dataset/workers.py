@@ -82,8 +82,8 @@ def run(
                         worker = _Worker(function, "spawn", limits)
                         busy.append(worker)
                         replaced += 1
-                following = next(waiting, None)
-                if following is not None and worker.alive:
+                following = next(waiting, None) if worker.alive else None
+                if following is not None:
                     worker.give(following)
                 elif worker in busy:
                     busy.remove(worker)

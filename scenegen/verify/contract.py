@@ -117,8 +117,9 @@ def read_contract(folder: Path, ledger: Ledger) -> Contract | None:
     contract = None
     with ledger.checking("manifest"):
         ledger.count("manifest", files=1)
-        contract = _contract(folder, given)
-        _check_shards(contract, given, ledger)
+        found = _contract(folder, given)
+        _check_shards(found, given, ledger)
+        contract = found
     return contract
 
 

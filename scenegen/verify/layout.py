@@ -131,6 +131,13 @@ def open_file(path: Path) -> BufferedReader:
         raise BrokenError(f"{path.name}: cannot be opened ({error.strerror})") from None
 
 
+def most_bytes(entry: Entry, contract: Contract) -> int:
+    """What a shard may take on disk, however badly it is packed."""
+    columns = [(SCHEMA[name]["dtype"], shape_of(name, contract.grid, contract.lidar)) for name in contract.fields]
+    each = sum(np.dtype(dtype).itemsize * math.prod(shape) + 2000 for dtype, shape in columns)
+    return entry.samples * (each + each // 100) + (1 << 20)
+
+
 def open_shard(file: BufferedReader, entry: Entry, contract: Contract) -> ShardFile:
     """The shard in `file`, its layout checked. Raises BrokenError with what is wrong.
 
@@ -152,8 +159,10 @@ def _open(opened: h5py.File, file: BufferedReader, entry: Entry, contract: Contr
         for name in contract.fields
     }
     expected[DIGEST] = (np.dtype(np.uint8), (32,))
-    size = os.fstat(file.fileno()).st_size
-    count = opened.id.get_num_objs() if hasattr(opened.id, "get_num_objs") else len(opened)
+    size, most = os.fstat(file.fileno()).st_size, most_bytes(entry, contract)
+    if size > most:
+        raise BrokenError(f"{entry.file}: {size} bytes, {entry.samples} samples take {most} at most")
+    count = len(opened)
     if count > 2 * len(expected):
         raise BrokenError(f"{entry.file}: holds {count} objects, expected {len(expected)}: {', '.join(expected)}")
     names = list(opened)
@@ -168,7 +177,7 @@ def _open(opened: h5py.File, file: BufferedReader, entry: Entry, contract: Contr
     # the format's own overhead: an index entry a chunk, and some kilobytes
     if size > stored + 200 * len(columns) * entry.samples + (1 << 20):
         raise BrokenError(f"{entry.file}: {size - stored} of its {size} bytes belong to no sample")
-    return ShardFile(file, entry.file, columns, _attributes(opened, entry, contract))
+    return ShardFile(file, entry.file, columns, _attributes(opened, entry))
 
 
 def _column(group: Any, name: str, dtype: np.dtype, shape: tuple[int, ...], entry: Entry, size: int) -> Column:
@@ -204,16 +213,15 @@ def _column(group: Any, name: str, dtype: np.dtype, shape: tuple[int, ...], entr
     return Column(name, dtype, shape, filters, tuple(found[row] for row in range(entry.samples)))
 
 
-def _attributes(opened: h5py.File, entry: Entry, contract: Contract) -> dict[str, Any]:
+def _attributes(opened: h5py.File, entry: Entry) -> dict[str, Any]:
     """What the shard says of itself. Raises BrokenError where that is not what the manifest says."""
     expected: dict[str, Any] = {
         "split": entry.split,
         "first_world": entry.first_world,
         "worlds_sha256": entry.worlds_sha256,
-        "parameters": contract.fingerprint,
     }
     found = {}
-    for name in (*expected, "rejected"):
+    for name in (*expected, "parameters", "rejected"):
         if name not in opened.attrs:
             raise BrokenError(f"{entry.file}: has no attribute {name}")
         attribute = opened.attrs.get_id(name)

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -112,6 +112,13 @@ class Ledger:
     def skip(self, check: str, why: str) -> None:
         """Say that a check cannot be made, and why."""
         self._entries[check].skipped = why
+
+    def skip_untouched(self, checks: Iterable[str], why: str) -> None:
+        """Say of those `checks` that examined nothing why that is."""
+        for name in checks:
+            entry = self._entries[name]
+            if not (entry.faults or entry.skipped or entry.counts):
+                entry.skipped = why
 
     def count(self, check: str, **counts: int) -> None:
         """Add to what a check examined."""

@@ -18,11 +18,11 @@ from scenegen.truth import Solids, rasterize
 from scenegen.verify.archive import Archive, read_archive
 from scenegen.verify.contract import Contract, Entry
 from scenegen.verify.geometry import compile_solids, geometry_digest
-from scenegen.verify.layout import ShardFile, open_file, open_shard
+from scenegen.verify.layout import ShardFile, most_bytes, open_file, open_shard
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate
 from scenegen.verify.report import BrokenError, Ledger
-from scenegen.verify.twins import signature
+from scenegen.verify.twins import fold, signature
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 """Of a shard's samples, as many have their rays cast anew."""
@@ -63,9 +63,11 @@ class Findings:
     """The samples' own, as computed; 32 bytes each."""
     worlds: dict[bytes, int] = field(default_factory=dict)
     """Digest of a world's geometry → its number."""
-    signatures: NDArray[np.uint32] = field(default_factory=lambda: np.empty((0, 320), np.uint32))
     rows: list[int] = field(default_factory=list)
-    """The samples that `signatures` belong to."""
+    """The samples that the next three belong to; see `scenegen.verify.twins`."""
+    signatures: list[NDArray[np.uint32]] = field(default_factory=list)
+    folds: list[NDArray[np.uint64]] = field(default_factory=list)
+    observed: list[int] = field(default_factory=list)
     rejected: dict[str, Counter[str]] = field(default_factory=dict)
 
 
@@ -82,12 +84,18 @@ def examine(task: Task) -> Findings:
         found.ledger.count("layout", files=1)
         with found.ledger.checking("checksums"):
             _check_sum(file, path, task.entry.sha256, found.ledger)
+        found.ledger.expect(
+            "manifest",
+            shard.attributes["parameters"] == task.contract.fingerprint,
+            f"{task.entry.file}: was written for other parameters than the manifest's: one of the two was edited, or "
+            "the shard is another dataset's",
+        )
         found.rejected = shard.attributes["rejected"]
         _Samples(task, shard, solids, found).examine()
         if archive is not None and not task.quick:
             _make_again(task, shard, archive, found.ledger)
         return found
-    if path.is_file():
+    if path.is_file() and path.stat().st_size <= most_bytes(task.entry, task.contract):
         with found.ledger.checking("checksums"), open_file(path) as file:
             _check_sum(file, path, task.entry.sha256, found.ledger)
     return found
@@ -185,7 +193,6 @@ class _Samples:
 
     def examine(self) -> None:
         """Examine every sample; one that cannot be read is a fault of `layout`, and the others go on."""
-        signatures = []
         for row in range(self._task.entry.samples):
             with self._ledger.checking("layout"):
                 self._ledger.count("layout", samples=1)
@@ -196,9 +203,9 @@ class _Samples:
                     self._recompute(row, stored)
                     self._found.rows.append(row)
                     with self._ledger.checking("near-twins"):
-                        signatures.append(signature(stored["occupancy"]))
-        if signatures:
-            self._found.signatures = np.array(signatures)
+                        self._found.signatures.append(signature(stored["occupancy"]))
+                        self._found.folds.append(fold(stored["observed"]))
+                        self._found.observed.append(int(np.count_nonzero(stored["observed"])))
 
     def _expect(self, check: str, holds: Any, row: int, line: str) -> None:
         if not holds:

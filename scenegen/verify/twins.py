@@ -12,8 +12,11 @@ OCCUPIED_IOU = 0.95
 OBSERVED_IOU = 0.5
 """… their observed voxels this far. The truth alone would not do: over a flat floor with next to nothing on it, maps of
 different worlds are the same; what rays hit of it, from another height at another heading, is not."""
-MOST_PAIRS = 5_000
-"""Candidates that are compared voxel by voxel, the likeliest first."""
+MOST_PAIRS = 2_000_000
+"""Pairs of maps that are kept in memory while they are sifted."""
+MOST_COMPARED = 5_000
+"""Pairs that are compared voxel by voxel."""
+_BITS = 13
 
 
 def signature(occupancy: NDArray[np.bool_]) -> NDArray[np.uint32]:
@@ -37,18 +40,28 @@ def _count(occupied, blocks):
                 blocks[row + block] += total
 
 
-def candidates(signatures: NDArray[np.uint32], splits: NDArray[np.int64]) -> tuple[NDArray[np.int64], bool]:
-    """Pairs (P, 2) of samples of different splits that may be near-twins, the likeliest first, and whether these are
-    all. No near-twin is missed as long as they are.
+def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
+    """Observed voxels, scattered over 8192 bits by their number, (128,) words; two may share a bit."""
+    number = np.flatnonzero(observed).astype(np.uint32)
+    bits = np.zeros(1 << _BITS, dtype=np.bool_)
+    bits[(number * np.uint32(2654435761)) >> np.uint32(32 - _BITS)] = True
+    return np.packbits(bits).view(np.uint64)
 
-    Voxels in which two maps differ are at least as many as the sum of the differences of their blocks, so most pairs
-    are ruled out by a few numbers; sorted by how much is occupied, only neighbours are looked at.
+
+def candidates(
+    signatures: NDArray[np.uint32], folds: NDArray[np.uint64], observed: NDArray[np.int64], splits: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], bool]:
+    """Pairs (P, 2) of the n samples that may be near-twins, and whether these are all: then none is missed.
+
+    `signatures` (n, 320) and `folds` (n, 128) are of every sample, `observed` (n,) counts its observed voxels, `splits`
+    (n,) numbers its split. Voxels in which two maps differ are at least as many as the sum of the differences of
+    their blocks, so most pairs are ruled out by a few numbers; sorted by how much is occupied, only neighbours are
+    looked at. Of what is left, the bits that two samples' observed voxels share tell almost all apart.
     """
     counts = signatures.sum(axis=1, dtype=np.int64)
     order = np.argsort(counts, kind="stable")
     coarse = signatures.reshape(-1, 2, 4, 2, 4, 5).sum(axis=(2, 4), dtype=np.int64).reshape(-1, 20)
-    limit = 20 * MOST_PAIRS
-    pairs, gaps = np.empty((limit, 2), np.int64), np.empty(limit, np.int64)
+    pairs = np.empty((MOST_PAIRS, 2), np.int32)
     found = _pairs(
         counts[order],
         splits[order],
@@ -56,16 +69,23 @@ def candidates(signatures: NDArray[np.uint32], splits: NDArray[np.int64]) -> tup
         signatures[order].astype(np.int32),
         1.0 - OCCUPIED_IOU,
         pairs,
-        gaps,
     )
-    kept = min(found, limit)
-    ranked = np.argsort(gaps[:kept], kind="stable")[:MOST_PAIRS]
-    return order[pairs[:kept][ranked]], found <= MOST_PAIRS
+    kept = order[pairs[: min(found, MOST_PAIRS)]]
+    lost = observed - np.bitwise_count(folds).sum(axis=1, dtype=np.int64)  # voxels whose bit another one has, too
+    alike = np.zeros(len(kept), dtype=np.bool_)
+    for begin in range(0, len(kept), 10_000):
+        a, b = kept[begin : begin + 10_000].T
+        shared = np.bitwise_count(folds[a] & folds[b]).sum(axis=1, dtype=np.int64) + np.minimum(lost[a], lost[b])
+        # with s = |A| + |B| and IoU = |A and B| / (s - |A and B|), at least this many are in both
+        least = OBSERVED_IOU / (1.0 + OBSERVED_IOU) * (observed[a] + observed[b])
+        alike[begin : begin + 10_000] = shared >= least - 1e-6
+    chosen = kept[alike]
+    return chosen[:MOST_COMPARED], found <= MOST_PAIRS and len(chosen) <= MOST_COMPARED
 
 
 @kernel
-def _pairs(counts, splits, coarse, fine, share, pairs, gaps):
-    """Fill `pairs` with candidates, as many as fit, and return how many there are."""
+def _pairs(counts, splits, coarse, fine, share, pairs):
+    """Fill `pairs` with candidates and return how many there are; one more than fit where there are more."""
     found = 0
     for i in range(len(counts)):
         if counts[i] == 0:
@@ -79,15 +99,12 @@ def _pairs(counts, splits, coarse, fine, share, pairs, gaps):
             most = math.floor(share * (counts[i] + counts[j]) / (2.0 - share) + 1e-9)
             if _beyond(coarse[i], coarse[j], most) > most:
                 continue
-            gap = _beyond(fine[i], fine[j], most)
-            if gap > most:
+            if _beyond(fine[i], fine[j], most) > most:
                 continue
-            if found < len(pairs):
-                pairs[found, 0], pairs[found, 1] = i, j
-                gaps[found] = gap
+            if found == len(pairs):
+                return found + 1
+            pairs[found, 0], pairs[found, 1] = i, j
             found += 1
-            if found > 4 * len(pairs):
-                return found  # a folder full of twins: no need to count them all
     return found
 
 

@@ -10,7 +10,7 @@ from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
 from scenegen.verify.geometry import compile_solids
 from scenegen.verify.intersect import cast
-from scenegen.verify.twins import candidates, signature
+from scenegen.verify.twins import candidates, fold, signature
 
 
 @functools.cache
@@ -35,4 +35,5 @@ def warm_up(*, quick: bool) -> None:
     sample = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples[0]
     cast(np.array([0.0, 0.0, 5.0]), lidar.directions([1.0, 0.0, 0.0, 0.0]).reshape(-1, 3), solids, 10.0)
     blocks = signature(sample.occupancy)
-    candidates(np.stack([blocks, blocks]), np.array([0, 1]))
+    folds = np.stack([fold(sample.observed)] * 2)
+    candidates(np.stack([blocks, blocks]), folds, np.array([1, 1]), np.array([0, 1]))
