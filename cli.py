@@ -18,6 +18,8 @@ from scenegen import SPLITS, __version__
 from scenegen.errors import ScenegenError, StoppedError
 from scenegen.recipes import kind_names
 
+VARIANTS = ("proposed", "occ", "tudf", "dual", "shared")
+
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPPED = "stopped; what is finished is kept, and the same command goes on from there"
 _stopped: list[int] = []
@@ -309,7 +311,127 @@ def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_
 
 @app.command()
 @click.argument("datasets", nargs=-1, type=DatasetPath())
+@click.option(
+    "--variant", type=click.Choice(VARIANTS), default="proposed", show_default=True, help="See docs/network.md."
+)
+@click.option("--epochs", type=click.IntRange(min=1), default=100, show_default=True, help="At most.")
+@click.option("--batch", type=click.IntRange(min=1), default=8, show_default=True, help="Maps a step, on all devices.")
+@click.option("--lr", type=float, default=1e-3, show_default=True, help="Learning rate after the warm-up.")
+@click.option(
+    "--patience", type=click.IntRange(min=1), default=10, show_default=True, help="Epochs without improvement."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of weights and order.")
+@click.option("--width", type=click.IntRange(min=1), default=8, show_default=True, help="Channels at the first level.")
+@click.option("--stem-stride", type=click.Choice(["1", "2"]), default="2", show_default=True, help="1 is slower.")
+@click.option("--beta", "beta_m", type=float, default=1.0, show_default=True, help="Of Smooth-L1, metres.")
+@click.option("--augment", is_flag=True, help="Turn and mirror maps about the sensor at random.")
+@click.option("--precision", type=click.Choice(["auto", "float32", "bfloat16"]), default="auto", show_default=True)
+@click.option("--compile", is_flag=True, help="Run the network through torch.compile.")
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda, cuda:1 …")
+@click.option("--workers", type=click.IntRange(min=0), help="Loader processes.  [default: 0 on a CPU, else up to 8]")
+@click.option("--out", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/<variant>]")
+@click.option("--resume", is_flag=True, help="Go on with the run in --out, if there is one.")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quiet: bool, **options: Any) -> None:
+    """Train the completion network on datasets; under torchrun, on several GPUs."""
+    from model.train_command import run_train
+
+    for number in STOPS:  # the loop looks between two steps; a second signal ends at once
+        signal.signal(number, _note_stop)
+    quiet = quiet or int(os.environ.get("RANK", "0")) > 0
+    with _Progress(variant, shown=not quiet) as progress:
+        run_train(
+            _found(datasets, shown=not quiet),
+            variant=variant,
+            out=out or Path("runs") / variant,
+            options=options,
+            command=" ".join(["scenegen", *sys.argv[1:]]),
+            progress=progress,
+            say=(lambda line: None) if quiet else click.echo,
+            stop=lambda: bool(_stopped),
+        )
+
+
+@app.command()
+@click.argument("source", type=DatasetPath())
+@click.option("--weights", default="proposed", show_default=True, help="A bundled name, a file, a run's folder, hf://…")
+@click.option("--split", type=click.Choice(SPLITS), default="test", show_default=True)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="[default: predictions.h5, or <scan>.completed.h5]"
+)
+@click.option(
+    "--sensor", type=(float, float, float), default=(0.0, 0.0, 0.0), help="Where a scan's sensor was: X Y Z, m."
+)
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda, cuda:1 …")
+@click.option("--batch", type=click.IntRange(min=1), default=8, show_default=True, help="Maps at once.")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def complete(source: Path | str, weights: str, output: Path | None, quiet: bool, **options: Any) -> None:
+    """Complete a dataset's split, or one scan (.ply, .xyz, .npy: points in metres, z up, sensor at the origin)."""
+    from model.complete import Thresholds
+    from model.completer import Completer
+    from model.device import choose_device
+    from model.predict import predict_scan, predict_split
+    from scenegen.dataset.locate import locate
+
+    completer = Completer.from_pretrained(weights, device=choose_device(options["device"]), batch=options["batch"])
+    found = locate(source, shown=not quiet)
+    if found.is_dir():
+        output = output or Path("predictions.h5")
+        with _Progress("complete", shown=not quiet) as progress:
+            predict_split(
+                completer,
+                found,
+                options["split"],
+                output,
+                batch=options["batch"],
+                on_start=progress.start,
+                on_done=progress.count,
+            )
+    else:
+        output = output or found.with_suffix(".completed.h5")
+        predict_scan(completer, found, output, sensor=options["sensor"], thresholds=Thresholds())
+    if not quiet:
+        click.echo(f"written: {output}")
+
+
+@app.command()
+@click.argument("weights", default="proposed")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="[default: <name>.onnx]")
+def export(weights: str, output: Path | None) -> None:
+    """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
+    from model.checkpoint import load_network
+    from model.completer import locate
+    from model.export import export_onnx
+
+    path = locate(weights)
+    network, grid, about = load_network(path)
+    output = output or Path(f"{Path(weights).stem}.onnx")
+    export_onnx(network, grid, output, about=about)
+    click.echo(f"written: {output}")
+
+
+@app.command()
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def networks(as_json: bool) -> None:
+    """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
+    from model.summary import costs
+
+    found = costs()
+    if as_json:
+        print(json.dumps(found))
+        return
+    click.echo(f"{'variant':<10}{'stem stride':>12}{'parameters':>12}{'GMACs':>8}{'activations':>13}")
+    for row in found:
+        click.echo(
+            f"{row['variant']:<10}{row['stem_stride']:>12}{row['parameters']:>12,}{row['macs'] / 1e9:>8.2f}"
+            f"{row['activation_bytes'] / 1e6:>10.1f} MB"
+        )
+
+
+@app.command()
+@click.argument("datasets", nargs=-1, type=DatasetPath())
 @click.option("--method", "names", multiple=True, help="A row: returns, conservative, extrude, truth, or MODULE:CLASS.")
+@click.option("--weights", multiple=True, help="A network's row: a bundled name, a file, a run's folder, hf://…")
 @click.option(
     "--predictions", type=click.Path(path_type=Path), help="HDF5 file of somebody's predictions: one more row."
 )
@@ -326,19 +448,12 @@ def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, q
     if not quiet:
         _announce_compilation()
     from model.bench.command import run_bench, tables
-    from scenegen.dataset.locate import locate
     from scenegen.dataset.workers import cores
 
-    found = tuple(locate(dataset, shown=not quiet) for dataset in datasets) or tuple(
-        path.parent for path in sorted(Path("data").glob("*/dataset.json"))
-    )
-    if not found:
-        raise click.UsageError(
-            "no dataset given, and none under data/; make one with `scenegen generate --kind pillar`"
-        )
     report = run_bench(
-        found,
+        _found(datasets, shown=not quiet),
         names=names,
+        weights=options["weights"],
         predictions=options["predictions"],
         out=out,
         split=options["split"],
@@ -449,6 +564,19 @@ def completion(shell: str) -> None:
     print(found(app, {}, "scenegen", "_SCENEGEN_COMPLETE").source())
 
 
+def _found(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Path, ...]:
+    """The folders of the datasets named, or those under data/."""
+    from scenegen.dataset.locate import locate
+
+    found = tuple(locate(dataset, shown=shown) for dataset in datasets)
+    found = found or tuple(path.parent for path in sorted(Path("data").glob("*/dataset.json")))
+    if not found:
+        raise click.UsageError(
+            "no dataset given, and none under data/; make one with `scenegen generate --kind pillar`"
+        )
+    return found
+
+
 def _stop_now(number: int, frame: Any) -> NoReturn:
     os.write(2, f"scenegen: {STOPPED}\n".encode())
     os._exit(130)
@@ -457,6 +585,12 @@ def _stop_now(number: int, frame: Any) -> NoReturn:
 def _stop(number: int, frame: Any) -> NoReturn:
     _stopped.append(number)
     raise StoppedError(STOPPED)
+
+
+def _note_stop(number: int, frame: Any) -> None:
+    if _stopped:
+        os._exit(130)
+    _stopped.append(number)
 
 
 def _raise_if_stopped() -> None:
@@ -511,6 +645,18 @@ class _Progress:
         self._begin, self._at_begin = time.perf_counter(), self._done
         self._task = self._bar.add_task(self._label, total=total, completed=self._done, rate="")
         self._bar.start()
+
+    def restart(self, label: str, total: int, done: int) -> None:
+        """Show a new bar of `total` samples, `done` of them already."""
+        if self._bar is not None:
+            self._bar.stop()
+        self._label, self._done = label, done
+        self.start(total)
+
+    def note(self, text: str) -> None:
+        """Show `text` behind the label."""
+        if self._bar is not None:
+            self._bar.update(self._task, description=f"{self._label} {text}")
 
     def count(self, samples: int) -> None:
         """Count samples as done."""

@@ -70,13 +70,17 @@ def load_network(path: Path) -> tuple[Network, GridSpec, dict[str, Any]]:
         )
     try:
         network = Network(NetworkConfig(**header["network"]))
-        grid = header["grid"]
-        spec = GridSpec(**{**grid, "shape": tuple(grid["shape"])})
+        grid = grid_from(header)
         network.load_state_dict(tensors)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise CheckpointError(f"{path}: header and weights do not fit ({reason}); train it again") from None
-    return network.eval(), spec, dict(header.get("about", {}))
+    return network.eval(), grid, dict(header.get("about", {}))
+
+
+def grid_from(header: Mapping[str, Any]) -> GridSpec:
+    """The grid that a header names. Raises KeyError, TypeError or ValueError where it names none."""
+    return GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
 
 
 def _what_it_is(path: Path) -> str:

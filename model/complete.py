@@ -6,7 +6,7 @@ distance.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,15 @@ class Thresholds:
     """A voxel is occupied below this distance, where no probability is predicted, metres."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a method says about a map; at least one of the two is given. Raises ValueError where neither is."""
+    """What a method says about a map, or a batch of them; at least one of the two is given. Raises ValueError where
+    neither is."""
 
-    occupancy_probability: NDArray[np.float32] | None = None
-    """(*shape): of being occupied, from 0 to 1."""
-    tudf: NDArray[np.float32] | None = None
-    """(*shape): distance to the nearest occupied voxel's centre, metres."""
+    occupancy_probability: Any = None
+    """float32 (*shape), numpy or torch: of being occupied, from 0 to 1."""
+    tudf: Any = None
+    """float32 (*shape), numpy or torch: distance to the nearest occupied voxel's centre, metres."""
 
     def __post_init__(self) -> None:
         if self.occupancy_probability is None and self.tudf is None:

@@ -107,7 +107,7 @@ def load(
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """(observed, occupancy) of every batch in turn, bool (B, *grid.shape) each, read by `workers` processes; 0 for
     none."""
-    loader: DataLoader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)  # type: ignore[arg-type]
+    loader: DataLoader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)
     yield from loader
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from lidarsim import GridSpec
@@ -38,6 +39,22 @@ class Progress:
     """Spent on the epoch so far."""
     rows: list[dict[str, float]] = field(default_factory=list)
     """One a finished epoch: see docs/training.md."""
+
+    def add(self, losses: dict[str, float]) -> None:
+        """Count a step."""
+        self.step += 1
+        self.sums = {name: self.sums.get(name, 0.0) + value for name, value in losses.items()}
+
+    def close(self, validated: dict[str, float], seconds: float) -> dict[str, float]:
+        """Count an epoch, and give its row."""
+        row = {"epoch": self.epoch + 1.0, "seconds": seconds}
+        row |= {f"train_{name}": value / self.step for name, value in self.sums.items()}
+        row |= {f"val_{name}": value for name, value in validated.items()}
+        self.rows.append(row)
+        if row["val_loss"] < self.best_loss:
+            self.best_loss, self.best_epoch = row["val_loss"], self.epoch
+        self.epoch, self.step, self.sums, self.seconds = self.epoch + 1, 0, {}, 0.0
+        return row
 
 
 class RunFolder:
@@ -76,20 +93,21 @@ class RunFolder:
         except (OSError, ValueError) as error:
             raise DatasetError(f"{self.path / CONFIG}: cannot be read ({error}); choose another --out") from None
 
-    def save(self, progress: Progress, tensors: dict[str, Tensor]) -> None:
+    def save(self, progress: Progress, network: Network, optimizer: torch.optim.Optimizer) -> None:
         """Write all that is needed to go on from here."""
-        save_tensors(self.path / LAST, tensors, dataclasses.asdict(progress))
+        save_tensors(self.path / LAST, _state(network, optimizer), dataclasses.asdict(progress))
 
-    def restore(self) -> tuple[Progress, dict[str, Tensor]] | None:
-        """What `save` wrote last, or None. Raises CheckpointError where it is damaged."""
+    def restore(self, network: Network, optimizer: torch.optim.Optimizer) -> Progress:
+        """Bring back what `save` wrote last, if it did. Raises CheckpointError where it is damaged."""
         if not (self.path / LAST).exists():
-            return None
+            return Progress()
         tensors, header = load_tensors(self.path / LAST)
         try:
-            return Progress(**header), tensors
-        except TypeError:
+            _set_state(network, optimizer, tensors)
+            return Progress(**header)
+        except (TypeError, RuntimeError):
             raise CheckpointError(
-                f"{self.path / LAST}: not the state of a run; remove it to begin again, {BEST} stays"
+                f"{self.path / LAST}: not the state of this run; remove it to begin again, {BEST} stays until then"
             ) from None
 
     def save_best(self, network: Network, grid: GridSpec, about: dict[str, Any]) -> None:
@@ -106,6 +124,16 @@ class RunFolder:
         picture = draw_curve(rows)
         if picture is not None:
             write_whole(self.path / CURVE, picture)
+        self._tell_tensorboard(rows[-1])
+
+    def _tell_tensorboard(self, row: dict[str, float]) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            return
+        with SummaryWriter(str(self.path / "tensorboard")) as writer:
+            for name, value in row.items():
+                writer.add_scalar(name.replace("_", "/", 1), value, int(row["epoch"]))
 
 
 def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
@@ -125,3 +153,24 @@ def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=100)
     return memory.getvalue()
+
+
+def _state(network: Network, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """Weights and the optimiser's moments, by name."""
+    tensors = {f"network/{name}": tensor for name, tensor in network.state_dict().items()}
+    for name, parameter in network.named_parameters():
+        for key, value in optimizer.state.get(parameter, {}).items():
+            tensors[f"optimizer/{name}/{key}"] = value
+    return tensors
+
+
+def _set_state(network: Network, optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]) -> None:
+    """Undo `_state`."""
+    prefix = "network/"
+    network.load_state_dict({name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)})
+    for name, parameter in network.named_parameters():
+        prefix = f"optimizer/{name}/"
+        for key, value in tensors.items():
+            if key.startswith(prefix):  # a step count is a lone number; moments lie in memory as their weights do
+                moment = torch.empty_like(parameter).copy_(value) if value.ndim else value
+                optimizer.state[parameter][key[len(prefix) :]] = moment

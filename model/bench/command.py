@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -13,6 +12,7 @@ from model.bench.reconstruction import METRICS
 from model.bench.report import PLAN_METRICS, build_report, to_markdown
 from model.bench.run import BenchConfig, bench
 from model.complete import UNLEARNED
+from model.provenance import commit
 from scenegen.dataset.files import write_whole
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
@@ -35,6 +35,7 @@ def run_bench(
     folders: Sequence[Path],
     *,
     names: Sequence[str],
+    weights: Sequence[str],
     predictions: Path | None,
     out: Path,
     split: str,
@@ -48,7 +49,7 @@ def run_bench(
 
     Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown method.
     """
-    methods = choose_methods(names)
+    methods = [*choose_methods(names), *map(_network, weights)]
     datasets = [Dataset(folder) for folder in folders]
     kinds = [dataset.manifest["kind"] for dataset in datasets]
     if len(set(kinds)) < len(kinds):
@@ -67,7 +68,7 @@ def run_bench(
         rows = [*methods, predicted] if predicted is not None else methods
         with progress(dataset.manifest["kind"]) as shown:
             results.append(bench(dataset, rows, config, workers=workers, on_start=shown.start, on_done=shown.count))
-    report = build_report(results, seed=seed, about={"command": command, "commit": _commit(), "split": split})
+    report = build_report(results, seed=seed, about={"command": command, "commit": commit(), "split": split})
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -99,6 +100,15 @@ def choose_methods(names: Sequence[str]) -> list[Method]:
     return chosen
 
 
+def _network(weights: str) -> Method:
+    """A network's row; what it needs is imported here, so that the other rows need no torch."""
+    try:
+        from model.pretrained import Pretrained
+    except ImportError:
+        raise ScenegenError(f"--weights {weights}: needs torch; pip install 'scenegen[train]'") from None
+    return Completed(Pretrained(weights))
+
+
 def tables(report: dict[str, Any]) -> str:
     """Both tables for a terminal: means, at the paper's thresholds."""
     lines = []
@@ -111,16 +121,3 @@ def tables(report: dict[str, Any]) -> str:
                 cells = "".join(f"{row[name]['mean']:>15.3f}" if row[name]["n"] else f"{'–':>15}" for name in names)
                 lines.append(f"{method:<{width}}{cells}")
     return "\n".join(lines)
-
-
-def _commit() -> str:
-    """The checkout's commit, with a + where it has changes; ``unknown`` outside of one."""
-    here = Path(__file__).parent
-    described = subprocess.run(
-        ["git", "describe", "--always", "--dirty=+", "--abbrev=12"],
-        cwd=here,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return described.stdout.strip() or "unknown"

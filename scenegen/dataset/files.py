@@ -5,6 +5,8 @@ import os
 import shutil
 import socket
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from scenegen.errors import DatasetError
@@ -15,12 +17,21 @@ STALE_S = 24 * 3600.0
 
 def write_whole(path: Path, content: bytes) -> None:
     """Put `content` at `path`: complete and on disk, or not at all. Raises DatasetError where the disk refuses."""
+    with whole(path) as draft:
+        draft.write_bytes(content)
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A temporary file to write: when the block ends, it stands at `path`, complete and on disk; if it fails, nowhere.
+
+    Raises DatasetError where the disk refuses.
+    """
     draft = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.tmp")
     try:
         try:
-            with open(draft, "wb") as file:
-                file.write(content)
-                file.flush()
+            yield draft
+            with open(draft, "rb") as file:
                 os.fsync(file.fileno())
             draft.replace(path)
         except BaseException:

@@ -53,7 +53,9 @@ class Copied:
 
     def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
         sample = self.answers[observed.tobytes()]
-        return Prediction(occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)), tudf=sample.tudf)
+        return Prediction(
+            occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)), tudf=sample.tudf
+        )
 
 
 def write_predictions(path: Path, dataset: Dataset, *, drop: int = 0, digest: str | None = None) -> Path:

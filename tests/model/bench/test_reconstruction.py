@@ -7,7 +7,7 @@ from scipy import stats
 from lidarsim import GridSpec
 from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
 from model.bench.visibility import CLASSES, classify
-from model.complete import UNLEARNED, Prediction, Conservative, Extrude, Returns, Thresholds
+from model.complete import UNLEARNED, Conservative, Extrude, Prediction, Returns, Thresholds
 from scenegen.draw import draw_unit
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field

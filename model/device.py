@@ -1,0 +1,111 @@
+"""Where a network computes, in which precision, and together with which other processes."""
+
+import os
+from contextlib import nullcontext
+from typing import Any
+
+import torch
+import torch.distributed as dist
+
+from scenegen.errors import ScenegenError
+
+
+class TrainingError(ScenegenError):
+    """Training cannot go on."""
+
+
+def choose_device(name: str) -> torch.device:
+    """The device called `name`; ``auto`` is a GPU where there is one, this process's own under torchrun.
+
+    Raises TrainingError for a device that is not here.
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+        if device.type == "cuda" and device.index is None:
+            device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0)))
+        torch.zeros(1, device=device)
+        if device.type == "cuda":
+            torch.cuda.set_device(device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise TrainingError(
+            f"--device {name}: cannot be used here ({reason}); give cpu, or cuda where there is one"
+        ) from None
+    return device
+
+
+def resolve_precision(precision: str, device: torch.device) -> torch.dtype:
+    """The type that `precision` means on `device`."""
+    if precision != "auto":
+        return torch.bfloat16 if precision == "bfloat16" else torch.float32
+    if device.type == "cuda":
+        return torch.bfloat16 if torch.cuda.is_bf16_supported(including_emulation=False) else torch.float32
+    native = device.type == "cpu" and getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)()
+    return torch.bfloat16 if native else torch.float32
+
+
+def autocast(device: torch.device, precision: torch.dtype) -> Any:
+    """Where the network computes in `precision`."""
+    return nullcontext() if precision == torch.float32 else torch.autocast(device.type, dtype=precision)
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error of torch's, or of Python's, means that memory ran out."""
+    known = ("not enough memory", "can't allocate memory", "out of memory")
+    return isinstance(error, torch.OutOfMemoryError | MemoryError) or any(text in str(error) for text in known)
+
+
+def device_name(device: torch.device) -> str:
+    """What a device is called."""
+    if device.type == "cuda":
+        return torch.cuda.getdevice_name(device)
+    return f"{device.type}, {torch.get_num_threads()} threads"
+
+
+class Group:
+    """The processes of a torchrun, or this one alone."""
+
+    def __init__(self) -> None:
+        self.size = int(os.environ.get("WORLD_SIZE", 1))
+        self.rank = int(os.environ.get("RANK", 0))
+
+    @property
+    def first(self) -> bool:
+        """Whether this process writes files."""
+        return self.rank == 0
+
+    def __enter__(self) -> "Group":
+        if self.size > 1:
+            dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.size > 1:
+            dist.destroy_process_group()
+
+    def wait(self) -> None:
+        """Until all are here."""
+        if self.size > 1:
+            dist.barrier()
+
+    def any(self, mine: bool) -> bool:
+        """Whether any process says so."""
+        return self.mean({"": float(mine)})[""] > 0
+
+    def mean(self, mine: dict[str, float]) -> dict[str, float]:
+        """Mean of all processes' numbers, by name; all give the same names."""
+        if self.size == 1:
+            return mine
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+        tensor = torch.tensor(list(mine.values()), dtype=torch.float64, device=device)
+        dist.all_reduce(tensor)
+        return dict(zip(mine, (tensor / self.size).tolist(), strict=True))
+
+    def gather(self, mine: Any) -> list[Any]:
+        """What every process gives, in order."""
+        found = [mine] * self.size
+        if self.size > 1:
+            dist.all_gather_object(found, mine)
+        return found

@@ -1,0 +1,60 @@
+"""What a network costs: parameters, multiply-accumulates, and the memory that training keeps per map."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.utils.flop_counter import FlopCounterMode
+
+from model.network import VARIANTS, Network, NetworkConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """Of one network, for one map."""
+
+    variant: str
+    stem_stride: int
+    parameters: int
+    macs: int
+    """Multiply-accumulates of a forward pass: convolutions, linear layers, attention."""
+    activation_bytes: int
+    """What a training step keeps for its backward pass, float32."""
+
+
+def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> Cost:
+    """Count what a network costs on maps of `shape`, by running it once."""
+    network = Network(config).train()
+    kept: dict[int, int] = {}
+
+    def keep(tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        kept.setdefault(storage.data_ptr(), storage.nbytes())
+        return tensor
+
+    for parameter in network.parameters():  # weights are kept anyway
+        kept[parameter.untyped_storage().data_ptr()] = 0
+    counter = FlopCounterMode(display=False)
+    maps = torch.zeros(1, *shape)
+    with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), counter:  # fused attention is not counted
+        network(maps)
+    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        network(maps)
+    return Cost(
+        variant=config.variant,
+        stem_stride=config.stem_stride,
+        parameters=sum(parameter.numel() for parameter in network.parameters()),
+        macs=counter.get_total_flops() // 2,
+        activation_bytes=sum(kept.values()),
+    )
+
+
+def costs(shape: tuple[int, int, int] = (80, 80, 40)) -> list[dict[str, Any]]:
+    """The costs of all variants with both stems."""
+    return [
+        asdict(cost(NetworkConfig(variant=variant, stem_stride=stride), shape))
+        for stride in (2, 1)
+        for variant in VARIANTS
+    ]

@@ -1,0 +1,95 @@
+"""Networks survive the disk, and files that hold none are refused without running anything in them."""
+
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+
+from lidarsim import GridSpec
+from model.checkpoint import CheckpointError, load_network, load_tensors, save_network, save_tensors
+from model.network import Network, NetworkConfig
+
+GRID = GridSpec(shape=(16, 16, 8), voxel_m=0.1, truncation_m=1.0)
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> tuple[Path, Network]:
+    torch.manual_seed(0)
+    network = Network(NetworkConfig(variant="dual", width=4)).eval()
+    save_network(tmp_path / "dual.safetensors", network, GRID, {"seed": 3})
+    return tmp_path / "dual.safetensors", network
+
+
+def test_what_is_saved_comes_back(saved: tuple[Path, Network]) -> None:
+    path, network = saved
+    found, grid, about = load_network(path)
+    assert (found.config, grid, about) == (network.config, GRID, {"seed": 3})
+    assert not found.training
+    maps = torch.rand(1, *GRID.shape)
+    for one, other in zip(network(maps), found(maps), strict=True):
+        assert torch.equal(one, other)
+
+
+class Trap:
+    """Leaves a file behind when it is unpickled."""
+
+    def __init__(self, path: str):
+        self.path = path
+
+    def __reduce__(self) -> tuple:
+        return open, (self.path, "w")
+
+
+@pytest.mark.parametrize("zipped", [True, False])
+def test_a_pickle_is_refused_and_not_run(tmp_path: Path, zipped: bool) -> None:
+    trap = Trap(str(tmp_path / "sprung"))
+    path = tmp_path / "stranger.safetensors"
+    if zipped:
+        torch.save({"weights": trap}, path)
+    else:
+        path.write_bytes(pickle.dumps(trap))
+    with pytest.raises(CheckpointError, match="pickled"):
+        load_network(path)
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_files_that_hold_no_network_are_refused(saved: tuple[Path, Network], tmp_path: Path) -> None:
+    path, _ = saved
+    whole = path.read_bytes()
+    cases = {
+        "missing": (None, "no such file"),
+        "empty": (b"", "damaged"),
+        "cut": (whole[:-100], "damaged"),
+        "text": (b"hello, world, this is no network", "damaged"),
+    }
+    for name, (content, named) in cases.items():
+        wrong = tmp_path / f"{name}.safetensors"
+        if content is not None:
+            wrong.write_bytes(content)
+        with pytest.raises(CheckpointError, match=named) as caught:
+            load_network(wrong)
+        assert "\n" not in str(caught.value)
+        assert str(wrong) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"format": "other"}, "not a network of scenegen"),
+        ({"version": 99}, "network format 99"),
+        ({"network": {"variant": "occ", "width": 4}}, "do not fit"),
+        ({"network": {"variant": "dual", "width": 8}}, "do not fit"),
+        ({"network": {"depth": 3}}, "do not fit"),
+        ({"grid": {"shape": [16, 16, 8], "voxel_m": -1, "truncation_m": 1}}, "do not fit"),
+        ({"grid": None}, "do not fit"),
+    ],
+)
+def test_headers_that_do_not_fit_are_refused(
+    saved: tuple[Path, Network], tmp_path: Path, change: dict, named: str
+) -> None:
+    tensors, header = load_tensors(saved[0])
+    save_tensors(tmp_path / "changed.safetensors", tensors, header | change)
+    with pytest.raises(CheckpointError, match=named) as caught:
+        load_network(tmp_path / "changed.safetensors")
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,359 @@
+"""The learning objective is the paper's equations: against them written out in float64, and at their edges."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from model.losses import LossConfig, eikonal_loss, objective, occupancy_loss, regression_loss  # noqa: E402
+from model.network import Output  # noqa: E402
+
+SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
+WEIGHTS = [5.0, 1.0, 0.3, 12.5]
+REGRESSIONS = [  # near_m, near_weight, beta_m
+    (0.5, 2.0, 1.0),
+    (0.6, 2.0, 0.1),
+    (0.2, 7.0, 0.7),
+    (1.0, 0.25, 2.0),
+    (0.4, 1.0, 0.01),
+    (0.0, 3.0, 1.0),
+]
+SPACES = [(0.2, 2.0), (0.13, 0.9), (0.5, 1.1), (1.0, 3.4)]  # voxel_m, truncation_m
+
+
+# The equations, one a function, in float64.
+
+
+def cross_entropy(logits: np.ndarray, occupancy: np.ndarray, weight: float) -> float:
+    """L_occ = -1/N sum w (o log p + (1 - o) log(1 - p)), with log p = -log(1 + exp(-x)) for p of logit x."""
+    o, x = occupancy.astype(np.float64), logits.astype(np.float64)
+    w = np.where(occupancy, weight, 1.0)
+    return -(w * (o * -np.logaddexp(0, -x) + (1 - o) * -np.logaddexp(0, x))).sum() / x.size
+
+
+def weighted_smooth_l1(predicted: np.ndarray, tudf: np.ndarray, near_m: float, weight: float, beta_m: float) -> float:
+    """L_reg = 1/N sum w SmoothL1(predicted, tudf): e^2 / 2 beta where e < beta, e - beta / 2 beyond."""
+    error = np.abs(predicted.astype(np.float64) - tudf.astype(np.float64))
+    smooth = np.where(error < beta_m, error**2 / (2 * beta_m), error - beta_m / 2)
+    w = np.where(tudf <= np.float32(near_m), weight, 1.0)
+    return (w * smooth).sum() / error.size
+
+
+def eikonal(predicted: np.ndarray, tudf: np.ndarray, voxel_m: float, truncation_m: float) -> float:
+    """L_eik = 1/sum(m) sum m | |grad| - 1 |, voxel by voxel."""
+    p, total, count = predicted.astype(np.float64), 0.0, 0
+    for b, i, j, k in np.ndindex(p.shape[0], *(n - 1 for n in p.shape[1:])):
+        if 0 < tudf[b, i, j, k] < np.float32(truncation_m):
+            steps = [p[b, i + 1, j, k], p[b, i, j + 1, k], p[b, i, j, k + 1]]
+            squares = [((step - p[b, i, j, k]) / voxel_m) ** 2 for step in steps]
+            total, count = total + abs(math.sqrt(sum(squares) + 1e-8) - 1), count + 1
+    return total / count if count else 0.0
+
+
+def random_case(
+    seed: int, shape: tuple[int, ...] = SHAPE, voxel_m: float = 0.2, truncation_m: float = 2.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Logits, occupancy, predicted metres and a field with all its shells: 0, voxel * sqrt(k), the truncation."""
+    rng = np.random.default_rng(seed)
+    reach = math.ceil((truncation_m / voxel_m) ** 2)
+    shells = np.minimum(voxel_m * np.sqrt(rng.integers(0, reach * 5 // 4 + 1, shape)), truncation_m)
+    shells[rng.random(shape) < 0.2] = 0.0
+    shells[rng.random(shape) < 0.2] = voxel_m * min(3, math.floor(truncation_m / voxel_m))
+    predicted = shells + rng.normal(0, 0.6 * truncation_m, shape)
+    logits = rng.normal(0, 4, shape)
+    return logits.astype(np.float32), rng.random(shape) < 0.3, predicted.astype(np.float32), shells.astype(np.float32)
+
+
+def value(loss: "torch.Tensor") -> float:
+    assert loss.shape == ()
+    return loss.item()
+
+
+def gradient(function, at: np.ndarray) -> np.ndarray:
+    """Of a loss of the tensor made from `at`."""
+    tensor = torch.from_numpy(at).requires_grad_()
+    function(tensor).backward()
+    return tensor.grad.numpy()
+
+
+def finite_differences(function, at: np.ndarray, step: float = 1e-5) -> np.ndarray:
+    """Of an equation above, by central differences in float64."""
+    out, at = np.empty(at.shape), at.astype(np.float64)
+    for index in np.ndindex(at.shape):
+        up, down = at.copy(), at.copy()
+        up[index] += step
+        down[index] -= step
+        out[index] = (function(up) - function(down)) / (2 * step)
+    return out
+
+
+# Equality with the equations, in value and in gradient.
+
+
+@pytest.mark.parametrize("weight", WEIGHTS)
+def test_the_occupancy_loss_is_the_papers(weight: float) -> None:
+    for seed in range(5):
+        logits, occupancy, _, _ = random_case(seed)
+        found = occupancy_loss(torch.from_numpy(logits), torch.from_numpy(occupancy), occupied_weight=weight)
+        assert value(found) == pytest.approx(cross_entropy(logits, occupancy, weight), rel=1e-6)
+
+
+@pytest.mark.parametrize(("near_m", "near_weight", "beta_m"), REGRESSIONS)
+def test_the_regression_loss_is_the_papers(near_m: float, near_weight: float, beta_m: float) -> None:
+    settings = {"near_m": near_m, "near_weight": near_weight, "beta_m": beta_m}
+    for seed in range(5):
+        _, _, predicted, tudf = random_case(seed)
+        found = regression_loss(torch.from_numpy(predicted), torch.from_numpy(tudf), **settings)
+        assert value(found) == pytest.approx(weighted_smooth_l1(predicted, tudf, *settings.values()), rel=1e-6)
+
+
+@pytest.mark.parametrize(("voxel_m", "truncation_m"), SPACES)
+def test_the_eikonal_loss_is_the_papers(voxel_m: float, truncation_m: float) -> None:
+    for seed in range(5):
+        _, _, predicted, tudf = random_case(seed, voxel_m=voxel_m, truncation_m=truncation_m)
+        settings = {"voxel_m": voxel_m, "truncation_m": truncation_m}
+        found = eikonal_loss(torch.from_numpy(predicted), torch.from_numpy(tudf), **settings)
+        assert value(found) == pytest.approx(eikonal(predicted, tudf, voxel_m, truncation_m), rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gradients_are_the_finite_differences_of_the_equations(seed: int) -> None:
+    logits, occupancy, predicted, tudf = random_case(seed, (2, 3, 4, 3))
+    truth, field = torch.from_numpy(occupancy), torch.from_numpy(tudf)
+    near = {"near_m": 0.6, "near_weight": 3.0, "beta_m": 0.7}
+    space = {"voxel_m": 0.2, "truncation_m": 2.0}
+    for loss, equation, at in (
+        (lambda x: occupancy_loss(x, truth, occupied_weight=5), lambda x: cross_entropy(x, occupancy, 5), logits),
+        (
+            lambda x: regression_loss(x, field, **near),
+            lambda x: weighted_smooth_l1(x, tudf, *near.values()),
+            predicted,
+        ),
+        (lambda x: eikonal_loss(x, field, **space), lambda x: eikonal(x, tudf, *space.values()), predicted),
+    ):
+        wanted = finite_differences(equation, at)
+        assert np.abs(wanted).max() > 1e-3
+        np.testing.assert_allclose(gradient(loss, at), wanted, rtol=2e-5, atol=1e-7)
+
+
+# Extremes.
+
+
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+@pytest.mark.parametrize("occupied", [False, True])
+def test_logits_of_any_size_have_the_right_limits(dtype: str, occupied: bool) -> None:
+    """Sure and right costs nothing and pulls at nothing; sure and wrong costs and pulls by its weight."""
+    size, weight = 4 * 3 * 2, 5.0 if occupied else 1.0
+    truth = torch.full((1, 4, 3, 2), occupied)
+    for logit in (-1e4, -300.0, 300.0, 1e4):
+        logits = torch.full(truth.shape, logit, dtype=getattr(torch, dtype)).requires_grad_()
+        loss = occupancy_loss(logits, truth, occupied_weight=5.0)
+        loss.backward()
+        wrong = (logit > 0) != occupied
+        assert value(loss) == pytest.approx(weight * abs(logit) if wrong else 0.0, rel=4e-3, abs=1e-30)
+        pull = math.copysign(weight / size, logit) if wrong else 0.0
+        np.testing.assert_allclose(logits.grad.float().numpy(), pull, rtol=4e-3, atol=1e-30)
+
+
+def test_a_small_loss_is_not_rounded_away() -> None:
+    """-log(sigmoid(x)) taken step by step is 0 from about 17 on in float32."""
+    truth = np.ones((1, 2, 2, 2), bool)
+    for logit in (8.0, 20.0, 40.0, 80.0):
+        logits = np.full(truth.shape, logit, np.float32)
+        for sign in (1, -1):
+            sure = occupancy_loss(
+                torch.from_numpy(sign * logits), torch.from_numpy(truth ^ (sign < 0)), occupied_weight=1
+            )
+            assert value(sure) == pytest.approx(cross_entropy(logits, truth, 1), rel=1e-5, abs=0)
+
+
+def test_halves_are_summed_in_full() -> None:
+    """A network under bf16 autocast hands over bf16; the loss is that of its values to a float32's precision."""
+    logits, occupancy, predicted, tudf = random_case(3, (2, 12, 11, 10))
+    truth, field = torch.from_numpy(occupancy), torch.from_numpy(tudf)
+    half_logits = torch.from_numpy(logits).bfloat16().requires_grad_()
+    half_predicted = torch.from_numpy(predicted).bfloat16().requires_grad_()
+    x, p = half_logits.detach().float().numpy(), half_predicted.detach().float().numpy()
+    losses = [
+        occupancy_loss(half_logits, truth, occupied_weight=5),
+        regression_loss(half_predicted, field, near_m=0.5, near_weight=2, beta_m=1.0),
+        eikonal_loss(half_predicted, field, voxel_m=0.2, truncation_m=2.0),
+    ]
+    wanted = [cross_entropy(x, occupancy, 5), weighted_smooth_l1(p, tudf, 0.5, 2, 1.0), eikonal(p, tudf, 0.2, 2.0)]
+    assert [value(loss) for loss in losses] == pytest.approx(wanted, rel=2e-6)
+    sum(losses).backward()
+    for half in (half_logits, half_predicted):
+        assert torch.isfinite(half.grad).all()
+        assert (half.grad != 0).any()
+
+
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+def test_a_flat_prediction_has_a_finite_gradient(dtype: str) -> None:
+    """The root's own slope at 0 is infinite: what stands under it keeps it 1e-4."""
+    predicted = torch.full(SHAPE, 0.7).to(getattr(torch, dtype)).requires_grad_()
+    loss = eikonal_loss(predicted, torch.ones(SHAPE), voxel_m=0.2, truncation_m=2.0)
+    loss.backward()
+    assert value(loss) == pytest.approx(1 - 1e-4, abs=1e-6)
+    np.testing.assert_allclose(predicted.grad.float().numpy(), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+def test_a_prediction_far_off_is_pulled_by_its_weight_alone(dtype: str) -> None:
+    predicted = torch.full((1, 4, 3, 2), 1e4).to(getattr(torch, dtype)).requires_grad_()
+    tudf = torch.zeros(predicted.shape)
+    tudf[:, 2:] = 2.0
+    regression_loss(predicted, tudf, near_m=0.5, near_weight=2, beta_m=1.0).backward()
+    np.testing.assert_allclose(predicted.grad.float().numpy(), np.where(tudf.numpy() == 0, 2, 1) / 24, rtol=4e-3)
+
+
+# Made by hand.
+
+
+def test_an_undecided_map_costs_a_bit_a_voxel_and_five_where_occupied() -> None:
+    logits = torch.zeros(1, 2, 3, 4)
+    free = torch.zeros(logits.shape, dtype=torch.bool)
+    one = free.clone()
+    one[0, 1, 2, 3] = True
+    for truth, weights in ((free, 24), (~free, 24 * 5), (one, 23 + 5), (~one, 23 * 5 + 1)):
+        found = occupancy_loss(logits, truth, occupied_weight=5)
+        assert value(found) == pytest.approx(weights / 24 * math.log(2), rel=1e-6)
+
+
+@pytest.mark.parametrize("near_m", [0.2, 0.5, 0.6, 0.7, 1.4])
+def test_a_voxel_at_the_very_edge_of_near_is_near(near_m: float) -> None:
+    """The edge as float32 holds it, on either side of the number written."""
+    edge = np.float32(near_m)
+    for distance, weight in ((np.nextafter(edge, np.float32(9)), 1), (edge, 3), (np.float32(0), 3), (np.float32(2), 1)):
+        tudf = torch.full((1, 1, 1, 1), float(distance))
+        found = regression_loss(tudf + 4, tudf, near_m=near_m, near_weight=3, beta_m=1.0)
+        assert value(found) == pytest.approx(weight * 3.5, rel=1e-6)
+
+
+@pytest.mark.parametrize("beta_m", [0.05, 0.1, 1.0, 2.5])
+def test_beta_is_where_the_square_turns_into_a_line(beta_m: float) -> None:
+    for error, wanted in ((0.0, 0.0), (0.5, 0.125), (1.0, 0.5), (1.5, 1.0), (4.0, 3.5)):
+        for sign in (1, -1):
+            tudf = torch.full((2, 3, 2, 2), 1.5, dtype=torch.float32)
+            found = regression_loss(tudf + sign * error * beta_m, tudf, near_m=0.5, near_weight=9, beta_m=beta_m)
+            assert value(found) == pytest.approx(wanted * beta_m, rel=1e-5, abs=1e-12)
+
+
+@pytest.mark.parametrize("normal", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0), (1 / 3, 2 / 3, 2 / 3), (0.6, 0, -0.8)])
+@pytest.mark.parametrize("voxel_m", [0.2, 0.25, 0.5])
+def test_the_distance_to_a_plane_satisfies_the_eikonal_equation(normal: tuple, voxel_m: float) -> None:
+    centres = np.moveaxis(np.indices((7, 6, 5)), 0, -1) * voxel_m
+    distance = torch.from_numpy((centres @ np.array(normal) + 4.0)[None].astype(np.float32))
+    for scale, wanted in ((1, 0), (2, 1), (3, 2), (0.5, 0.5), (-1, 0)):
+        found = eikonal_loss(scale * distance, distance, voxel_m=voxel_m, truncation_m=100.0)
+        assert value(found) == pytest.approx(wanted, abs=2e-5)
+
+
+def test_where_nothing_is_in_reach_the_eikonal_loss_is_zero_and_so_is_its_gradient() -> None:
+    shape = (2, 4, 3, 5)
+    fields = [torch.zeros(shape), torch.full(shape, 2.0), torch.full(shape, 2.0)]
+    fields[2][:, -1], fields[2][:, :, -1], fields[2][..., -1] = 1.0, 1.0, 1.0
+    fields += [torch.ones(2, 1, 3, 5), torch.ones(2, 4, 1, 5), torch.ones(2, 4, 3, 1)]
+    for tudf in fields:
+        predicted = torch.from_numpy(random_case(0, tuple(tudf.shape))[2]).requires_grad_()
+        loss = eikonal_loss(predicted, tudf, voxel_m=0.2, truncation_m=2.0)
+        loss.backward()
+        assert value(loss) == 0.0
+        np.testing.assert_array_equal(predicted.grad.numpy(), 0)
+
+
+@pytest.mark.parametrize("truncation_m", [2.0, 1.1, 0.9, 3.4])
+def test_a_voxel_takes_part_when_its_own_distance_is_strictly_within_reach(truncation_m: float) -> None:
+    """One voxel is asked about at a time, whatever its neighbours' distances; the others are at 0 or the truncation."""
+    limit = np.float32(truncation_m)
+    predicted = random_case(5, (1, 3, 3, 3))[2]
+    for where in np.ndindex(3, 3, 3):
+        for rest in (0.0, limit):
+            tudf = np.full((1, 3, 3, 3), rest, np.float32)
+            for distance, inside in (
+                (np.float32(0), False),
+                (np.nextafter(np.float32(0), limit), True),
+                (np.nextafter(limit, np.float32(0)), True),
+                (limit, False),
+            ):
+                tudf[0][where] = distance
+                settings = {"voxel_m": 0.2, "truncation_m": truncation_m}
+                found = eikonal_loss(torch.from_numpy(predicted), torch.from_numpy(tudf), **settings)
+                assert value(found) == pytest.approx(eikonal(predicted, tudf, 0.2, truncation_m), rel=1e-6)
+                assert (value(found) != 0) == (inside and max(where) < 2)
+
+
+# The objective and its weights.
+
+CONFIGS = [
+    LossConfig(),
+    LossConfig(occupancy=0.3, tudf=0.7, eikonal=0.9, occupied_weight=3, near_weight=4, near_m=0.8, beta_m=0.2),
+    LossConfig(occupancy=2.0, tudf=5.0, eikonal=0.0, near_weight=1.0),
+    LossConfig(occupancy=0.0, tudf=0.4, eikonal=3.0, occupied_weight=0.5),
+]
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("heads", ["both", "logits", "tudf"])
+@pytest.mark.parametrize(("voxel_m", "truncation_m"), SPACES[:2])
+def test_the_objective_is_the_weighted_sum(config: LossConfig, heads: str, voxel_m: float, truncation_m: float) -> None:
+    """L = l_occ L_occ + l_tudf (L_reg + l_eik L_eik), of what the output has."""
+    logits, occupancy, predicted, tudf = random_case(11, voxel_m=voxel_m, truncation_m=truncation_m)
+    output = Output(
+        logits=None if heads == "tudf" else torch.from_numpy(logits),
+        tudf=None if heads == "logits" else torch.from_numpy(predicted),
+    )
+    wanted, loss = {}, 0.0
+    if output.logits is not None:
+        wanted["occupancy"] = cross_entropy(logits, occupancy, config.occupied_weight)
+        loss += config.occupancy * wanted["occupancy"]
+    if output.tudf is not None:
+        near = (config.near_m, config.near_weight, config.beta_m)
+        wanted["regression"] = weighted_smooth_l1(predicted, tudf, *near)
+        wanted["eikonal"] = eikonal(predicted, tudf, voxel_m, truncation_m)
+        loss += config.tudf * (wanted["regression"] + config.eikonal * wanted["eikonal"])
+    truth = (torch.from_numpy(occupancy), torch.from_numpy(tudf))
+    found = objective(output, *truth, config, voxel_m=voxel_m, truncation_m=truncation_m)
+    assert {name: value(part) for name, part in found.items()} == pytest.approx({**wanted, "loss": loss}, rel=1e-6)
+
+
+def test_the_objective_pulls_at_both_heads_by_their_weights() -> None:
+    logits, occupancy, predicted, tudf = random_case(2, (1, 3, 3, 4))
+    config = CONFIGS[1]
+    output = Output(logits=torch.from_numpy(logits).requires_grad_(), tudf=torch.from_numpy(predicted).requires_grad_())
+    truth = (torch.from_numpy(occupancy), torch.from_numpy(tudf))
+    objective(output, *truth, config, voxel_m=0.2, truncation_m=2.0)["loss"].backward()
+
+    def of_tudf(x: np.ndarray) -> float:
+        near = (config.near_m, config.near_weight, config.beta_m)
+        return 0.7 * (weighted_smooth_l1(x, tudf, *near) + 0.9 * eikonal(x, tudf, 0.2, 2.0))
+
+    wanted = finite_differences(lambda x: 0.3 * cross_entropy(x, occupancy, 3), logits)
+    np.testing.assert_allclose(output.logits.grad.numpy(), wanted, rtol=2e-5, atol=1e-7)
+    np.testing.assert_allclose(output.tudf.grad.numpy(), finite_differences(of_tudf, predicted), rtol=2e-5, atol=1e-7)
+
+
+def test_the_default_weights_are_the_papers() -> None:
+    wanted = {"occupancy": 0.1, "tudf": 1.0, "eikonal": 0.05, "occupied_weight": 5, "near_weight": 2, "near_m": 0.5}
+    assert dataclasses.asdict(LossConfig()) == {**wanted, "beta_m": 1.0}
+
+
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(LossConfig)])
+def test_a_weight_that_makes_no_sense_is_refused_by_name(name: str) -> None:
+    for wrong in (-0.1, math.nan, math.inf, -math.inf):
+        with pytest.raises(ValueError, match=name):
+            LossConfig(**{name: wrong})
+    if name == "beta_m":
+        with pytest.raises(ValueError, match=name):
+            LossConfig(beta_m=0.0)
+    else:
+        assert getattr(LossConfig(**{name: 0.0}), name) == 0.0
+
+
+def test_a_config_stays_as_it_is() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        LossConfig().beta_m = 2.0
+    with pytest.raises(TypeError):
+        LossConfig(0.1)

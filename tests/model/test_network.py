@@ -1,0 +1,123 @@
+"""The network's shape, its equations, and what sets its variants apart."""
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from model.network import VARIANTS, CrossFusion, FinalUp, Network, NetworkConfig
+from model.summary import cost
+
+SHAPE = (16, 24, 8)
+
+
+def network(**config: object) -> Network:
+    torch.manual_seed(0)
+    return Network(NetworkConfig(**config)).eval()
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("stem_stride", [1, 2])
+def test_every_variant_predicts_its_tasks_at_full_size(variant: str, stem_stride: int) -> None:
+    output = network(variant=variant, stem_stride=stem_stride)(torch.rand(2, *SHAPE))
+    tasks = {name for name, part in (("occupancy", output.logits), ("tudf", output.tudf)) if part is not None}
+    assert tasks == {"occ": {"occupancy"}, "tudf": {"tudf"}}.get(variant, {"occupancy", "tudf"})
+    for part in output:
+        assert part is None or part.shape == (2, *SHAPE)
+    assert output.tudf is None or (output.tudf >= 0).all()
+
+
+def reaches(variant: str, task: str, branch: str) -> bool:
+    """Whether the prediction of `task` depends on the weights of the decoder of `branch`."""
+    net = network(variant=variant)
+    output = net(torch.rand(1, *SHAPE))
+    part = output.logits if task == "occupancy" else output.tudf
+    assert part is not None
+    part.sum().backward()
+    return any(weight.grad is not None and weight.grad.abs().sum() > 0 for weight in net.decoder[branch].parameters())
+
+
+def test_branches_inform_each_other_in_the_proposed_network_alone() -> None:
+    for task, other in (("tudf", "occupancy"), ("occupancy", "tudf")):
+        assert reaches("proposed", task, other)
+        assert reaches("dual", task, task)
+        assert not reaches("dual", task, other)
+        assert reaches("shared", task, "shared")
+
+
+def test_crossfusion_is_equation_5() -> None:
+    torch.manual_seed(0)
+    fuse, t, o = CrossFusion(4), torch.rand(2, 4, 3, 2, 1), torch.rand(2, 4, 3, 2, 1)
+
+    def add(x: Tensor, y: Tensor, layers: nn.Sequential) -> Tensor:
+        """x + C(x, y), a cell at a time."""
+        first, _, second = layers
+        both = torch.cat((x, y), dim=1).movedim(1, -1)
+        hidden = torch.relu(both @ first.weight.flatten(1).T + first.bias)
+        return x + (hidden @ second.weight.flatten(1).T + second.bias).movedim(-1, 1)
+
+    new_t = add(t, o, fuse.to_tudf)
+    new_o = add(o, new_t, fuse.to_occupancy)  # sees the distances already refined
+    found_t, found_o = fuse(t, o)
+    torch.testing.assert_close(found_t, new_t)
+    torch.testing.assert_close(found_o, new_o)
+
+
+def test_the_head_puts_every_value_in_its_voxel() -> None:
+    head = FinalUp(1).eval()
+    cells = torch.rand(1, 1, 2, 3, 4)
+    head.refine = nn.Identity()
+    with torch.no_grad():
+        head.split.weight.zero_()
+        head.split.weight[:, 0, 1, 1, 1] = 1.0
+        head.split.bias.copy_(torch.arange(8) * 10.0)
+    found = head(cells)
+    for i, j, k in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (3, 4, 5)):
+        number = 4 * (i % 2) + 2 * (j % 2) + k % 2
+        assert found[0, i, j, k] == cells[0, 0, i // 2, j // 2, k // 2] + 10.0 * number
+
+
+def test_a_dead_channel_does_not_cap_the_logits() -> None:
+    head = FinalUp(8).eval()
+    with torch.no_grad():
+        head.refine[1].bias.fill_(-5.0)  # what a ReLU would cut off everywhere
+    assert head(torch.randn(1, 8, 4, 4, 4)).std() > 0
+
+
+def test_attention_looks_everywhere() -> None:
+    net = network()
+    cells = torch.rand(1, 32, 4, 3, 2, requires_grad=True)
+    net.attention(cells)[0, :, 0, 0, 0].sum().backward()
+    assert cells.grad is not None
+    assert (cells.grad.abs().sum(dim=1) > 0).all()
+
+
+def test_maps_of_a_batch_do_not_touch() -> None:
+    net = network()
+    maps = (torch.rand(3, *SHAPE) < 0.1).float()
+    together, alone = net(maps), net(maps[1:2])
+    torch.testing.assert_close(together.logits[1:2], alone.logits, atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(together.tudf[1:2], alone.tudf, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"variant": "both"}, {"stem_stride": 3}, {"heads": 5}, {"width": 0}, {"heads": 0}], ids=str
+)
+def test_impossible_networks_are_refused(wrong: dict) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        NetworkConfig(**wrong)
+
+
+def test_costs_are_what_the_layers_add_up_to() -> None:
+    """Multiply-accumulates of a single branch, layer by layer: kernel x channels in x channels out x cells out."""
+    found = cost(NetworkConfig(variant="occ"), SHAPE)
+    cells = [SHAPE[0] * SHAPE[1] * SHAPE[2] // 8**level for level in (1, 2, 3)]
+    macs = 27 * cells[0] * (1 * 8 + 8 * 8)  # pre-processing
+    for level, (below, width) in enumerate(((8, 8), (8, 16), (16, 32))):
+        macs += 27 * cells[level] * (below * width + width * width)  # encoder
+        macs += 27 * cells[level] * (2 * width * width + width * width)  # decoder
+    macs += cells[2] * 32 * (3 * 32 + 32) + 2 * cells[2] ** 2 * 32  # attention
+    macs += cells[2] * 8 * 32 * 16 + cells[1] * 8 * 16 * 8  # transposed convolutions
+    macs += 27 * cells[0] * (8 * 8 + 8 * 8)  # head
+    assert found.macs == macs
+    assert found.parameters == sum(p.numel() for p in network(variant="occ").parameters())
+    assert found.activation_bytes > 4 * 10 * 8 * cells[0]

@@ -1,0 +1,93 @@
+"""`scenegen train`, `complete`, `export`, `networks` and `bench --weights` as users meet them."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import pytest
+import torch
+
+from tests.test_cli import run
+from tests.test_cli_bench import here
+
+assert here  # the fixture
+QUICK = ("--width", 4, "--batch", 2, "--device", "cpu", "--precision", "float32")
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said, _ = run(capsys, "train", "--epochs", 2, *QUICK)
+    assert code == 0
+    assert said.count("epoch ") == 3
+    assert "best: epoch" in said
+    settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())
+    assert settings["command"].startswith("scenegen train --epochs 2")
+    assert settings["settings"]["network"]["width"] == 4
+    code, said, _ = run(capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu")
+    assert (code, said) == (0, "written: predictions.h5\n")
+    with h5py.File("predictions.h5") as file:
+        assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
+    words = ("--weights", "runs/proposed", "--predictions", "predictions.h5", "--method", "returns", "--quick")
+    code, said, _ = run(capsys, "bench", *words, "--workers", 1)
+    assert code == 0
+    report = json.loads((here / "bench" / "report.json").read_text())["reconstruction"]["pillar"]
+    assert report["proposed"]["near_mae"]["mean"] == pytest.approx(report["predicted"]["near_mae"]["mean"], abs=1e-4)
+
+
+def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "pickle.pt").write_bytes(b"\x80\x04nothing")
+    for words, code, named in (
+        (("train", "elsewhere"), 1, "not a dataset"),
+        (("train", "--variant", "best"), 2, "--variant"),
+        (("train", "--lr", "-1"), 1, "lr = -1.0 must be finite"),
+        (("train", "--beta", 0), 1, "beta_m = 0.0"),
+        (("train", "--device", "tpu"), 1, "--device tpu"),
+        (("complete", "data/pillar", "--weights", "pickle.pt"), 1, "pickled checkpoint"),
+        (("complete", "data/pillar", "--weights", "nowhere"), 1, "no such network"),
+        (("complete", "nothing.ply", "--weights", "nowhere"), 1, "no such network"),
+        (("bench", "--weights", "nowhere"), 1, "no such network"),
+        (("export", "pickle.pt"), 1, "pickled checkpoint"),
+    ):
+        ended, said, error = run(capsys, *words)
+        assert (ended, said, error.count("\n")) == (code, "", 1), words
+        assert named in error
+
+
+def test_without_datasets_it_says_which_command_makes_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended, _, error = run(capsys, "train")
+    assert ended == 2
+    assert "scenegen generate --kind pillar" in error
+
+
+def test_a_signal_saves_and_resume_goes_on(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = [sys.executable, Path(__file__).parents[1] / "cli.py", "train", "--epochs", 1000, *QUICK]
+    running = subprocess.Popen([str(word) for word in command], cwd=here, stderr=subprocess.PIPE, text=True)
+    while not (here / "runs" / "proposed" / "metrics.csv").exists():
+        assert running.poll() is None
+        time.sleep(0.1)
+    running.send_signal(signal.SIGTERM)
+    error = running.communicate(timeout=60)[1]
+    assert running.returncode == 130
+    assert "with --resume goes on with runs/proposed" in error
+    ended, _, error = run(capsys, "train", "--epochs", 1000, *QUICK)
+    assert (ended, "give --resume" in error) == (1, True)
+
+
+def test_networks_prints_what_they_cost(capsys: pytest.CaptureFixture[str]) -> None:
+    code, said, _ = run(capsys, "networks", "--json")
+    assert code == 0
+    rows = {(row["variant"], row["stem_stride"]): row for row in json.loads(said)}
+    assert len(rows) == 10
+    assert rows["proposed", 2]["parameters"] == 305_496
+    assert rows["occ", 2]["macs"] < rows["shared", 2]["macs"] < rows["dual", 2]["macs"] < rows["proposed", 2]["macs"]
