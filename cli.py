@@ -80,6 +80,25 @@ class KindName(click.ParamType):
         return [CompletionItem(name) for name in kind_names() if name.startswith(incomplete)]
 
 
+class DatasetPath(click.ParamType):
+    """A dataset: a folder, or hf://user/name[@revision], which the command fetches, and not the parsing."""
+
+    name = "dataset"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Path | str:
+        """A path as it is, or the Hub's name, if it is one."""
+        from scenegen.dataset.locate import is_remote, parse
+
+        if not is_remote(value):
+            return Path(value)
+        parse(value)
+        return str(value)
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        """Folders."""
+        return [CompletionItem(incomplete, type="dir")]
+
+
 class ShardRange(click.ParamType):
     """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
 
@@ -213,13 +232,14 @@ def _plan(kind: str | None, scene: Path | None, recipe_file: Path | None, counts
 
 
 @app.command()
-@click.argument("dataset", type=click.Path(path_type=Path))
+@click.argument("dataset", type=DatasetPath())
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
-def inspect(dataset: Path, as_json: bool) -> None:
+def inspect(dataset: Path | str, as_json: bool) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth."""
+    from scenegen.dataset.locate import locate
     from scenegen.inspect import inspect as examine
 
-    found = examine(dataset)
+    found = examine(locate(dataset, shown=not as_json))
     if as_json:
         print(json.dumps(found))
     else:
@@ -227,16 +247,17 @@ def inspect(dataset: Path, as_json: bool) -> None:
 
 
 @app.command()
-@click.argument("dataset", type=click.Path(path_type=Path))
+@click.argument("dataset", type=DatasetPath())
 @click.argument("number", type=click.IntRange(min=0))
 @click.option("--split", type=click.Choice(SPLITS), default="train", show_default=True)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="MJCF file to write.  [default: standard output]")
-def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
+def world(dataset: Path | str, number: int, split: str, output: Path | None) -> None:
     """Take one world's MJCF, and the files it refers to, out of a dataset."""
     from scenegen.dataset.files import write_whole
+    from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
 
-    files = Dataset(dataset, partial=True).world(split, number)
+    files = Dataset(locate(dataset, shown=True), partial=True).world(split, number)
     document = files.pop("world.xml")
     if output is None:
         if files:
@@ -254,7 +275,48 @@ def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
 
 
 @app.command()
-@click.argument("datasets", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("dataset", type=DatasetPath())
+@click.option("--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of what is audited at random.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_json: bool, quiet: bool) -> None:
+    """Prove a dataset against the format: files, digests, truth, rays, splits; end with 1 where a check fails."""
+    talk = not (quiet or as_json)
+    if talk:
+        _announce_compilation()
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.workers import cores
+    from scenegen.verify import verify as prove
+
+    folder = locate(dataset, shown=talk)
+
+    def start(samples: int) -> None:
+        _raise_if_stopped()
+        progress.start(samples)
+
+    def count(samples: int) -> None:
+        _raise_if_stopped()
+        progress.count(samples)
+
+    for number in STOPS:  # from here on there are workers to end
+        signal.signal(number, _stop)
+    begin = time.perf_counter()
+    with _Progress("verify", shown=talk) as progress:
+        report = prove(folder, quick=quick, seed=seed, workers=workers or cores(), on_start=start, on_done=count)
+    if as_json:
+        print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
+    elif talk:
+        _print_report(report, time.perf_counter() - begin)
+    if not report.ok:
+        raise ScenegenError(
+            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: {', '.join(report.failed)}"
+        )
+
+
+@app.command()
+@click.argument("datasets", nargs=-1, type=DatasetPath())
 @click.option(
     "--variant", type=click.Choice(VARIANTS), default="proposed", show_default=True, help="See docs/network.md."
 )
@@ -276,7 +338,7 @@ def world(dataset: Path, number: int, split: str, output: Path | None) -> None:
 @click.option("--out", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/<variant>]")
 @click.option("--resume", is_flag=True, help="Go on with the run in --out, if there is one.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
-def train(datasets: tuple[Path, ...], variant: str, out: Path | None, quiet: bool, **options: Any) -> None:
+def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quiet: bool, **options: Any) -> None:
     """Train the completion network on datasets; under torchrun, on several GPUs."""
     from model.train_command import run_train
 
@@ -285,7 +347,7 @@ def train(datasets: tuple[Path, ...], variant: str, out: Path | None, quiet: boo
     quiet = quiet or int(os.environ.get("RANK", "0")) > 0
     with _Progress(variant, shown=not quiet) as progress:
         run_train(
-            _found(datasets),
+            _found(datasets, shown=not quiet),
             variant=variant,
             out=out or Path("runs") / variant,
             options=options,
@@ -297,7 +359,7 @@ def train(datasets: tuple[Path, ...], variant: str, out: Path | None, quiet: boo
 
 
 @app.command()
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=DatasetPath())
 @click.option("--weights", default="proposed", show_default=True, help="A bundled name, a file, a run's folder, hf://…")
 @click.option("--split", type=click.Choice(SPLITS), default="test", show_default=True)
 @click.option(
@@ -309,20 +371,22 @@ def train(datasets: tuple[Path, ...], variant: str, out: Path | None, quiet: boo
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda, cuda:1 …")
 @click.option("--batch", type=click.IntRange(min=1), default=8, show_default=True, help="Maps at once.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
-def complete(source: Path, weights: str, output: Path | None, quiet: bool, **options: Any) -> None:
+def complete(source: Path | str, weights: str, output: Path | None, quiet: bool, **options: Any) -> None:
     """Complete a dataset's split, or one scan (.ply, .xyz, .npy: points in metres, z up, sensor at the origin)."""
     from model.complete import Thresholds
     from model.completer import Completer
     from model.device import choose_device
     from model.predict import predict_scan, predict_split
+    from scenegen.dataset.locate import locate
 
     completer = Completer.from_pretrained(weights, device=choose_device(options["device"]), batch=options["batch"])
-    if source.is_dir():
+    found = locate(source, shown=not quiet)
+    if found.is_dir():
         output = output or Path("predictions.h5")
         with _Progress("complete", shown=not quiet) as progress:
             predict_split(
                 completer,
-                source,
+                found,
                 options["split"],
                 output,
                 batch=options["batch"],
@@ -330,8 +394,8 @@ def complete(source: Path, weights: str, output: Path | None, quiet: bool, **opt
                 on_done=progress.count,
             )
     else:
-        output = output or source.with_suffix(".completed.h5")
-        predict_scan(completer, source, output, sensor=options["sensor"], thresholds=Thresholds())
+        output = output or found.with_suffix(".completed.h5")
+        predict_scan(completer, found, output, sensor=options["sensor"], thresholds=Thresholds())
     if not quiet:
         click.echo(f"written: {output}")
 
@@ -371,7 +435,7 @@ def networks(as_json: bool) -> None:
 
 
 @app.command()
-@click.argument("datasets", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("datasets", nargs=-1, type=DatasetPath())
 @click.option("--method", "names", multiple=True, help="A row: returns, conservative, extrude, truth, or MODULE:CLASS.")
 @click.option("--weights", multiple=True, help="A network's row: a bundled name, a file, a run's folder, hf://…")
 @click.option(
@@ -385,7 +449,7 @@ def networks(as_json: bool) -> None:
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of goals and intervals.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
-def bench(datasets: tuple[Path, ...], names: tuple[str, ...], out: Path, quiet: bool, **options: Any) -> None:
+def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, quiet: bool, **options: Any) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
     if not quiet:
         _announce_compilation()
@@ -393,7 +457,7 @@ def bench(datasets: tuple[Path, ...], names: tuple[str, ...], out: Path, quiet: 
     from scenegen.dataset.workers import cores
 
     report = run_bench(
-        _found(datasets),
+        _found(datasets, shown=not quiet),
         names=names,
         weights=options["weights"],
         predictions=options["predictions"],
@@ -408,6 +472,76 @@ def bench(datasets: tuple[Path, ...], names: tuple[str, ...], out: Path, quiet: 
     if not quiet:
         click.echo(tables(report))
         click.echo(f"\nwritten: {out / 'report.md'}, {out / 'report.json'}")
+
+
+@app.command()
+@click.argument("dataset", type=DatasetPath())
+@click.option("--repo", required=True, metavar="USER/NAME", help="Dataset repository on the Hugging Face Hub.")
+@click.option("--tag", help="Revision to give it, last of all.  [default: named by the content]")
+@click.option("--licence", default="CC-BY-4.0", show_default=True, help="SPDX name of the data's licence.")
+@click.option("--out", type=click.Path(path_type=Path), help="Where the folder goes.  [default: publish/<name>]")
+@click.option("--private", is_flag=True, help="Make the repository a private one.")
+@click.option("--dry-run", is_flag=True, help="Make the folder, list what would go, and contact nobody.")
+@click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("--quiet", is_flag=True, help="Print errors alone.")
+def publish(
+    dataset: Path | str, repo: str, out: Path | None, dry_run: bool, as_json: bool, quiet: bool, **options: Any
+) -> None:
+    """Verify a dataset, make a folder of it for the Hugging Face Hub, and send that.
+
+    Given again after a stop, it goes on where it was. The token is the one that `hf auth login` keeps, or HF_TOKEN.
+    """
+    begin = time.perf_counter()
+    talk = not (quiet or as_json)
+    if talk:
+        _announce_compilation()
+    from model.provenance import commit
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.workers import cores
+    from scenegen.publish.run import publish as run_publish
+    from scenegen.publish.stage import Request
+
+    request = Request(
+        dataset=locate(dataset, shown=talk),
+        repository=repo,
+        out=out or Path("publish") / repo.rpartition("/")[2],
+        tag=options["tag"],
+        licence=options["licence"],
+        commit=commit(),
+    )
+    for number in STOPS:  # from here on there are workers to end and drafts to remove
+        signal.signal(number, _stop)
+    with _Progress("verify", shown=talk) as progress:
+
+        def start(samples: int) -> None:
+            _raise_if_stopped()
+            progress.start(samples)
+
+        def count(samples: int) -> None:
+            _raise_if_stopped()
+            progress.count(samples)
+
+        def staged(found: Any) -> None:
+            _raise_if_stopped()
+            progress.stop()
+            if talk:
+                print(f"{found.folder} stands; {'nothing is sent' if dry_run else 'sending …'}", file=sys.stderr)
+
+        done = run_publish(
+            request,
+            dry_run=dry_run,
+            private=options["private"],
+            quick=options["quick"],
+            workers=options["workers"] or cores(),
+            shown=talk,
+            on_start=start,
+            on_done=count,
+            on_staged=staged,
+        )
+    if not quiet:
+        _print_published(done, time.perf_counter() - begin, as_json)
 
 
 @app.command()
@@ -436,9 +570,12 @@ def completion(shell: str) -> None:
     print(found(app, {}, "scenegen", "_SCENEGEN_COMPLETE").source())
 
 
-def _found(datasets: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The datasets named, or those under data/."""
-    found = datasets or tuple(path.parent for path in sorted(Path("data").glob("*/dataset.json")))
+def _found(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Path, ...]:
+    """The folders of the datasets named, or those under data/."""
+    from scenegen.dataset.locate import locate
+
+    found = tuple(locate(dataset, shown=shown) for dataset in datasets)
+    found = found or tuple(path.parent for path in sorted(Path("data").glob("*/dataset.json")))
     if not found:
         raise click.UsageError(
             "no dataset given, and none under data/; make one with `scenegen generate --kind pillar`"
@@ -489,6 +626,10 @@ class _Progress:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Leave the bar as it stands."""
         if self._bar is not None:
             self._bar.stop()
 
@@ -568,10 +709,42 @@ def _print_summary(summary: Any, seconds: float) -> None:
     _print_table(rows)
 
 
-def _print_inspection(folder: Path, found: dict[str, Any]) -> None:
+def _print_report(report: Any, seconds: float) -> None:
+    rows = {}
+    for check in report.checks:
+        verdict = "FAILED " if not check.ok else "skipped" if check.skipped else "ok     "
+        colour = "red" if not check.ok else "yellow" if check.skipped else "green"
+        rows[check.name] = f"{click.style(verdict, fg=colour)}  {check.seconds:7.2f} s  {check.detail}"
+    _print_table(rows)
+    click.echo(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
+
+
+def _print_published(done: Any, seconds: float, as_json: bool) -> None:
+    staged = done.staged
+    url = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+    size = sum(staged.files.values())
+    if as_json:
+        rows = {"folder": str(staged.folder), "repository": staged.repository, "tag": staged.tag, "commit": done.commit}
+        print(json.dumps({**rows, "digest": staged.digest, "files": staged.files, "bytes": size, "seconds": seconds}))
+        return
+    if done.commit is None:
+        _print_table({name: f"{size:>12,}" for name, size in staged.files.items()}, "would send, in bytes")
     _print_table(
         {
-            "dataset": folder,
+            "folder": staged.folder,
+            "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
+            "revision": f"hf://{staged.repository}@{staged.tag}",
+            "time": f"{seconds:.1f} s",
+            **({"next": "the same command without --dry-run"} if done.commit is None else {"page": url}),
+        },
+        "published" if done.commit else "ready",
+    )
+
+
+def _print_inspection(dataset: Path | str, found: dict[str, Any]) -> None:
+    _print_table(
+        {
+            "dataset": dataset,
             "kind": found["kind"],
             "seed": found["seed"],
             "complete": "yes" if found["complete"] else "no",

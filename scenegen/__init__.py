@@ -1,6 +1,31 @@
-"""What exists: from a seed to a world, its truth, a flight through it, samples, and a dataset on disk."""
+"""What exists: from a seed to a world, its truth, a flight through it, samples, and a dataset on disk.
+
+``scenegen.load("data/pillar", split="train")`` reads one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scenegen.dataset.read import Split
 
 __version__ = "0.1.0"
 
 SPLITS = ("train", "val", "test")
 """The parts of a dataset, in order; no world is in two of them."""
+
+
+def load(dataset: str | Path, split: str = "train") -> Split:
+    """The samples of a split, read when asked for: a sequence of `scenegen.sample.Sample`, without a copy in memory.
+
+    `dataset` is a folder, or ``hf://user/name[@revision]``, which is downloaded once and checked. The sequence may be
+    handed to any number of processes, forked or spawned, each of which opens the files for itself; `describe()` gives
+    names, types, shapes, units and meanings. Raises DatasetError.
+    """
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.read import Dataset
+
+    return Dataset(locate(dataset)).split(split)

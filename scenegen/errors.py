@@ -21,5 +21,9 @@ class DatasetError(ScenegenError):
     """A folder does not hold the dataset that it should, or cannot take it."""
 
 
+class PublishError(ScenegenError):
+    """A dataset cannot be published as asked, or not to that place."""
+
+
 class StoppedError(ScenegenError):
     """The run was stopped from outside; what is finished stays."""

@@ -11,36 +11,39 @@ from lidarsim import GridSpec, Lidar, Pose, Scan, voxelize
 from scenegen.truth import distance_field
 
 
-def _stored(dtype: str, axes: str, *, derived: bool = False) -> Any:
-    """A field of the record: its type on disk, its shape (`grid`, `rays`, a count or nothing), and whether it follows
-    from the other fields."""
-    return field(metadata={"dtype": dtype, "axes": axes, "derived": derived})
+def _stored(dtype: str, axes: str, meaning: str, *, unit: str = "", derived: bool = False) -> Any:
+    """A field of the record: its type on disk, its shape (`grid`, `rays`, a count or nothing), what it means, its unit
+    (nothing for a count, a flag or a ratio), and whether it follows from the other fields."""
+    return field(metadata={"dtype": dtype, "axes": axes, "unit": unit, "meaning": meaning, "derived": derived})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sample:
-    """What one scan saw and what was there. Grids are indexed x, y, z; lengths are metres; positions in the world."""
+    """What one scan saw and what was there. Grids are indexed x, y, z; lengths are metres; positions in the world.
 
-    observed: NDArray[np.bool_] = _stored("bool", "grid")
-    """Voxels that hold at least one return."""
-    free: NDArray[np.bool_] = _stored("bool", "grid", derived=True)
-    """Voxels, less `observed`, that a ray met on its way."""
-    occupancy: NDArray[np.bool_] = _stored("bool", "grid")
-    """Voxels whose closed cube touches a solid."""
-    tudf: NDArray[np.float32] = _stored("<f4", "grid", derived=True)
-    """Distance to the nearest occupied voxel's centre, truncated."""
-    ranges: NDArray[np.float32] = _stored("<f4", "rays")
-    """Metres along each ray; inf where nothing returned."""
-    position: NDArray[np.float64] = _stored("<f8", "3")
-    """Of the sensor."""
-    quaternion: NDArray[np.float64] = _stored("<f8", "4")
-    """Body attitude, w x y z."""
-    origin: NDArray[np.float64] = _stored("<f8", "3")
-    """The grid's least corner."""
-    world: int = _stored("<i8", "")
-    """The world's number within its split."""
-    viewpoint: int = _stored("<i8", "")
-    """The sample's place among its world's accepted viewpoints."""
+    What each field means stands in its metadata, once for readers, cards and this code alike.
+    """
+
+    observed: NDArray[np.bool_] = _stored("bool", "grid", "voxels that hold at least one return")
+    free: NDArray[np.bool_] = _stored(
+        "bool", "grid", "voxels, less the observed ones, that a ray met on its way", derived=True
+    )
+    occupancy: NDArray[np.bool_] = _stored("bool", "grid", "truth: voxels whose closed cube touches a solid")
+    tudf: NDArray[np.float32] = _stored(
+        "<f4",
+        "grid",
+        "truth: distance from the voxel's centre to the nearest occupied voxel's centre in the map, truncated",
+        unit="m",
+        derived=True,
+    )
+    ranges: NDArray[np.float32] = _stored(
+        "<f4", "rays", "distance along each ray; inf where nothing returned", unit="m"
+    )
+    position: NDArray[np.float64] = _stored("<f8", "3", "of the sensor in the world: x, y, z", unit="m")
+    quaternion: NDArray[np.float64] = _stored("<f8", "4", "the body's attitude in the world: w, x, y, z")
+    origin: NDArray[np.float64] = _stored("<f8", "3", "the grid's least corner in the world: x, y, z", unit="m")
+    world: int = _stored("<i8", "", "the world's number within its split")
+    viewpoint: int = _stored("<i8", "", "the sample's place among its world's accepted viewpoints")
 
     def sha256(self) -> bytes:
         """The sample's own digest (32 bytes), over what does not follow from the rest: see docs/format.md."""
@@ -53,7 +56,7 @@ class Sample:
 
 
 SCHEMA = {item.name: item.metadata for item in fields(Sample)}
-"""Name of every field on disk, in order, to its `dtype`, `axes` and whether it is `derived`."""
+"""Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning` and whether it is `derived`."""
 
 
 def shape_of(name: str, grid: GridSpec, lidar: Lidar) -> tuple[int, ...]:
@@ -61,6 +64,19 @@ def shape_of(name: str, grid: GridSpec, lidar: Lidar) -> tuple[int, ...]:
     axes = SCHEMA[name]["axes"]
     named: dict[str, tuple[int, ...]] = {"grid": grid.shape, "rays": (lidar.rows, lidar.columns), "": ()}
     return named[axes] if axes in named else (int(axes),)
+
+
+def describe_fields(grid: GridSpec, lidar: Lidar) -> dict[str, dict[str, Any]]:
+    """Every field of a sample: name to its numpy `dtype`, `shape`, `unit` ("" for none), and `meaning`."""
+    return {
+        name: {
+            "dtype": np.dtype(meta["dtype"]).name,
+            "shape": shape_of(name, grid, lidar),
+            "unit": meta["unit"],
+            "meaning": meta["meaning"],
+        }
+        for name, meta in SCHEMA.items()
+    }
 
 
 def derive_free(

@@ -32,6 +32,6 @@ def test_a_package_imports_none_above_it(package: str) -> None:
 def test_the_top_level_holds_what_it_should_and_no_more() -> None:
     expected = {"cli.py", "lidarsim", "scenegen", "model", "scenes", "tests", "docs", "benchmarks", "pyproject.toml"}
     expected |= {"README.md", "LICENSE", "CHANGELOG.md"}
-    tolerated = {"data", "runs", "bench", "dist", "build", "MUJOCO_LOG.TXT", "predictions.h5"}
+    tolerated = {"data", "runs", "bench", "publish", "dist", "build", "MUJOCO_LOG.TXT", "predictions.h5"}
     there = {path.name for path in ROOT.iterdir() if not path.name.startswith((".", "__")) and ".egg" not in path.name}
     assert there - tolerated == expected

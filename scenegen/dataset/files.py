@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import socket
 import time
 from collections.abc import Iterator
@@ -62,14 +63,17 @@ def disk_error(path: Path, error: OSError) -> DatasetError:
 
 
 def remove_drafts(folder: Path) -> None:
-    """Delete temporary files whose writer is gone."""
+    """Delete temporary files and folders whose writer is gone."""
     for draft in folder.glob(".*.tmp"):
-        host, _, pid = draft.name.removesuffix(".tmp").rpartition(".")[2].rpartition("-")
+        owner = draft.name.removesuffix(".tmp").removesuffix(".former")
+        host, _, pid = owner.rpartition(".")[2].rpartition("-")
         if host == socket.gethostname():
             gone = not (pid.isdigit() and _is_alive(int(pid)))
         else:
             gone = time.time() - draft.stat().st_mtime > STALE_S
-        if gone:
+        if gone and draft.is_dir():
+            shutil.rmtree(draft, ignore_errors=True)
+        elif gone:
             draft.unlink(missing_ok=True)
 
 

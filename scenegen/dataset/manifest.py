@@ -21,6 +21,8 @@ from scenegen.source import Source
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
+MOST_BYTES = 64 << 20
+"""A manifest of more than this, some 200,000 shards, is not read."""
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
 
@@ -106,9 +108,19 @@ def read(folder: Path) -> dict[str, Any]:
     """The manifest of `folder`. Raises DatasetError where it has none that this version can read."""
     path = folder / NAME
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+        if path.exists() and not path.is_file():
+            raise DatasetError(f"{path}: is no file, expected a manifest; choose another folder")
+        with open(path, "rb") as file:  # however large it grows meanwhile
+            content = file.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            raise DatasetError(
+                f"{path}: larger than {MOST_BYTES >> 20} MB, which no manifest is; choose another folder"
+            )
+        manifest = json.loads(content.decode())
+    except (FileNotFoundError, NotADirectoryError):
         raise DatasetError(f"{folder}: not a dataset, it has no {NAME}; make one with `scenegen generate`") from None
+    except RecursionError:
+        raise DatasetError(f"{path}: nested without end, which no manifest is; choose another folder") from None
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read ({error}); remove it, or choose another --out") from None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "shards" not in manifest:

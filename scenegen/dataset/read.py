@@ -2,6 +2,7 @@
 
 import os
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -13,8 +14,12 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.trust import check_manifest, check_shard, read_member
 from scenegen.errors import DatasetError
-from scenegen.sample import Sample, derive_free, derive_tudf
+from scenegen.sample import Sample, derive_free, derive_tudf, describe_fields
+
+MOST_OPEN = 64
+"""Shards that a reader keeps open in one process; a large dataset has more than a process may open."""
 
 
 class Dataset:
@@ -27,10 +32,9 @@ class Dataset:
     def __init__(self, folder: Path | str, *, partial: bool = False):
         self.folder = Path(folder)
         self.manifest = manifest.read(self.folder)
+        self.grid, self.lidar = check_manifest(self.manifest, str(self.folder))
         if not (self.manifest["complete"] or partial):
             raise DatasetError(f"{self.folder}: incomplete; give the command that made it again to go on where it was")
-        self.grid = manifest.grid_of(self.manifest)
-        self.lidar = manifest.lidar_of(self.manifest)
 
     def split(self, name: str) -> "Split":
         """The samples of a split: train, val or test. Raises DatasetError for another name."""
@@ -52,10 +56,10 @@ class Dataset:
                 with zipfile.ZipFile(path) as archive:
                     names = archive.namelist()
                     if member in names:
-                        document = archive.read(member)
+                        document = read_member(archive, member)
                         others = [name for name in names if not name.endswith(".xml") and name.encode() in document]
-                        return {"world.xml": document} | {name: archive.read(name) for name in others}
-            except (zipfile.BadZipFile, OSError) as error:
+                        return {"world.xml": document} | {name: read_member(archive, name) for name in others}
+            except (zipfile.BadZipFile, zlib.error, OSError, ValueError, RuntimeError, EOFError) as error:
                 raise DatasetError(f"{path}: is damaged ({error}); copy the dataset again, or generate it") from None
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
@@ -97,6 +101,10 @@ class Split(Sequence[Sample]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": {}}
 
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
+        return describe_fields(self.dataset.grid, self.dataset.lidar)
+
     def stored(self, index: int, *names: str) -> tuple[Any, ...]:
         """Fields of one sample as they are stored, and no others: an array or a number for each of `names`.
 
@@ -120,13 +128,19 @@ class Split(Sequence[Sample]):
     def _shard(self, number: int) -> h5py.File:
         if self._process != os.getpid():  # a fork shares its parent's handles, and their positions in the file
             self._open, self._process = {}, os.getpid()
-        if number not in self._open:
+        file = self._open.pop(number, None)
+        if file is None:
             path = self.dataset._file(self._shards[number]["file"])
             try:
-                self._open[number] = h5py.File(path, "r")
-            except OSError as error:
+                file = h5py.File(path, "r")
+                here = self.dataset
+                check_shard(file, here.manifest["fields"], self._shards[number]["samples"], here.grid, here.lidar)
+            except (OSError, RuntimeError, KeyError, TypeError) as error:
                 raise DatasetError(f"{path}: is damaged ({error}); copy the dataset again, or generate it") from None
-        return self._open[number]
+        self._open[number] = file  # last in line: the one used longest ago stands first
+        for old in list(self._open)[:-MOST_OPEN]:
+            self._open.pop(old, None)  # closed once no other thread reads from it
+        return file
 
     def _value(self, file: h5py.File, name: str, row: int) -> Any:
         """One row of a field. A chunk that is gzip alone is unpacked by isal, at several times HDF5's speed."""
@@ -135,12 +149,11 @@ class Split(Sequence[Sample]):
             if dataset.chunks == (1, *dataset.shape[1:]) and dataset.id.get_create_plist().get_nfilters() == 1:
                 mask, chunk = dataset.id.read_direct_chunk((row,) + (0,) * (dataset.ndim - 1))
                 if dataset.compression == "gzip" and mask == 0:
-                    values = isal.isal_zlib.decompress(
-                        chunk, bufsize=dataset.dtype.itemsize * int(np.prod(dataset.chunks))
-                    )
+                    size = dataset.dtype.itemsize * int(np.prod(dataset.chunks))
+                    values = isal.isal_zlib.decompressobj().decompress(chunk, size + 1)  # no more, whatever is in it
                     return np.frombuffer(values, dtype=dataset.dtype).reshape(dataset.shape[1:]).copy()
             return dataset[row]
-        except (OSError, ValueError, isal.isal_zlib.error) as error:
+        except (OSError, ValueError, RuntimeError, isal.isal_zlib.error) as error:
             raise DatasetError(
                 f"{file.filename}: {name}[{row}] is damaged ({error}); copy the dataset again, or generate it"
             ) from None

@@ -3,6 +3,8 @@
 No threads, queues or locks of the parent's are involved, so that a signal may end it at any point without a deadlock.
 """
 
+import itertools
+import math
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -11,9 +13,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 from scenegen.errors import GenerationError
+
+MOST_REPLACED = 5
+"""Workers that may die in a run with limits before the rest is given up."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -24,67 +31,151 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+@dataclass(frozen=True)
+class Limits(Generic[Task, Result]):
+    """For tasks whose input nobody vouches for: they never run in this process, and may crash or hang in theirs."""
+
+    seconds: Callable[[Task], float]
+    """How long a task may take."""
+    memory_bytes: int
+    """Address space a worker may take beyond what it starts with, where the system can limit it."""
+    given_up: Callable[[Task, str], Result]
+    """The result of a task whose worker died, or was ended for taking too long: made of the task and what happened."""
+
+
 def run(
-    function: Callable[[Task], Result], tasks: Iterable[Task], workers: int, on_start: Callable[[], None] = lambda: None
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    workers: int,
+    on_start: Callable[[], None] = lambda: None,
+    *,
+    limits: Limits[Task, Result] | None = None,
 ) -> Generator[Result, None, None]:
-    """Results of `function` over `tasks`, as they come; in this process where one worker is enough.
+    """Results of `function` over `tasks`, as they come; without `limits`, in this process where one worker is enough.
 
     `on_start` is called when all workers have been started: from then on, this process may run threads. Raises
-    GenerationError where a worker is killed, and whatever `function` raises. No process is left behind.
+    GenerationError where a worker is killed, unless there are `limits`, and whatever `function` raises. No process is
+    left behind.
     """
     tasks = list(tasks)
-    if workers == 1 or len(tasks) <= 1:
+    if limits is None and (workers == 1 or len(tasks) <= 1):
         on_start()
         yield from map(function, tasks)
         return
     # forked workers share the compiled kernels and the imports; elsewhere forking is not safe
-    context: Any = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
+    start = "fork" if sys.platform == "linux" else "spawn"
     waiting = iter(tasks)
-    busy: list[Any] = []
+    busy: list[_Worker] = []
+    replaced = 0
     try:
-        for task in zip(range(workers), waiting):  # noqa: B905 (no more workers than tasks)
-            ours, theirs = context.Pipe()
-            context.Process(target=_serve, args=(function, theirs, os.getpid()), daemon=True).start()
-            theirs.close()
-            ours.send(task[1])
-            busy.append(ours)
+        for task in itertools.islice(waiting, workers):
+            busy.append(_Worker(function, start, limits))
+            busy[-1].give(task)
         on_start()
         while busy:
-            ready: list[Any] = multiprocessing.connection.wait(busy)
-            for worker in ready:
-                result = _receive(worker, workers)
-                following = next(waiting, None)
-                if following is None:
+            for worker in _ready(busy):
+                result = worker.take(workers)
+                if not worker.alive:
                     busy.remove(worker)
-                else:
-                    worker.send(following)
+                    worker.end()
+                    if replaced < MOST_REPLACED:  # by now there may be threads, so this one is not forked
+                        worker = _Worker(function, "spawn", limits)
+                        busy.append(worker)
+                        replaced += 1
+                following = next(waiting, None) if worker.alive else None
+                if following is not None:
+                    worker.give(following)
+                elif worker in busy:
+                    busy.remove(worker)
+                    worker.end()
                 yield result
+        for task in waiting:
+            assert limits is not None
+            yield limits.given_up(task, "was not begun: too many before it ended badly")
     finally:
-        children = multiprocessing.active_children()
-        for child in children:
-            child.terminate()
-        for child in children:
-            child.join(5)
-            child.kill()
-            child.join()
+        for worker in busy:
+            worker.end()
 
 
-def _receive(worker: Any, workers: int) -> Any:
-    """A worker's result, or its exception raised here."""
+class _Worker:
+    """One process, the task that it has, and how long it may still take."""
+
+    def __init__(self, function: Callable[[Any], Any], start: str, limits: Limits[Any, Any] | None):
+        context: Any = multiprocessing.get_context(start)
+        self.pipe, theirs = context.Pipe()
+        memory = limits.memory_bytes if limits else None
+        self._process = context.Process(target=_serve, args=(function, theirs, os.getpid(), memory), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._limits = limits
+        self.alive = True
+
+    def give(self, task: Any) -> None:
+        self._task = task
+        self._deadline = time.monotonic() + (self._limits.seconds(task) if self._limits else math.inf)
+        self.pipe.send(task)
+
+    @property
+    def seconds_left(self) -> float:
+        return max(self._deadline - time.monotonic(), 0.0)
+
+    def take(self, workers: int) -> Any:
+        """The task's result, or its exception raised here; with limits, what stands for one that did not come."""
+        if not self.pipe.poll():
+            return self._give_up("took too long")
+        try:
+            succeeded, value = self.pipe.recv()
+        except (EOFError, ConnectionResetError):
+            if self._limits:
+                return self._give_up("ended its process: it crashed, or took too much memory")
+            raise GenerationError(
+                "a worker process was killed (out of memory?); finished shards are kept: give the same command again "
+                f"to go on, with fewer --workers than {workers} if it happens again"
+            ) from None
+        if not succeeded:
+            if self._limits:
+                reason = " ".join(str(value).split())[:200]
+                return self._limits.given_up(self._task, f"ended in {type(value).__name__}: {reason}")
+            raise value
+        return value
+
+    def _give_up(self, reason: str) -> Any:
+        assert self._limits is not None
+        self.alive = False
+        return self._limits.given_up(self._task, reason)
+
+    def end(self) -> None:
+        """Whatever it is doing."""
+        self._process.terminate()
+        self._process.join(5)
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
+
+
+def _ready(busy: list[_Worker]) -> list[_Worker]:
+    """Workers that have a result, have died, or have run out of time."""
+    least = min(worker.seconds_left for worker in busy)
+    pipes = multiprocessing.connection.wait([worker.pipe for worker in busy], None if least == math.inf else least)
+    return [worker for worker in busy if worker.pipe in pipes or worker.seconds_left == 0.0]
+
+
+def _limit_memory(more_bytes: int) -> None:
+    """Let this process grow by so much and no further, where the system can see to that."""
     try:
-        succeeded, value = worker.recv()
-    except (EOFError, ConnectionResetError):
-        raise GenerationError(
-            "a worker process was killed (out of memory?); finished shards are kept: give the same command again to go "
-            f"on, with fewer --workers than {workers} if it happens again"
-        ) from None
-    if not succeeded:
-        raise value
-    return value
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        most = pages * os.sysconf("SC_PAGE_SIZE") + more_bytes
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    except (ImportError, OSError, ValueError):
+        return
 
 
-def _serve(function: Callable[[Any], Any], parent: Any, parent_id: int) -> None:
+def _serve(function: Callable[[Any], Any], parent: Any, parent_id: int, memory_bytes: int | None) -> None:
     """Work off the tasks that come through the pipe `parent` until that process ends."""
+    if memory_bytes is not None:
+        _limit_memory(memory_bytes)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)

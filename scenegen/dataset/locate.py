@@ -1,0 +1,149 @@
+"""Where a dataset is: a folder as it stands, or ``hf://user/name[@revision]`` downloaded from the Hugging Face Hub."""
+
+import contextlib
+import hashlib
+import re
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from scenegen.dataset import manifest
+from scenegen.dataset.trust import check_manifest
+from scenegen.errors import DatasetError
+
+SCHEME = "hf://"
+REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
+REVISION = re.compile(r"[A-Za-z0-9][\w./-]{0,249}", re.ASCII)
+TIMEOUT_S = 20.0
+"""After which a silent Hub counts as out of reach, seconds."""
+
+
+def is_remote(name: object) -> bool:
+    """Whether `name` stands for a dataset on the Hub. A path never does, whatever it looks like."""
+    return isinstance(name, str) and name.startswith(SCHEME)
+
+
+def parse(name: str) -> tuple[str, str | None]:
+    """Repository and revision (None: the newest) of ``hf://user/name[@revision]``. Raises DatasetError."""
+    repository, at, revision = name.removeprefix(SCHEME).partition("@")
+    if not REPOSITORY.fullmatch(repository) or (at and not REVISION.fullmatch(revision)) or ".." in name:
+        raise DatasetError(f"{name}: expected hf://user/name or hf://user/name@tag, such as hf://ada/pillar@v1")
+    return repository, revision or None
+
+
+def locate(name: str | Path, *, shown: bool = False) -> Path:
+    """The folder of a dataset. A path comes back as it is; only ``hf://…`` is looked for on the Hub.
+
+    What the Hub has is downloaded into the client's usual cache by revision, no file but those that the manifest
+    lists, and held against the manifest's SHA-256s at every call; with `shown`, the client shows how far it has come.
+    Raises DatasetError.
+    """
+    if not is_remote(name):
+        return Path(name)
+    repository, revision = parse(str(name))
+    try:
+        from huggingface_hub import snapshot_download
+    except ImportError:
+        raise DatasetError(f"{name}: needs huggingface_hub; pip install 'scenegen[publish]'") from None
+
+    def download(revision: str | None, *files: str) -> Path:
+        return Path(snapshot_download(repository, repo_type="dataset", revision=revision, allow_patterns=list(files)))
+
+    try:
+        with client_output(shown):
+            _check_listing(repository, revision)
+            folder = download(revision, manifest.NAME)
+            listed = listed_files(folder, str(name))
+            # by commit, whose name the folder bears: should the branch move on, nothing is mixed
+            folder = download(folder.name, manifest.NAME, *listed)
+    except DatasetError:
+        raise
+    except Exception as error:  # whatever the Hub's client or the network beneath it raises
+        raise DatasetError(f"{name}: {reason(error)}; check the name, the revision and the network") from None
+    check_files(folder, listed, str(name))
+    return folder
+
+
+@contextlib.contextmanager
+def client_output(shown: bool) -> Iterator[None]:
+    """Whether the Hub's client shows its progress; it never gives advice, which would be about itself."""
+    from huggingface_hub.utils import logging
+    from huggingface_hub.utils.tqdm import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
+
+    before, let_be = logging.get_verbosity(), shown or are_progress_bars_disabled()
+    logging.set_verbosity_error()
+    if not let_be:
+        disable_progress_bars()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(before)
+        if not let_be:
+            enable_progress_bars()
+
+
+def listed_files(folder: Path, name: str) -> dict[str, str]:
+    """Every file that the manifest in `folder` lists, with its SHA-256.
+
+    Raises DatasetError where it is no manifest, or lists what no file of a dataset is called: what it says may come
+    from a stranger, and is about to be used as file names.
+    """
+    found = manifest.read(folder)
+    check_manifest(found, name)
+    files = {}
+    for shard in found["shards"]:
+        files[shard["file"]] = shard["sha256"]
+        files[shard["worlds"]] = shard["worlds_sha256"]
+    return files
+
+
+def check_files(folder: Path, files: dict[str, str], name: str) -> None:
+    """Hold `files` (name to SHA-256) against what is in `folder`. Raises DatasetError naming the first that differs."""
+
+    def check(item: tuple[str, str]) -> str:
+        path = folder / item[0]
+        if not path.is_file():
+            return f"{item[0]} is missing"
+        return "" if file_sha256(path) == item[1] else f"{item[0]} is not the file that {manifest.NAME} lists"
+
+    with ThreadPoolExecutor() as pool:  # hashing lets other threads run
+        for wrong in pool.map(check, sorted(files.items())):
+            if wrong:
+                raise DatasetError(f"{name}: {wrong}; delete {folder} to download it anew, or ask its publisher")
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def reason(error: BaseException) -> str:
+    """The first line of what the Hub's client says, and who says it, in one line."""
+    said = " ".join(str(error).split("\n\n")[0].split())
+    return f"{type(error).__name__}: {said[:300]}" if said else type(error).__name__
+
+
+def _check_listing(repository: str, revision: str | None) -> None:
+    """Refuse, before anything is downloaded, a repository without a manifest, or with one too large to be ours.
+
+    Without network there is nothing to ask: the client then looks into its cache.
+    """
+    from huggingface_hub import HfApi, constants
+    from huggingface_hub.errors import HfHubHTTPError
+
+    if constants.HF_HUB_OFFLINE:
+        return
+    try:
+        info = HfApi().dataset_info(repository, revision=revision, files_metadata=True, timeout=TIMEOUT_S)
+    except HfHubHTTPError:
+        raise
+    except Exception:  # each version of the client has its own errors for a network that is not there
+        return
+    sizes = {file.rfilename: file.size or 0 for file in info.siblings or []}
+    if manifest.NAME not in sizes:
+        raise DatasetError(f"{SCHEME}{repository}: not a scenegen dataset, it has no {manifest.NAME}")
+    if sizes[manifest.NAME] > manifest.MOST_BYTES:
+        raise DatasetError(
+            f"{SCHEME}{repository}: its {manifest.NAME} has {sizes[manifest.NAME]} bytes; that is no manifest of ours"
+        )

@@ -1,0 +1,111 @@
+"""The folder that is published: put together beside its final place, hashed, then moved there whole."""
+
+import contextlib
+import json
+import os
+import shutil
+import socket
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from scenegen.dataset import manifest
+from scenegen.dataset.files import disk_error, remove_drafts, sync_folder, write_whole
+from scenegen.dataset.locate import file_sha256
+from scenegen.errors import PublishError
+
+SUMS = "SHA256SUMS"
+"""Digest and name of every other file, as sha256sum writes and checks them."""
+
+
+def check_out(dataset: Path, out: Path) -> None:
+    """Raise PublishError where `out` cannot take the folder: it is the dataset, or holds what publish did not make."""
+    if out.exists() and not out.is_dir():
+        raise PublishError(f"--out {out}: is there, and not a folder; give another name")
+    there, here = out.resolve(), dataset.resolve()
+    if there == here or there.is_relative_to(here) or here.is_relative_to(there):
+        raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
+    foreign = sorted(foreign_files(out))
+    if foreign:
+        raise PublishError(f"--out {out}: holds {foreign[0]}, which publish did not put there; choose another folder")
+
+
+def foreign_files(out: Path) -> set[str]:
+    """What is in `out`, a folder of a former run or none, that its own list does not name."""
+    if not out.is_dir():
+        return set()
+    there = {str(path.relative_to(out)) for path in out.rglob("*") if not path.is_dir()}
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        there -= {line.partition("  ")[2] for line in (out / SUMS).read_text(encoding="utf-8").splitlines()}
+        there.discard(SUMS)
+    return there
+
+
+@contextlib.contextmanager
+def drafted(out: Path) -> Iterator[Path]:
+    """A folder to fill, which takes the place of `out` once all went well, and vanishes otherwise.
+
+    Raises DatasetError where the disk refuses.
+    """
+    draft = out.with_name(f".{out.name}.{socket.gethostname()}-{os.getpid()}.tmp")
+    former = draft.with_name(draft.name.removesuffix(".tmp") + ".former.tmp")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        remove_drafts(out.parent)
+        for stale in (draft, former):
+            shutil.rmtree(stale, ignore_errors=True)
+        draft.mkdir()
+        yield draft
+        sync_folder(draft)
+        if out.exists():
+            out.rename(former)
+        draft.rename(out)
+        sync_folder(out.parent)
+    except OSError as error:
+        raise disk_error(Path(error.filename or out), error) from None
+    finally:
+        if former.exists() and not out.exists():
+            former.rename(out)
+        for stale in (draft, former):
+            shutil.rmtree(stale, ignore_errors=True)
+
+
+def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
+    """Put the files `names` (each with its SHA-256) of a dataset into `draft`: as hard links, or as copies elsewhere.
+
+    Raises PublishError for one that is not what its digest says.
+    """
+
+    def take_one(name: str) -> None:
+        there, here = (source / name).resolve(), draft / name
+        try:
+            os.link(there, here)
+        except OSError:  # another disk, or a file system or owner that does not allow it
+            shutil.copyfile(there, here)
+        if file_sha256(here) != names[name]:
+            raise PublishError(f"{source / name}: is not the file that {manifest.NAME} lists; generate it again")
+
+    for name in names:
+        if not (source / name).is_file():
+            raise PublishError(f"{source / name}: is missing, though {manifest.NAME} lists it; generate it again")
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(take_one, names))
+
+
+def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
+    """Write `SUMS` over all files of `draft`, those in `known` with the SHA-256 given there. Returns name to size."""
+    names = sorted(str(path.relative_to(draft)) for path in draft.rglob("*") if path.is_file())
+    lines = [f"{known.get(name) or file_sha256(draft / name)}  {name}\n" for name in names]
+    write_whole(draft / SUMS, "".join(lines).encode())
+    return {name: (draft / name).stat().st_size for name in [*names, SUMS]}
+
+
+def former_date(out: Path, content: bytes) -> str | None:
+    """The date of the folder in `out`, if it publishes the dataset with the manifest `content`: a run that goes on
+    sends what the stopped one sent."""
+    try:
+        if (out / manifest.NAME).read_bytes() == content:
+            return str(json.loads((out / "croissant.json").read_text(encoding="utf-8"))["datePublished"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    return None

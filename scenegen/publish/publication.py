@@ -1,0 +1,80 @@
+"""What is published: all that the card and the Croissant file say of a dataset, gathered once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from scenegen import SPLITS
+from scenegen.dataset import manifest
+from scenegen.dataset.shard import DIGEST
+from scenegen.publish.licence import Licence
+from scenegen.sample import describe_fields
+
+PAPER = (
+    "Yu, Zhao, Xu: Planning-Oriented 3D Scene Completion via Coupled TUDF–Occupancy Representation Learning from "
+    "Partial Observations"
+)
+KINDS = {
+    "pillar": "random forests of round, square and oblong pillars",
+    "geometric": "random spheres, boxes, cylinders and walls, standing and floating",
+    "scene": "worlds drawn by hand",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Publication:
+    """A dataset on its way to the Hub."""
+
+    repository: str
+    """user/name on the Hub."""
+    tag: str
+    """The revision that this content is to have."""
+    licence: Licence
+    date: str
+    """Of publication, YYYY-MM-DD."""
+    manifest: Mapping[str, Any]
+    statistics: Mapping[str, Any]
+    """What `scenegen.inspect.inspect` says."""
+    command: str
+    """What regenerates the dataset, next to ``recipe.toml``."""
+    lock: str
+    """Contents of the environment lock."""
+    checks: tuple[tuple[str, str], ...]
+    """Name and detail of every check that the dataset passed."""
+    pictures: tuple[tuple[str, str], ...]
+    """Name and caption of every picture."""
+
+    @property
+    def name(self) -> str:
+        """The repository's, without its owner."""
+        return self.repository.partition("/")[2]
+
+    @property
+    def url(self) -> str:
+        """The dataset's page."""
+        return f"https://huggingface.co/datasets/{self.repository}"
+
+    @property
+    def sentence(self) -> str:
+        """What the dataset is, in one sentence."""
+        kind = self.manifest["kind"]
+        x, y, z = self.manifest["grid"]["shape"]
+        voxel = self.manifest["grid"]["voxel"]
+        return (
+            f"{self.statistics['samples']} pairs of a simulated LiDAR scan and the exact truth around it, in "
+            f"{KINDS.get(kind, f'worlds of kind {kind}')}, as {x} × {y} × {z} voxel maps of {voxel:g} m"
+        )
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the splits that hold samples."""
+        return tuple(name for name in SPLITS if name in self.statistics["splits"])
+
+    @property
+    def fields(self) -> dict[str, dict[str, Any]]:
+        """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
+        known = describe_fields(manifest.grid_of(self.manifest), manifest.lidar_of(self.manifest))
+        stored = {name: known[name] for name in self.manifest["fields"]}
+        return stored | {
+            DIGEST: {"dtype": "uint8", "shape": (32,), "unit": "", "meaning": "the sample's own SHA-256 digest"}
+        }

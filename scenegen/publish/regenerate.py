@@ -1,0 +1,88 @@
+"""The recipe and the command that make a dataset again, from its manifest alone, and the check that they do."""
+
+import shlex
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from scenegen import SPLITS
+from scenegen.dataset import manifest
+from scenegen.dataset.shard import stored_fields
+from scenegen.errors import PublishError, RecipeError
+from scenegen.recipe import read_recipe
+from scenegen.source import DrawnWorlds
+
+RECIPE = "recipe.toml"
+_NOT_OURS = ("software", "format", "version")
+"""Parameters that no recipe decides."""
+
+
+def command(found: Mapping[str, Any], out: str) -> str:
+    """What to type, next to `RECIPE`, to make the dataset of a manifest again in the folder `out`."""
+    words = ["scenegen", "generate", "--recipe", RECIPE]
+    if found["kind"] == "scene":
+        words += ["--scene", "SCENES"]
+    words += ["--n", str(found["counts"]["train"])]
+    for split in SPLITS[1:]:
+        words += [f"--{split}", str(found["counts"][split])]
+    words += ["--seed", str(found["seed"]), "--shard-samples", str(found["shard_samples"])]
+    if list(found["fields"]) == list(stored_fields(compact=True)):
+        words.append("--compact")
+    return shlex.join([*words, "--out", out])
+
+
+def recipe_text(found: Mapping[str, Any]) -> str:
+    """A recipe file with every parameter of a manifest, so that no preset's later version changes anything."""
+    tables = {name: found["recipe"].get(name) for name in ("world", "flight", "accept")}
+    tables["lidar"] = found["lidar"]
+    names = {"voxel": "voxel_m", "truncation": "truncation_m"}
+    tables["grid"] = {names.get(name, name): value for name, value in found["grid"].items()}
+    lines = [f"# every parameter of the dataset {found['digest']}", f"kind = {_toml(found['kind'])}"]
+    for name, table in tables.items():
+        if table is not None:
+            lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+    return "\n".join(lines) + "\n"
+
+
+def check_recipe(found: Mapping[str, Any], text: str) -> None:
+    """Read `text` as ``scenegen generate`` would, and hold what it resolves to against the manifest.
+
+    Raises PublishError where this version would make another dataset of it.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, RECIPE)
+        path.write_text(text, encoding="utf-8")
+        try:
+            recipe = read_recipe(path)
+        except RecipeError as error:
+            raise PublishError(f"{_advice(found)}: {str(error).removeprefix(f'{path}: ')}") from None
+    given = manifest.parameters(
+        recipe,
+        DrawnWorlds(recipe),
+        seed=found["seed"],
+        counts=found["counts"],
+        compact=list(found["fields"]) == list(stored_fields(compact=True)),
+        shard_samples=found["shard_samples"],
+    )
+    there = {name: found.get(name) for name in given if name not in _NOT_OURS}
+    there["recipe"] = {name: value for name, value in found["recipe"].items() if name != "scenes"}
+    wrong = manifest.differences(there, {name: value for name, value in given.items() if name not in _NOT_OURS})
+    if wrong:
+        raise PublishError(f"{_advice(found)}: {wrong[0]}")
+
+
+def _advice(found: Mapping[str, Any]) -> str:
+    made = found.get("software", {}).get("scenegen", "of another version")
+    return f"this scenegen would not make the same dataset again; publish with scenegen {made}, which made it"
+
+
+def _toml(value: Any) -> str:
+    """A plain value in TOML."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(item) for item in value)}]"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return repr(value)

@@ -1,0 +1,186 @@
+"""The worlds' archive: a zip of MJCF from anywhere, screened before MuJoCo sees it. Nothing is written to disk."""
+
+import hashlib
+import os
+import struct
+import zipfile
+from collections import Counter
+from dataclasses import dataclass
+from io import BufferedReader
+from xml.parsers import expat
+
+from scenegen.verify.report import BrokenError
+
+MOST_DOCUMENT_BYTES = 16 << 20
+MOST_ASSET_BYTES = 64 << 20
+MOST_ARCHIVE_BYTES = 1 << 30
+"""Of all members, unpacked."""
+MOST_MEMBERS = 65_000
+MOST_GEOMS = 50_000
+"""In a world: MuJoCo takes five seconds over so many, and four times as long over twice as many."""
+MOST_ELEMENTS = 200_000
+MOST_CELLS = 1 << 24
+"""Of a height field, pixels of an image, or numbers anywhere else."""
+MOST_DEPTH = 200
+
+FORBIDDEN = {"include", "attach", "model", "plugin", "extension", "replicate", "composite", "flexcomp", "skin", "flex"}
+"""MJCF elements that read other files, run other code, multiply, or are not solids. An archived world has none."""
+MOST_ASKED = {"memory": 1 << 30, "njmax": 1 << 20, "nconmax": 1 << 20, "nstack": 1 << 27, "nkey": 1000}
+MOST_ASKED |= {"nuserdata": 1 << 20, "nrow": MOST_CELLS, "ncol": MOST_CELLS, "width": MOST_CELLS, "height": MOST_CELLS}
+MOST_ASKED |= {f"nuser_{what}": 100 for what in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}
+"""Attributes for which MuJoCo takes memory as they say, whatever the document's size, and the most they may say."""
+FILES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
+FOLDERS = {"meshdir", "texturedir", "assetdir"}
+LOOKS = {"name", "rgba", "material"}
+"""Attributes that say nothing of where a solid is; a world's outline leaves them out."""
+WATCHED = FILES | FOLDERS | set(MOST_ASKED)
+
+
+@dataclass(frozen=True, eq=False)
+class Archive:
+    """The worlds of one shard."""
+
+    documents: dict[int, bytes]
+    """MJCF by the world's number."""
+    outlines: dict[int, bytes]
+    """What `screen` gives for each document."""
+    assets: dict[str, bytes]
+
+    def world(self, number: int) -> tuple[bytes, dict[str, bytes]]:
+        """A world's document and the files it refers to. Raises BrokenError where there is none."""
+        if number not in self.documents:
+            raise BrokenError(f"has no member {number:06d}.xml")
+        document = self.documents[number]
+        return document, {name: content for name, content in self.assets.items() if name.encode() in document}
+
+
+def read_archive(file: BufferedReader, name: str) -> Archive:
+    """Every member of the archive in `file`, screened. Raises BrokenError, naming `name`, with what is wrong."""
+    try:
+        _check_directory(file)
+        with zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            _check_members(members)
+            contents = {member.filename: archive.read(member) for member in members}
+        documents = {int(member[:-4]): content for member, content in contents.items() if member.endswith(".xml")}
+        assets = {member: content for member, content in contents.items() if not member.endswith(".xml")}
+        for member, content in assets.items():
+            _check_image(member, content)
+        outlines = {
+            number: screen(document, frozenset(assets), f"{number:06d}.xml") for number, document in documents.items()
+        }
+    except BrokenError as error:
+        raise BrokenError(f"{name}: {error}") from None
+    except (zipfile.BadZipFile, OSError, ValueError, EOFError, RuntimeError, NotImplementedError) as error:
+        raise BrokenError(f"{name}: is damaged ({' '.join(str(error).split())[:200]})") from None
+    except Exception as error:  # zlib.error, struct.error and what else a crafted file may bring forth
+        raise BrokenError(f"{name}: is damaged ({type(error).__name__})") from None
+    return Archive(documents, outlines, assets)
+
+
+def _check_directory(file: BufferedReader) -> None:
+    """Before zipfile reads the directory of members, see that it is small."""
+    size = file.seek(0, os.SEEK_END)
+    if size > MOST_ARCHIVE_BYTES:
+        raise BrokenError(f"{size} bytes, expected {MOST_ARCHIVE_BYTES} at most")
+    file.seek(max(size - 22, 0))
+    end = file.read(22)
+    if len(end) < 22 or end[:4] != b"PK\5\6":
+        raise BrokenError("is not a whole zip file: it does not end as one")
+    count, length = struct.unpack("<HI", end[10:16])
+    if count > MOST_MEMBERS or length > MOST_MEMBERS * 200:
+        raise BrokenError(f"{count} members listed in {length} bytes, expected {MOST_MEMBERS} members at most")
+
+
+def _check_members(members: list[zipfile.ZipInfo]) -> None:
+    total = 0
+    for member in members:
+        name = member.filename
+        plain = name.isascii() and name.isprintable() and not set(name) & set('/\\:*?"<>|') and not name.startswith(".")
+        if not plain or len(name) > 200 or member.orig_filename != name:
+            raise BrokenError(f"member {name[:80]!r}: expected a plain file name, of a file beside the others")
+        if name.endswith(".xml") and not (len(name) == 10 and name[:6].isdecimal()):
+            raise BrokenError(f"member {name!r}: expected a world's number, six digits, before .xml")
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
+            raise BrokenError(f"member {name}: is encrypted or packed otherwise than by deflate")
+        most = MOST_DOCUMENT_BYTES if name.endswith(".xml") else MOST_ASSET_BYTES
+        if member.file_size > most:
+            raise BrokenError(f"member {name}: {member.file_size} bytes unpacked, expected {most} at most")
+        total += member.file_size
+    if total > MOST_ARCHIVE_BYTES:
+        raise BrokenError(f"{total} bytes unpacked, expected {MOST_ARCHIVE_BYTES} at most")
+    twice = [name for name, count in Counter(member.filename for member in members).items() if count > 1]
+    if twice:
+        raise BrokenError(f"member {twice[0]}: is there twice")
+
+
+def _check_image(name: str, content: bytes) -> None:
+    """A PNG file says how much memory it wants."""
+    if content[:8] == b"\x89PNG\r\n\x1a\n":
+        width, height = struct.unpack(">II", content[16:24])
+        if width * height > MOST_CELLS:
+            raise BrokenError(f"member {name}: an image of {width} x {height}, expected {MOST_CELLS} pixels at most")
+
+
+def screen(document: bytes, assets: frozenset[str], name: str) -> bytes:
+    """See that an MJCF document is self-contained and of bounded size. Raises BrokenError, naming `name`.
+
+    Returns a digest of its elements but for names and colours, whatever their order: equal for documents of the same
+    solids that were renamed or reordered, though not for every way to write the same solids (`geometry_digest`).
+
+    MuJoCo would read included files and assets from anywhere on disk, expand what multiplies, and take memory as it is
+    told; none of that is in a document that scenegen has archived.
+    """
+    geoms, outline, within = 0, list[str](), [""]
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal geoms
+        geoms += tag == "geom"
+        if tag in FORBIDDEN:
+            raise BrokenError(f"{name}: has <{tag}>, expected a self-contained world of solids")
+        if len(within) > MOST_DEPTH or len(outline) >= MOST_ELEMENTS or geoms > MOST_GEOMS:
+            raise BrokenError(
+                f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} levels of them"
+            )
+        if tag == "numeric" or not WATCHED.isdisjoint(attributes):
+            _check_attributes(tag, attributes, assets, name)
+        written = [f"{key}={value}" for key, value in sorted(attributes.items()) if key not in LOOKS]
+        outline.append(f"{within[-1]} {tag} {' '.join(written)}")
+        within.append("" if tag == "geom" else hashlib.sha256(outline[-1].encode()).hexdigest()[:16])
+
+    def end(tag: str) -> None:
+        within.pop()
+
+    def refuse(*_: object) -> None:
+        raise BrokenError(f"{name}: declares a document type or entities, expected plain MJCF")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(document, True)
+    except (expat.ExpatError, ValueError) as error:
+        raise BrokenError(f"{name}: is not plain XML ({error})") from None
+    return hashlib.sha256("\n".join(sorted(outline)).encode()).digest()
+
+
+def _check_attributes(tag: str, attributes: dict[str, str], assets: frozenset[str], name: str) -> None:
+    """Files and amounts that an element asks for. Raises BrokenError, or ValueError for no number."""
+    for key, value in attributes.items():
+        where = f"{name}: <{tag} {key}={value[:80]!r}>"
+        if key in FILES and value not in assets:
+            raise BrokenError(f"{where}: expected a file of the archive")
+        if key in FOLDERS and value:
+            raise BrokenError(f"{where}: expected files beside the document")
+        most = 100_000 if (tag, key) == ("numeric", "size") else MOST_ASKED.get(key)
+        if most is not None and not -1 <= _amount(value) <= most:
+            raise BrokenError(f"{where}: expected {most} at most")
+    for one, other in (("nrow", "ncol"), ("width", "height")):
+        if _amount(attributes.get(one, "0")) * _amount(attributes.get(other, "0")) > MOST_CELLS:
+            raise BrokenError(f"{name}: <{tag}>: {one} times {other} is more than {MOST_CELLS}")
+
+
+def _amount(value: str) -> float:
+    """A number as MJCF writes amounts: 100, or 16M."""
+    unit = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30}.get(value[-1:].upper())
+    return float(value[:-1]) * unit if unit else float(value)

@@ -1,0 +1,251 @@
+"""The manifest, taken at its word only after every value in it has been checked."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pydantic
+
+from lidarsim import GridSpec, Lidar
+from scenegen import SPLITS
+from scenegen.dataset import manifest
+from scenegen.dataset.shard import stored_fields
+from scenegen.errors import RecipeError
+from scenegen.recipe import Recipe, make_recipe
+from scenegen.recipes import kind_names
+from scenegen.verify.report import BrokenError, Ledger
+
+MOST_VOXELS = 1 << 26
+"""A grid of more than this (a distance field of 256 MB) is not examined."""
+MOST_VIEWPOINTS = 10_000
+"""A flight of more than this is not examined."""
+
+Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
+Hash = Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]
+
+
+class Entry(pydantic.BaseModel, strict=True, frozen=True):
+    """A shard, as the manifest lists it."""
+
+    file: str
+    worlds: str
+    split: Literal["train", "val", "test"]
+    samples: Annotated[int, pydantic.Field(ge=1, le=10**7)]
+    first_world: Count
+    sha256: Hash
+    worlds_sha256: Hash
+
+
+class _Rejected(pydantic.BaseModel, strict=True):
+    worlds: dict[str, Count]
+    viewpoints: dict[str, Count]
+
+
+class _Grid(pydantic.BaseModel, strict=True):
+    shape: Annotated[list[int], pydantic.Field(min_length=3, max_length=3)]
+    voxel: float
+    truncation: float
+
+
+class _Manifest(pydantic.BaseModel, strict=True):
+    complete: bool
+    kind: Annotated[str, pydantic.Field(max_length=200)]
+    seed: Annotated[int, pydantic.Field(ge=0)]
+    counts: dict[Literal["train", "val", "test"], Count]
+    recipe: dict[str, Any]
+    fields: list[str]
+    grid: _Grid
+    lidar: dict[str, Any]
+    shard_samples: Annotated[int, pydantic.Field(ge=1)]
+    shards: list[Entry]
+    rejected: _Rejected
+    digest: Hash | None
+    software: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contract:
+    """What the manifest promises."""
+
+    folder: Path
+    kind: str
+    seed: int
+    fields: tuple[str, ...]
+    grid: GridSpec
+    lidar: Lidar
+    recipe: Recipe
+    drawn: bool
+    """Whether the recipe can draw the worlds again: they are of a kind known here."""
+    viewpoints: int
+    """Samples of one flight."""
+    scenes: dict[str, list[dict[str, str]]] | None
+    """Worlds drawn by hand, by split: {"file", "sha256"}; None where a recipe drew them."""
+    software: dict[str, str]
+    shards: tuple[Entry, ...]
+    rejected: dict[str, dict[str, int]]
+    digest: str | None
+    fingerprint: str
+    """What every shard carries, so that it is not taken for another dataset's."""
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """Place of every shard's first sample within its split."""
+        total = dict.fromkeys(SPLITS, 0)
+        found = []
+        for entry in self.shards:
+            found.append(total[entry.split])
+            total[entry.split] += entry.samples
+        return tuple(found)
+
+    def name(self, split: str, place: int) -> tuple[int, int]:
+        """(world, viewpoint) of the sample at `place` in its split, as docs/format.md numbers them."""
+        unit, view = divmod(place, self.viewpoints)
+        if self.scenes is None:
+            return unit, view
+        turn, world = divmod(unit, len(self.scenes[split]))
+        return world, turn * self.viewpoints + view
+
+
+def read_contract(folder: Path, ledger: Ledger) -> Contract | None:
+    """The contract of the dataset in `folder`; faults go to the ledger's `manifest`, None where it cannot be read on.
+
+    Raises DatasetError where the folder holds no dataset at all.
+    """
+    given = manifest.read(folder)
+    contract = None
+    with ledger.checking("manifest"):
+        ledger.count("manifest", files=1)
+        found = _contract(folder, given)
+        _check_shards(found, given, ledger)
+        contract = found
+    return contract
+
+
+def _contract(folder: Path, given: dict[str, Any]) -> Contract:
+    """The manifest with every type checked. Raises BrokenError."""
+    try:
+        typed = _Manifest.model_validate(given)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        at = ".".join(str(step) for step in first["loc"])
+        raise BrokenError(f"{manifest.NAME}: {at} = {_short(first['input'])}: {first['msg']}") from None
+    if math.prod(max(n, 0) for n in typed.grid.shape) > MOST_VOXELS:
+        raise BrokenError(f"{manifest.NAME}: grid.shape = {typed.grid.shape}: expected {MOST_VOXELS} voxels at most")
+    if tuple(typed.fields) not in (stored_fields(False), stored_fields(True)):
+        raise BrokenError(
+            f"{manifest.NAME}: fields = {_short(typed.fields)}: expected all, or all but the derived ones"
+        )
+    drawn = typed.kind in kind_names()
+    recipe = _recipe(typed, drawn)
+    scenes = None
+    if typed.kind == "scene":
+        scenes = _scenes(typed.recipe)
+    if recipe.flight.viewpoints > MOST_VIEWPOINTS:
+        raise BrokenError(
+            f"{manifest.NAME}: flight.viewpoints = {recipe.flight.viewpoints}: expected {MOST_VIEWPOINTS} at most"
+        )
+    names = (*("format", "version", "kind", "seed", "counts", "recipe", "fields", "grid", "lidar"), "shard_samples")
+    return Contract(
+        folder=folder,
+        kind=typed.kind,
+        seed=typed.seed,
+        fields=tuple(typed.fields),
+        grid=recipe.grid,
+        lidar=recipe.lidar,
+        recipe=recipe,
+        drawn=drawn,
+        viewpoints=recipe.flight.viewpoints,
+        scenes=scenes,
+        software=typed.software,
+        shards=tuple(typed.shards),
+        rejected=typed.rejected.model_dump(),
+        digest=typed.digest,
+        fingerprint=manifest.fingerprint({name: given[name] for name in (*names, "software")}),
+    )
+
+
+def _recipe(typed: _Manifest, drawn: bool) -> Recipe:
+    """The recipe that the manifest spells out; that of an unknown kind is taken without its world."""
+    tables = {name: table for name, table in typed.recipe.items() if name not in ("version", "scenes")}
+    tables |= {
+        "lidar": typed.lidar,
+        "grid": {
+            "shape": tuple(typed.grid.shape),
+            "voxel_m": typed.grid.voxel,
+            "truncation_m": typed.grid.truncation,
+        },
+    }
+    if not drawn:
+        tables.pop("world", None)
+    try:
+        return make_recipe(typed.kind if drawn else "scene", tables, where=manifest.NAME)
+    except RecipeError as error:
+        raise BrokenError(str(error)) from None
+
+
+def _scenes(recipe: dict[str, Any]) -> dict[str, list[dict[str, str]]]:
+    found = recipe.get("scenes")
+    kind = pydantic.TypeAdapter(dict[Literal["train", "val", "test"], list[dict[str, str]]])
+    try:
+        return {str(split): worlds for split, worlds in kind.validate_python(found, strict=True).items()}
+    except pydantic.ValidationError:
+        raise BrokenError(
+            f"{manifest.NAME}: recipe.scenes = {_short(found)}: expected the worlds of each split"
+        ) from None
+
+
+def _check_shards(contract: Contract, given: dict[str, Any], ledger: Ledger) -> None:
+    """Whether the shards listed are those that the counts ask for, in order, and no other lies in the folder."""
+    where = manifest.NAME
+    ledger.expect("manifest", given["complete"], f"{where}: complete is false: give the command that made it again")
+    ledger.expect(
+        "manifest",
+        (contract.digest is not None) == given["complete"],
+        f"{where}: digest = {contract.digest}: expected one exactly where complete is true",
+    )
+    order = [SPLITS.index(entry.split) for entry in contract.shards]
+    ledger.expect("manifest", order == sorted(order), f"{where}: shards are not in the order train, val, test")
+    for split in SPLITS:
+        entries = [entry for entry in contract.shards if entry.split == split]
+        total = sum(entry.samples for entry in entries)
+        asked = given["counts"].get(split, 0)
+        whole = given["complete"]
+        ledger.expect(
+            "manifest",
+            total == asked if whole else total <= asked,
+            f"{where}: counts.{split} = {asked}, but its shards hold {total} samples",
+        )
+        if contract.scenes is not None and entries and not contract.scenes.get(split):
+            raise BrokenError(f"{where}: recipe.scenes names no world for {split}, which has samples")
+        for number, entry in enumerate(entries):
+            _check_name(entry, number if whole else None, ledger)
+            full = number == len(entries) - 1 or entry.samples % contract.viewpoints == 0
+            ledger.expect("manifest", full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut")
+    listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
+    others = [p.name for p in contract.folder.iterdir() if p.suffix in (".h5", ".zip") and p.name not in listed]
+    ledger.expect(
+        "manifest", not others, f"{', '.join(sorted(others)[:3])}: in the folder, but {where} does not list it"
+    )
+
+
+def _check_name(entry: Entry, number: int | None, ledger: Ledger) -> None:
+    """File names are plain, and number the shards. Raises BrokenError for one that leaves the folder."""
+    match = re.fullmatch(rf"{entry.split}-(\d{{5}})", entry.file.removesuffix(".h5"))
+    if not match or entry.file != f"{match[0]}.h5" or entry.worlds != f"{match[0]}.worlds.zip":
+        raise BrokenError(
+            f"{manifest.NAME}: shard files {_short(entry.file)}, {_short(entry.worlds)}: expected "
+            f"{entry.split}-00000.h5, {entry.split}-00000.worlds.zip and so on"
+        )
+    if number is not None:
+        ledger.expect(
+            "manifest",
+            int(match[1]) == number,
+            f"{manifest.NAME}: {entry.file} stands where {entry.split}-{number:05d}.h5 is expected",
+        )
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value)[:200].split())
+    return text if len(text) < 80 else text[:77] + "…"

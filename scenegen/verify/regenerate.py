@@ -1,0 +1,58 @@
+"""Samples made again from the seed, to be compared bit for bit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scenegen.dataset.manifest import differences, software
+from scenegen.draw import Unit, draw_unit
+from scenegen.errors import GenerationError, RecipeError, SceneError
+from scenegen.recipe import Recipe
+from scenegen.source import DrawnWorlds
+from scenegen.verify.archive import Archive
+from scenegen.verify.contract import Contract
+from scenegen.verify.report import BrokenError
+from scenegen.world import World, compile_world
+
+
+@dataclass(frozen=True, eq=False)
+class ArchivedWorlds:
+    """Worlds drawn by hand, as they lie in a dataset: a `scenegen.source.Source`."""
+
+    archive: Archive
+    counts: dict[str, int]
+    """Worlds of each split."""
+
+    def number(self, split: str, unit: int) -> tuple[int, int]:
+        """See `Source.number`."""
+        turn, number = divmod(unit, self.counts[split])
+        return number, turn
+
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
+        """See `Source.world`."""
+        return compile_world(*self.archive.world(number))
+
+    def describe(self) -> dict[str, object]:
+        """See `Source.describe`."""
+        return {}
+
+
+def regenerate(contract: Contract, archive: Archive, split: str, unit: int) -> Unit:
+    """One flight of a dataset flown again. Raises BrokenError where nothing comes of it."""
+    recipe: Recipe = contract.recipe
+    source: DrawnWorlds | ArchivedWorlds = DrawnWorlds(recipe)
+    if contract.scenes is not None:
+        source = ArchivedWorlds(archive, {name: len(worlds) for name, worlds in contract.scenes.items()})
+    try:
+        return draw_unit(source, recipe, seed=contract.seed, split=split, unit=unit, derived=True)
+    except (GenerationError, RecipeError, SceneError) as error:
+        raise BrokenError(f"{split} flight {unit} cannot be made again: {error}") from None
+
+
+def why_not_comparable(contract: Contract) -> str:
+    """Why samples made here need not have the dataset's bits; empty where they must."""
+    if not contract.drawn and contract.scenes is None:
+        return f"kind {contract.kind!r} is not installed here: its worlds cannot be drawn again"
+    differing = differences(contract.software, software())
+    named = ", ".join(line.replace(" asked for", " here") for line in differing)
+    return f"made with other software: {named}" if differing else ""

@@ -1,0 +1,125 @@
+"""Near-twins: samples of different splits that show next to the same map, found without comparing all with all."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.jit import kernel
+
+OCCUPIED_IOU = 0.95
+"""Maps are near-twins when their occupied voxels agree this far (intersection over union), and …"""
+OBSERVED_IOU = 0.5
+"""… their observed voxels this far. The truth alone would not do: over a flat floor with next to nothing on it, maps of
+different worlds are the same; what rays hit of it, from another height at another heading, is not."""
+MOST_PAIRS = 2_000_000
+"""Pairs of maps that are kept in memory while they are sifted."""
+MOST_COMPARED = 5_000
+"""Pairs that are compared voxel by voxel."""
+_BITS = 13
+
+
+def signature(occupancy: NDArray[np.bool_]) -> NDArray[np.uint32]:
+    """Occupied voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
+    blocks = np.zeros(320, dtype=np.uint32)
+    _count(occupancy.view(np.uint8), blocks)
+    return blocks
+
+
+@kernel
+def _count(occupied, blocks):
+    nx, ny, nz = occupied.shape
+    a, b, c = -(-nx // 8), -(-ny // 8), -(-nz // 5)
+    for i in range(nx):
+        for j in range(ny):
+            row = ((i // a) * 8 + j // b) * 5
+            for block in range(-(-nz // c)):
+                total = np.uint32(0)
+                for value in occupied[i, j, block * c : min((block + 1) * c, nz)]:
+                    total += value
+                blocks[row + block] += total
+
+
+def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
+    """Observed voxels, scattered over 8192 bits by their number, (128,) words; two may share a bit."""
+    number = np.flatnonzero(observed).astype(np.uint32)
+    bits = np.zeros(1 << _BITS, dtype=np.bool_)
+    bits[(number * np.uint32(2654435761)) >> np.uint32(32 - _BITS)] = True
+    return np.packbits(bits).view(np.uint64)
+
+
+def candidates(
+    signatures: NDArray[np.uint32], folds: NDArray[np.uint64], observed: NDArray[np.int64], splits: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], bool]:
+    """Pairs (P, 2) of the n samples that may be near-twins, and whether these are all: then none is missed.
+
+    `signatures` (n, 320) and `folds` (n, 128) are of every sample, `observed` (n,) counts its observed voxels, `splits`
+    (n,) numbers its split. Voxels in which two maps differ are at least as many as the sum of the differences of
+    their blocks, so most pairs are ruled out by a few numbers; sorted by how much is occupied, only neighbours are
+    looked at. Of what is left, the bits that two samples' observed voxels share tell almost all apart.
+    """
+    counts = signatures.sum(axis=1, dtype=np.int64)
+    order = np.argsort(counts, kind="stable")
+    coarse = signatures.reshape(-1, 2, 4, 2, 4, 5).sum(axis=(2, 4), dtype=np.int64).reshape(-1, 20)
+    pairs = np.empty((MOST_PAIRS, 2), np.int32)
+    found = _pairs(
+        counts[order],
+        splits[order],
+        coarse[order].astype(np.int32),
+        signatures[order].astype(np.int32),
+        1.0 - OCCUPIED_IOU,
+        pairs,
+    )
+    kept = order[pairs[: min(found, MOST_PAIRS)]]
+    lost = observed - np.bitwise_count(folds).sum(axis=1, dtype=np.int64)  # voxels whose bit another one has, too
+    alike = np.zeros(len(kept), dtype=np.bool_)
+    for begin in range(0, len(kept), 10_000):
+        a, b = kept[begin : begin + 10_000].T
+        shared = np.bitwise_count(folds[a] & folds[b]).sum(axis=1, dtype=np.int64) + np.minimum(lost[a], lost[b])
+        # with s = |A| + |B| and IoU = |A and B| / (s - |A and B|), at least this many are in both
+        least = OBSERVED_IOU / (1.0 + OBSERVED_IOU) * (observed[a] + observed[b])
+        alike[begin : begin + 10_000] = shared >= least - 1e-6
+    chosen = kept[alike]
+    return chosen[:MOST_COMPARED], found <= MOST_PAIRS and len(chosen) <= MOST_COMPARED
+
+
+@kernel
+def _pairs(counts, splits, coarse, fine, share, pairs):
+    """Fill `pairs` with candidates and return how many there are; one more than fit where there are more."""
+    found = 0
+    for i in range(len(counts)):
+        if counts[i] == 0:
+            continue  # an empty map has no twin
+        for j in range(i + 1, len(counts)):
+            if counts[i] < (1.0 - share) * counts[j]:
+                break
+            if splits[i] == splits[j]:
+                continue
+            # with d voxels that differ and s = |A| + |B|, the union is (s + d) / 2, so IoU >= 1 - share means this
+            most = math.floor(share * (counts[i] + counts[j]) / (2.0 - share) + 1e-9)
+            if _beyond(coarse[i], coarse[j], most) > most:
+                continue
+            if _beyond(fine[i], fine[j], most) > most:
+                continue
+            if found == len(pairs):
+                return found + 1
+            pairs[found, 0], pairs[found, 1] = i, j
+            found += 1
+    return found
+
+
+@kernel
+def _beyond(a, b, most):
+    """Sum of absolute differences, or, as soon as that is certain, something above `most`."""
+    total = 0
+    for begin in range(0, len(a), 20):
+        for n in range(begin, begin + 20):
+            total += abs(a[n] - b[n])
+        if total > most:
+            break
+    return total
+
+
+def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """Intersection over union; 0 where both are empty."""
+    return float(np.count_nonzero(a & b)) / max(float(np.count_nonzero(a | b)), 1.0)

@@ -1,0 +1,81 @@
+"""A small dataset of a few shards, a check that passes it, and a stand-in for the Hub."""
+
+import shutil
+import sys
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.publish.stage import Request
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+from tests.scenegen.hub import TOKEN, Hub
+
+COUNTS = {"train": 11, "val": 2, "test": 4}
+
+
+@dataclass
+class Check:
+    name: str
+    ok: bool
+    detail: str
+    skipped: bool = False
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of seven shards; not to be changed."""
+    folder = tmp_path_factory.mktemp("made") / "pillar"
+    recipe = small_recipe()
+    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=3), workers=1)
+    return folder
+
+
+@pytest.fixture
+def dataset(made: Path, tmp_path: Path) -> Path:
+    """A copy of it, to change."""
+    return Path(shutil.copytree(made, tmp_path / "data" / "pillar"))
+
+
+@pytest.fixture
+def asked(dataset: Path, tmp_path: Path) -> Request:
+    """To publish it."""
+    return Request(dataset=dataset, repository="ada/small-pillars", out=tmp_path / "publish" / "small-pillars")
+
+
+@pytest.fixture
+def verified(monkeypatch: pytest.MonkeyPatch) -> list[Check]:
+    """A check in place of the thorough one: what it finds can be changed."""
+    checks = [Check("files", True, "14 files hold")]
+
+    def verify(folder: Path, **options: Any) -> Any:
+        return types.SimpleNamespace(ok=all(check.ok for check in checks), checks=tuple(checks))
+
+    stand_in = types.ModuleType("scenegen.verify")
+    stand_in.verify = verify  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "scenegen.verify", stand_in)
+    return checks
+
+
+@pytest.fixture
+def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+    """The stand-in, with the client's addresses, cache and token turned to it."""
+    from huggingface_hub import constants
+
+    monkeypatch.setattr("scenegen.publish.stage.SHOWN", 1)  # pictures have their own tests
+    server = Hub()
+    monkeypatch.setattr(constants, "ENDPOINT", server.url)
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    monkeypatch.setattr(
+        constants, "HUGGINGFACE_CO_URL_TEMPLATE", server.url + "/{repo_id}/resolve/{revision}/{filename}"
+    )
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no-token"))
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+    yield server
+    server.close()

@@ -1,0 +1,76 @@
+"""Reading from Python: lazily, with names, shapes and units, in any number of processes and threads."""
+
+import hashlib
+import multiprocessing
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scenegen
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Split
+from scenegen.errors import DatasetError
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five shards."""
+    folder = tmp_path_factory.mktemp("load") / "pillar"
+    recipe = small_recipe()
+    counts = {"train": 12, "val": 3, "test": 0}
+    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=1, counts=counts, shard_samples=3), workers=1)
+    return folder
+
+
+def digest(task: tuple[Split, int]) -> str:
+    """All of a sample's fields, in whatever process this runs."""
+    split, index = task
+    fields = vars(split[index])
+    return hashlib.sha256(b"".join(np.asarray(value).tobytes() for value in fields.values())).hexdigest()
+
+
+def test_samples_come_lazily_and_described(folder: Path) -> None:
+    split = scenegen.load(folder)
+    assert len(split) == 12
+    assert split._open == {}
+    sample, described = split[4], split.describe()
+    assert len(split._open) == 1
+    assert set(described) == set(vars(sample))
+    for name, field in described.items():
+        value = np.asarray(getattr(sample, name))
+        assert (value.dtype.name, value.shape) == (field["dtype"], field["shape"]), name
+        assert field["meaning"]
+    assert {name for name, field in described.items() if field["unit"] == "m"} == {
+        "tudf",
+        "ranges",
+        "position",
+        "origin",
+    }
+    assert len(scenegen.load(str(folder), split="test")) == 0
+    with pytest.raises(DatasetError, match="has no split 'training'"):
+        scenegen.load(folder, split="training")
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_many_processes_read_what_one_reads(folder: Path, method: str) -> None:
+    split = scenegen.load(folder)
+    expected = [digest((split, index)) for index in range(12)]  # which opens files in this process
+    tasks = [(split, index) for index in (*range(12), *reversed(range(12)))]
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        assert pool.map(digest, tasks, chunksize=1) == expected + expected[::-1]
+    assert [digest((split, index)) for index in range(12)] == expected
+
+
+def test_many_threads_and_few_open_files_read_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scenegen.dataset.read.MOST_OPEN", 2)
+    split = scenegen.load(folder)
+    expected = [digest((split, index)) for index in range(12)]
+    assert len(split._open) == 2
+    order = [int(index) for index in np.random.default_rng(0).integers(0, 12, 200)]
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(digest, [(split, index) for index in order])) == [expected[index] for index in order]
+    assert len(split._open) == 2

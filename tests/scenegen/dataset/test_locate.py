@@ -1,0 +1,122 @@
+"""Where datasets are: paths stay paths, the Hub is asked by name alone, and what it sends is checked."""
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+
+from scenegen import load
+from scenegen.dataset.locate import locate
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError
+from scenegen.publish.run import publish
+from scenegen.publish.stage import Request
+from tests.scenegen.hub import Hub, Repository
+
+NAME = "hf://ada/small-pillars"
+
+
+@pytest.mark.parametrize("path", ["ada/pillar", "data/pillar", "hf/ada", "hf:/ada/pillar", "./hf:", "", "HF://a/b"])
+def test_a_path_stays_a_path(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def connect(*args: object) -> None:
+        raise AssertionError("a connection")
+
+    monkeypatch.setattr(socket.socket, "connect", connect)
+    assert locate(path) == Path(path)
+    assert locate(Path(path)) == Path(path)
+
+
+@pytest.mark.parametrize(
+    "name", ["hf://", "hf://ada", "hf://a/b/c", "hf://a/b@", "hf://../b", "hf://a/b@../c", "hf://a/ b"]
+)
+def test_a_name_that_cannot_be_is_refused(name: str) -> None:
+    with pytest.raises(DatasetError, match="expected hf://user/name"):
+        locate(name)
+
+
+def test_what_was_published_is_read_back_by_revision(
+    asked: Request,
+    hub: Hub,
+    verified: list,
+    made: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    tag = publish(asked).staged.tag
+    repository = hub.repositories[asked.repository]
+    repository.commit({"README.md": b"emptied since"})
+    split = load(f"{NAME}@{tag}", split="test")
+    assert capfd.readouterr() == ("", "")  # a library does not print
+    assert split.names == Dataset(made).split("test").names
+    assert split[0].sha256() == Dataset(made).split("test")[0].sha256()
+    folder = split.dataset.folder
+    assert {path.name for path in folder.iterdir()} == {
+        "dataset.json",
+        *(shard[key] for shard in split.dataset.manifest["shards"] for key in ("file", "worlds")),
+    }
+    with pytest.raises(DatasetError, match=r"small-pillars: not a scenegen dataset, it has no dataset.json"):
+        locate(NAME)
+    with pytest.raises(DatasetError, match="v9"):
+        locate(f"{NAME}@v9")
+
+
+def test_without_network_the_copy_serves(
+    asked: Request,
+    hub: Hub,
+    verified: list,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from huggingface_hub import constants
+
+    tag = publish(asked).staged.tag
+    first = locate(f"{NAME}@{tag}")
+    hub.log.clear()
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    assert locate(f"{NAME}@{tag}") == first
+    assert hub.log == []
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+    monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
+    assert locate(f"{NAME}@{tag}") == first
+
+
+def test_damage_and_strangers_files_are_refused(
+    asked: Request,
+    hub: Hub,
+    verified: list,
+    tmp_path: Path,
+) -> None:
+    publish(asked)
+    files = dict(hub.repositories[asked.repository].files("main") or {})
+    found = json.loads(files["dataset.json"])
+
+    def offered(**changed: bytes) -> str:
+        hub.repositories["eve/x"] = repository = Repository()
+        repository.commit(files | {name.replace("__", "."): content for name, content in changed.items()})
+        return "hf://eve/x"
+
+    with pytest.raises(DatasetError, match=r"train-00001.h5 is not the file that dataset.json lists"):
+        locate(offered(**{"train-00001.h5": b"something else"}))
+    for name in ("../../../up.h5", "/etc/passwd", "*", "train-00000.h5\n"):
+        shards = [{**found["shards"][0], "file": name}]
+        with pytest.raises(DatasetError, match=r"dataset.json is damaged: shards.0.file"):
+            locate(offered(dataset__json=json.dumps({**found, "shards": shards}).encode()))
+    for content in (b"[]", b"{}", b"not json", b'{"format": "scenegen-dataset", "version": 1, "shards": 3}'):
+        with pytest.raises(DatasetError, match=r"dataset.json"):
+            locate(offered(dataset__json=content))
+    assert not (tmp_path / "up.h5").exists()
+    with pytest.raises(DatasetError, match="nobody/none"):
+        locate("hf://nobody/none")
+
+
+def test_a_manifest_of_gigabytes_is_not_even_downloaded(
+    asked: Request,
+    hub: Hub,
+    verified: list,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    publish(asked)
+    hub.log.clear()
+    monkeypatch.setattr("scenegen.dataset.manifest.MOST_BYTES", 100)
+    with pytest.raises(DatasetError, match="that is no manifest of ours"):
+        locate(NAME)
+    assert not [line for line in hub.log if "/resolve/" in line]

@@ -1,0 +1,255 @@
+"""A stand-in for the Hugging Face Hub: its HTTP API, as far as datasets are published and downloaded, in a thread."""
+
+import base64
+import hashlib
+import json
+import re
+import threading
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+TOKEN = "hf_thisIsNotARealTokenButASecret"
+LARGE = (".h5", ".zip", ".png")
+"""Endings of files that go as large ones."""
+
+
+@dataclass
+class Repository:
+    private: bool = False
+    commits: dict[str, dict[str, bytes]] = field(default_factory=dict)
+    head: str = ""
+    tags: dict[str, str] = field(default_factory=dict)
+
+    def files(self, revision: str) -> dict[str, bytes] | None:
+        if revision == "main":
+            return self.commits[self.head]
+        return self.commits.get(self.tags.get(revision, revision))
+
+    def commit(self, files: dict[str, bytes]) -> str:
+        listing = {path: hashlib.sha256(content).hexdigest() for path, content in files.items()}
+        self.head = hashlib.sha1(json.dumps([self.head, sorted(listing.items())]).encode()).hexdigest()
+        self.commits[self.head] = dict(files)
+        return self.head
+
+
+class Hub:
+    """The server. `log` holds "METHOD path" of every request, `puts` the content that arrived, in order."""
+
+    def __init__(self) -> None:
+        self.repositories: dict[str, Repository] = {}
+        self.blobs: dict[str, bytes] = {}
+        self.log: list[str] = []
+        self.tokens: set[str] = set()
+        self.puts: list[str] = []
+        self.refuse_after: int | None = None
+        """Large files after which the next ones are refused."""
+        self.lose: str | None = None
+        """A file that is dropped from commits."""
+        hub = self
+
+        class Handler(_Handler):
+            server_hub = hub
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{self._server.server_port}"
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server_hub: Hub
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, *args: Any) -> None:
+        pass
+
+    def _body(self) -> bytes:
+        if self.headers.get("Transfer-Encoding") == "chunked":
+            parts = []
+            while size := int(self.rfile.readline(), 16):
+                parts.append(self.rfile.read(size))
+                self.rfile.readline()
+            self.rfile.readline()
+            return b"".join(parts)
+        return self.rfile.read(int(self.headers.get("Content-Length") or 0))
+
+    def _answer(self, content: Any, status: int = 200, **headers: str) -> None:
+        sent = content if isinstance(content, bytes) else json.dumps(content).encode()
+        self.send_response(status)
+        for name, value in {"Content-Type": "application/json", **headers}.items():
+            self.send_header(name.replace("_", "-"), value)
+        self.send_header("Content-Length", str(len(sent)))
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(sent)
+
+    def _refuse(self, status: int, said: str, code: str = "") -> None:
+        self._answer({"error": said}, status, **({"X_Error_Code": code, "X_Error_Message": said} if code else {}))
+
+    def _handle(self) -> None:
+        hub, path = self.server_hub, unquote(urlsplit(self.path).path)
+        body = self._body()
+        hub.log.append(f"{self.command} {path}")
+        token = (self.headers.get("Authorization") or "").removeprefix("Bearer ")
+        if token:
+            hub.tokens.add(token)
+        if self.command in ("POST", "PUT") and not path.startswith("/lfs/") and token != TOKEN:
+            return self._refuse(401, "Invalid username or password.")
+        for method, pattern, handler in ROUTES:
+            match = re.fullmatch(pattern, path)
+            if match and self.command in method:
+                return handler(self, hub, body, *match.groups())
+        return self._refuse(404, f"no such page: {path}")
+
+    do_GET = do_POST = do_PUT = do_HEAD = _handle  # noqa: N815
+
+
+def create(page: _Handler, hub: Hub, body: bytes) -> None:
+    asked = json.loads(body)
+    name = f"{asked['organization']}/{asked['name']}"
+    there = name in hub.repositories
+    if not there:
+        hub.repositories[name] = Repository(private=asked.get("visibility") == "private" or bool(asked.get("private")))
+        hub.repositories[name].commit({".gitattributes": b"*.h5 filter=lfs\n"})
+    page._answer({"url": f"{hub.url}/datasets/{name}", "id": name}, 409 if there else 200)
+
+
+def _known(page: _Handler, hub: Hub, name: str, revision: str = "main") -> dict[str, bytes] | None:
+    if name not in hub.repositories:
+        page._refuse(404, "Repository not found", "RepoNotFound")
+        return None
+    files = hub.repositories[name].files(revision)
+    if files is None:
+        page._refuse(404, f"Invalid rev id: {revision}", "RevisionNotFound")
+    return files
+
+
+def _entry(path: str, content: bytes) -> dict[str, Any]:
+    blob = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
+    entry: dict[str, Any] = {"type": "file", "path": path, "size": len(content), "oid": blob}
+    if path.endswith(LARGE):
+        entry["lfs"] = {"oid": hashlib.sha256(content).hexdigest(), "size": len(content), "pointerSize": 134}
+    return entry
+
+
+def info(page: _Handler, hub: Hub, body: bytes, name: str, revision: str | None = None) -> None:
+    files = _known(page, hub, name, revision or "main")
+    if files is None:
+        return
+    repository = hub.repositories[name]
+    sha = repository.head if revision in (None, "main") else repository.tags.get(str(revision), revision)
+    siblings = [{"rfilename": path, "size": len(content)} for path, content in files.items()]
+    page._answer({"id": name, "sha": sha, "private": repository.private, "siblings": siblings, "tags": []})
+
+
+def tree(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
+    files = _known(page, hub, name, revision)
+    if files is not None:
+        page._answer([_entry(path, content) for path, content in files.items()])
+
+
+def refs(page: _Handler, hub: Hub, body: bytes, name: str) -> None:
+    if _known(page, hub, name) is not None:
+        found = hub.repositories[name]
+        tags = [{"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha} for tag, sha in found.tags.items()]
+        main = {"name": "main", "ref": "refs/heads/main", "targetCommit": found.head}
+        page._answer({"branches": [main], "converts": [], "tags": tags})
+
+
+def preupload(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
+    there = _known(page, hub, name, revision)
+    if there is None:
+        return
+    found = []
+    for asked in json.loads(body)["files"]:
+        path = asked["path"]
+        entry = _entry(path, there[path]) if path in there else {}
+        mode = "lfs" if path.endswith(LARGE) else "regular"
+        oid = entry.get("lfs", entry).get("oid")
+        found.append({"path": path, "uploadMode": mode, "shouldIgnore": False, "oid": oid})
+    page._answer({"files": found})
+
+
+def batch(page: _Handler, hub: Hub, body: bytes, name: str) -> None:
+    objects = []
+    for asked in json.loads(body)["objects"]:
+        if asked["oid"] not in hub.blobs:
+            asked["actions"] = {"upload": {"href": f"{hub.url}/lfs/{asked['oid']}"}}
+        objects.append(asked)
+    page._answer({"transfer": "basic", "objects": objects})
+
+
+def put(page: _Handler, hub: Hub, body: bytes, oid: str) -> None:
+    if hub.refuse_after is not None and len(hub.puts) >= hub.refuse_after:
+        return page._refuse(400, "the connection broke")
+    assert hashlib.sha256(body).hexdigest() == oid
+    hub.blobs[oid] = body
+    hub.puts.append(oid)
+    page._answer({})
+
+
+def commit(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
+    files = dict(_known(page, hub, name, revision) or {})
+    for line in body.splitlines():
+        entry = json.loads(line)
+        value = entry["value"]
+        if entry["key"] == "file":
+            files[value["path"]] = base64.b64decode(value["content"])
+        elif entry["key"] == "lfsFile":
+            files[value["path"]] = hub.blobs[value["oid"]]
+        elif entry["key"] == "deletedFile":
+            del files[value["path"]]
+    files.pop(hub.lose or "", None)
+    sha = hub.repositories[name].commit(files)
+    page._answer({"success": True, "commitOid": sha, "commitUrl": f"{hub.url}/datasets/{name}/commit/{sha}"})
+
+
+def tag(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
+    repository = hub.repositories[name]
+    asked = json.loads(body)["tag"]
+    if asked in repository.tags:
+        return page._refuse(409, "tag is there")
+    repository.tags[asked] = repository.head if revision == "main" else revision
+    page._answer({})
+
+
+def resolve(page: _Handler, hub: Hub, body: bytes, name: str, revision: str, path: str) -> None:
+    files = _known(page, hub, name, revision)
+    if files is None:
+        return
+    if path not in files:
+        return page._refuse(404, "Entry not found", "EntryNotFound")
+    entry = _entry(path, files[path])
+    etag = entry.get("lfs", entry)["oid"]
+    repository = hub.repositories[name]
+    sha = repository.head if revision == "main" else repository.tags.get(revision, revision)
+    page._answer(files[path], ETag=f'"{etag}"', X_Repo_Commit=sha, X_Linked_Size=str(len(files[path])))
+
+
+def validate_yaml(page: _Handler, hub: Hub, body: bytes) -> None:
+    assert json.loads(body)["content"].startswith("---\n")
+    page._answer({"errors": [], "warnings": []})
+
+
+NAME, REVISION = r"([^/]+/[^/]+)", r"([^/]+)"
+ROUTES = (
+    (("POST",), r"/api/repos/create", create),
+    (("POST",), r"/api/validate-yaml", validate_yaml),
+    (("GET",), rf"/api/datasets/{NAME}", info),
+    (("GET",), rf"/api/datasets/{NAME}/revision/{REVISION}", info),
+    (("GET",), rf"/api/datasets/{NAME}/refs", refs),
+    (("GET",), rf"/api/datasets/{NAME}/tree/{REVISION}", tree),
+    (("POST",), rf"/api/datasets/{NAME}/preupload/{REVISION}", preupload),
+    (("POST",), rf"/datasets/{NAME}\.git/info/lfs/objects/batch", batch),
+    (("PUT",), r"/lfs/([0-9a-f]{64})", put),
+    (("POST",), rf"/api/datasets/{NAME}/commit/{REVISION}", commit),
+    (("POST",), rf"/api/datasets/{NAME}/tag/{REVISION}", tag),
+    (("GET", "HEAD"), rf"/datasets/{NAME}/resolve/{REVISION}/(.+)", resolve),
+)

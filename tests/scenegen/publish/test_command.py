@@ -1,0 +1,84 @@
+"""`scenegen publish` and hf:// as users meet them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from scenegen.dataset.read import Dataset
+from tests.scenegen.conftest import Check
+from tests.scenegen.hub import TOKEN, Hub
+from tests.test_cli import run
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to stand in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("verified")
+def test_a_rehearsal_lists_what_would_go(here: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said, _ = run(capsys, "publish", made, "--repo", "ada/pillars", "--dry-run", "--workers", 1)
+    assert code == 0
+    for name in ("train-00003.worlds.zip", "README.md", "croissant.json", "SHA256SUMS", "hf://ada/pillars@v1-"):
+        assert name in said
+    code, said, _ = run(capsys, "publish", made, "--repo", "ada/pillars", "--dry-run", "--json", "--tag", "v7")
+    found = json.loads(said)
+    assert (found["tag"], found["commit"], found["folder"]) == ("v7", None, "publish/pillars")
+    assert {name: (here / "publish/pillars" / name).stat().st_size for name in found["files"]} == found["files"]
+
+
+@pytest.mark.usefixtures("verified")
+def test_published_and_read_back_by_name(
+    here: Path,
+    made: Path,
+    hub: Hub,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    code, said, error = run(capfd, "publish", made, "--repo", "ada/pillars", "--tag", "v1")
+    assert code == 0
+    assert "hf://ada/pillars@v1" in said
+    assert TOKEN not in said + error
+    code, said, _ = run(capfd, "inspect", "hf://ada/pillars@v1", "--json")
+    assert code == 0
+    assert json.loads(said)["samples"] == 17
+    code, said, _ = run(capfd, "world", "hf://ada/pillars@v1", 2)
+    assert code == 0
+    assert said.startswith("<mujoco")
+    measured: list[Path] = []
+    monkeypatch.setattr("model.bench.command.run_bench", lambda folders, **options: measured.extend(folders))
+    code, _, _ = run(capfd, "bench", "hf://ada/pillars@v1", made, "--quiet")
+    assert code == 0
+    assert [Dataset(folder).manifest["digest"] for folder in measured] == [Dataset(made).manifest["digest"]] * 2
+    assert measured[1] == made
+
+
+def test_bad_use_ends_in_one_line(
+    here: Path,
+    made: Path,
+    hub: Hub,
+    verified: list[Check],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("HF_TOKEN")
+    for words, ends, named in (
+        (("publish", made), 2, "--repo"),
+        (("publish", made, "--repo", "pillars"), 1, "expected user/name"),
+        (("publish", made, "--repo", "ada/pillars"), 1, "no token for the Hub"),
+        (("publish", here, "--repo", "ada/pillars", "--dry-run"), 1, "not a dataset"),
+        (("publish", made, "--repo", "ada/pillars", "--dry-run", "--licence", "mine"), 1, "CC-BY-4.0"),
+        (("publish", made, "--repo", "ada/pillars", "--dry-run", "--out", made), 1, "overlaps the dataset"),
+        (("inspect", "ada/pillars"), 1, "ada/pillars: not a dataset"),
+        (("inspect", "hf://pillars"), 1, "expected hf://user/name"),
+        (("inspect", "hf://ada/pillars"), 1, "hf://ada/pillars: RepositoryNotFoundError"),
+    ):
+        code, said, error = run(capsys, *words)
+        assert (code, said) == (ends, ""), words
+        assert named in error
+        assert len(error.splitlines()) == 1, error
+    assert not (here / "publish").exists()
+    assert not [line for line in hub.log if line.startswith(("POST", "PUT"))]

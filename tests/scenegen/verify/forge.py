@@ -1,0 +1,110 @@
+"""A forger who knows the format: edits a dataset and rewrites every checksum and digest to match."""
+
+import hashlib
+import json
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from scenegen.dataset import manifest
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.shard import zip_reproducibly
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+COUNTS = {"train": 6, "val": 3, "test": 3}
+DIGESTED = ("ranges", "position", "quaternion", "origin", "world", "viewpoint")
+Arrays = dict[str, np.ndarray]
+
+
+def make(folder: Path, kind: str = "pillar", *, counts: dict[str, int] = COUNTS, compact: bool = False) -> Path:
+    recipe = small_recipe(kind)
+    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=6)
+    assert build(plan).complete
+    return folder
+
+
+def copy(folder: Path, to: Path) -> Path:
+    shutil.copytree(folder, to)
+    return to
+
+
+def load(folder: Path, file: str) -> tuple[Arrays, dict[str, Any]]:
+    with h5py.File(folder / file) as shard:
+        return {name: shard[name][()] for name in shard}, dict(shard.attrs)
+
+
+def sample_digest(arrays: Arrays, row: int) -> bytes:
+    raw = b"".join(np.packbits(arrays[name][row]).tobytes() for name in ("observed", "occupancy"))
+    raw += b"".join(np.asarray(arrays[name][row]).tobytes() for name in DIGESTED)
+    return hashlib.sha256(raw).digest()
+
+
+def store(folder: Path, file: str, arrays: Arrays, attributes: dict[str, Any], *, digests: bool = True) -> None:
+    """Write a shard, its samples' digests made to match, and sign the manifest again."""
+    if digests:
+        rows = [np.frombuffer(sample_digest(arrays, row), np.uint8) for row in range(len(arrays["world"]))]
+        arrays["sha256"] = np.array(rows)
+    with h5py.File(folder / file, "w") as shard:
+        for name, values in arrays.items():
+            packed = {"compression": "gzip"} if values.ndim > 2 else {}
+            shard.create_dataset(name, data=values, chunks=(1, *values.shape[1:]), **packed)
+        shard.attrs.update(attributes)
+    sign(folder)
+
+
+def edit(folder: Path, file: str, change: Callable[[Arrays], None]) -> None:
+    """Change a shard's arrays and leave nothing else inconsistent."""
+    arrays, attributes = load(folder, file)
+    change(arrays)
+    store(folder, file, arrays, attributes)
+
+
+def sign(folder: Path, **changes: Any) -> None:
+    """Make the manifest's checksums and digest, and what shards say of themselves, those of the files."""
+    given = {**manifest.read(folder), **changes}
+    total = hashlib.sha256()
+    parts = (
+        "format",
+        "version",
+        "kind",
+        "seed",
+        "counts",
+        "recipe",
+        "fields",
+        "grid",
+        "lidar",
+        "shard_samples",
+        "software",
+    )
+    fingerprint = manifest.fingerprint({name: given[name] for name in parts})
+    for entry in given["shards"]:
+        entry["worlds_sha256"] = hashlib.sha256((folder / entry["worlds"]).read_bytes()).hexdigest()
+        with h5py.File(folder / entry["file"], "r+") as shard:
+            if dict(shard.attrs) | {"worlds_sha256": entry["worlds_sha256"], "parameters": fingerprint} != dict(
+                shard.attrs
+            ):
+                shard.attrs["worlds_sha256"], shard.attrs["parameters"] = entry["worlds_sha256"], fingerprint
+            total.update(shard["sha256"][()].tobytes())
+        entry["sha256"] = hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest()
+    given["digest"] = total.hexdigest()
+    manifest.write(folder, given)
+
+
+def edit_manifest(folder: Path, **changes: Any) -> None:
+    """Change the manifest alone."""
+    path = folder / manifest.NAME
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def rezip(path: Path, change: Callable[[dict[str, bytes]], None]) -> None:
+    """Change an archive's members."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    change(members)
+    path.write_bytes(zip_reproducibly(members.items()))
