@@ -54,8 +54,8 @@ def verify(
     samples = sum(entry.samples for entry in contract.shards)
     limits = Limits(lambda task: SECONDS + SECONDS_A_SAMPLE * task.entry.samples, MEMORY_BYTES, _given_up)
     findings: list[Findings] = []
-    if tasks:
-        warm_up(quick=quick)
+    if tasks and not quick:
+        warm_up()
     with closing(run(examine, tasks, workers, lambda: on_start(samples), limits=limits)) as results:
         for found in results:
             findings.append(found)

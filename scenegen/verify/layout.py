@@ -57,8 +57,11 @@ class ShardFile:
     _read: dict[str, NDArray[Any]] = field(default_factory=dict)
     """Whole columns, as far as they have been read."""
 
-    def value(self, name: str, row: int) -> NDArray[Any]:
-        """A sample's field. Raises BrokenError for a chunk that does not unpack to just what it should."""
+    def value(self, name: str, row: int, *, read_only: bool = False) -> NDArray[Any]:
+        """A sample's field. `read_only` saves a copy, but kernels are compiled for arrays that can be written.
+
+        Raises BrokenError for a chunk that does not unpack to just what it should.
+        """
         column = self.columns[name]
         if not column.filters:
             return self._plain(column)[row]
@@ -68,7 +71,7 @@ class ShardFile:
             raw = _unpack(packed, column, left_out)
         except (isal.isal_zlib.error, EOFError, ValueError) as error:
             raise BrokenError(f"{self.name}: sample {row}: {name} cannot be unpacked ({error})") from None
-        return _array(raw, column, column.shape, f"{self.name}: sample {row}")
+        return _array(raw if read_only else bytearray(raw), column, column.shape, f"{self.name}: sample {row}")
 
     def _plain(self, column: Column) -> NDArray[Any]:
         """All samples of a field that no filter has changed; where the chunks lie in a row, they are read as one."""
@@ -83,13 +86,13 @@ class ShardFile:
                 raw = b"".join(os.pread(self.file.fileno(), size, chunk[0]) for chunk in column.chunks)
             if len(raw) != count * size:
                 raise BrokenError(f"{self.name}: {column.name}: the file ends within it")
-            self._read[column.name] = _array(raw, column, (count, *column.shape), self.name)
+            self._read[column.name] = _array(bytearray(raw), column, (count, *column.shape), self.name)
         return self._read[column.name]
 
 
-def _array(raw: bytes, column: Column, shape: tuple[int, ...], where: str) -> NDArray[Any]:
-    """Bytes as an array of a column's type; one that can be written, since kernels are compiled for such."""
-    values = np.frombuffer(raw, dtype=np.uint8 if column.dtype == np.bool_ else column.dtype).copy()
+def _array(raw: bytes | bytearray, column: Column, shape: tuple[int, ...], where: str) -> NDArray[Any]:
+    """Bytes as an array of a column's type."""
+    values = np.frombuffer(raw, dtype=np.uint8 if column.dtype == np.bool_ else column.dtype)
     if column.dtype == np.bool_:
         if values.max(initial=0) > 1:
             raise BrokenError(f"{where}: {column.name} holds bytes other than 0 and 1")

@@ -196,7 +196,7 @@ class _Samples:
         for row in range(self._task.entry.samples):
             with self._ledger.checking("layout"):
                 self._ledger.count("layout", samples=1)
-                stored = {name: self._shard.value(name, row) for name in self._fields}
+                stored = {name: self._shard.value(name, row, read_only=self._task.quick) for name in self._fields}
                 own = self._shard.value(DIGEST, row).tobytes()
                 self._cheap(row, stored, own)
                 if not self._task.quick:
@@ -287,8 +287,9 @@ class _Samples:
     def _same(
         self, check: str, row: int, stored: NDArray[Any], again: NDArray[Any], source: str, *, name: str = ""
     ) -> None:
-        if stored.tobytes() != again.tobytes():
-            differing = np.argwhere(stored != again)
+        bits = f"u{again.itemsize}"
+        if not np.array_equal(stored.view(bits), again.view(bits)):
+            differing = np.argwhere(stored.view(bits) != again.view(bits))
             first = tuple(int(n) for n in differing[0]) if len(differing) else ()
             here = f", at {first} {stored[first]} is stored, {again[first]} expected" if first else ""
             line = f"{name or check} is not what follows from {source}: {len(differing)} voxels differ{here}"

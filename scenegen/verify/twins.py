@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from lidarsim.jit import kernel
 
-OCCUPIED_IOU = 0.95
+OCCUPIED_IOU = 0.9
 """Maps are near-twins when their occupied voxels agree this far (intersection over union), and …"""
 OBSERVED_IOU = 0.5
 """… their observed voxels this far. The truth alone would not do: over a flat floor with next to nothing on it, maps of
 different worlds are the same; what rays hit of it, from another height at another heading, is not."""
-MOST_PAIRS = 2_000_000
+MOST_PAIRS = 8_000_000
 """Pairs of maps that are kept in memory while they are sifted."""
 MOST_COMPARED = 5_000
 """Pairs that are compared voxel by voxel."""

@@ -14,15 +14,13 @@ from scenegen.verify.twins import candidates, fold, signature
 
 
 @functools.cache
-def warm_up(*, quick: bool) -> None:
+def warm_up() -> None:
     """Run every kernel that verification needs, on next to nothing: tens of milliseconds once they are compiled."""
     field = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/>'
     geoms = '<geom type="box" size="1 1 1"/><geom type="hfield" hfield="h"/>'
     solids = compile_solids(
         f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>".encode(), {}, "warm-up"
     )
-    if quick:
-        return
     grid, lidar = GridSpec(shape=(24, 24, 16)), Lidar(rows=4, columns=8)
     tables = {
         "flight": {"viewpoints": 1, "margin_m": 2.0, "min_distance_m": 4.0},

@@ -48,7 +48,9 @@ def test_empty_maps_are_no_twins() -> None:
     assert (len(found), complete) == (0, True)
 
 
-def test_a_folder_full_of_the_same_map_ends_soon() -> None:
-    same = np.ones((2500, 320), np.uint32), np.ones((2500, 128), np.uint64), np.full(2500, 128)
-    found, complete = candidates(*same, np.arange(2500) % 3)
+@pytest.mark.parametrize("most", [10_000, 10**6])
+def test_a_folder_full_of_the_same_map_is_not_compared_all_with_all(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+    monkeypatch.setattr("scenegen.verify.twins.MOST_PAIRS", most)
+    same = np.ones((600, 320), np.uint32), np.ones((600, 128), np.uint64), np.full(600, 128)
+    found, complete = candidates(*same, np.arange(600) % 3)
     assert (len(found), complete) == (5000, False)

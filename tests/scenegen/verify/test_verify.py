@@ -6,19 +6,22 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
+from lidarsim import Pose, cast, voxelize
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.errors import DatasetError
 from scenegen.recipe import make_recipe
 from scenegen.source import read_scenes
-from scenegen.truth import distance_field
+from scenegen.truth import distance_field, rasterize
 from scenegen.verify import verify
 from scenegen.verify.report import CHECKS
-from tests.conftest import SMALL
+from scenegen.world import compile_world
+from tests.conftest import SMALL, small_recipe
 from tests.scenegen.verify import forge
 from tests.scenegen.verify.conftest import failed
 
@@ -114,8 +117,6 @@ def see_what_is_not_there(arrays: forge.Arrays) -> None:
 
 def fill_a_voxel(arrays: forge.Arrays) -> None:
     """The distances are made to match."""
-    from tests.conftest import small_recipe
-
     empty = np.argwhere(~arrays["occupancy"][4])[0]
     arrays["occupancy"][4][tuple(empty)] = True
     arrays["tudf"][4] = distance_field(arrays["occupancy"][4], small_recipe().grid)
@@ -227,6 +228,33 @@ def test_a_world_in_two_splits_is_found_whatever_its_geoms_are_called(
         assert "test-00000.h5: sample" in found["near-twins"]
         assert "expected another world" in found["near-twins"]
         assert "regenerated" in found
+
+
+def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder: Path) -> None:
+    """Everything in the twin is true of its own world: only the two splits together are at fault."""
+    members: dict[str, bytes] = {}
+    forge.rezip(folder / "train-00000.worlds.zip", members.update)
+    spec = mujoco.MjSpec.from_string(members["000000.xml"].decode())
+    for geom in spec.geoms:
+        geom.pos = [geom.pos[0] + 0.01, geom.pos[1], geom.pos[2]]
+    spec.compile()
+    world = compile_world(spec.to_xml().encode())
+    arrays, _ = forge.load(folder, SHARD)
+    _, attributes = forge.load(folder, "test-00000.h5")
+    twin = {name: values[:3].copy() for name, values in arrays.items()}
+    recipe = small_recipe()
+    for row in range(3):
+        scan = cast(world.caster, recipe.lidar, Pose(twin["position"][row], twin["quaternion"][row]))
+        seen = voxelize(scan, recipe.grid)
+        truth = rasterize(world.solids, recipe.grid, seen.origin)
+        new = (seen.observed, seen.free, truth, distance_field(truth, recipe.grid), scan.ranges)
+        for name, value in zip(("observed", "free", "occupancy", "tudf", "ranges"), new, strict=True):
+            twin[name][row] = value
+    forge.rezip(folder / "test-00000.worlds.zip", lambda there: there.update({"000000.xml": world.mjcf}))
+    forge.store(folder, "test-00000.h5", twin, attributes)
+    found = failed(folder)
+    assert set(found) == {"near-twins", "regenerated"}
+    assert f"shows the map of {SHARD}: sample" in found["near-twins"] or "shows the map of test" in found["near-twins"]
 
 
 def test_a_truncated_shard_is_named(folder: Path) -> None:
