@@ -23,7 +23,7 @@ EXTRAS = {"torch": "train", "safetensors": "train"}
 VARIANTS = ("proposed", "occ", "tudf", "dual", "shared")
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-STOPPED = "stopped; what is finished is kept, and the same command goes on from there"
+STOPPED = "stopped; nothing finished is lost: give the same command again"
 _stopped: list[int] = []
 
 

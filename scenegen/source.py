@@ -5,7 +5,7 @@ A source answers one question: which world does unit u of a split fly through? A
 
 import functools
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -14,7 +14,9 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import RecipeError, SceneError
+from scenegen.geometry import geometry_digest
 from scenegen.recipe import Recipe
+from scenegen.truth import Solids
 from scenegen.world import World, compile_world, load_scene, write_world
 
 SHARES = {"train": 10, "val": 1, "test": 2}
@@ -116,14 +118,16 @@ def read_scenes(path: Path, counts: Mapping[str, int], *, seed: int, allow_unsee
 
     Which world goes to which split depends on the files' names, the seed, and which splits `counts` asks for, never on
     how many samples. Raises SceneError for a file that cannot serve, for one with geoms that rays cannot see (unless
-    `allow_unseen`), and for a folder with fewer worlds than splits.
+    `allow_unseen`), for two of the same world, and for a folder with fewer worlds than splits.
     """
     if not path.exists():
         raise SceneError(f"{path}: no such file or folder; expected an MJCF file or a folder of them")
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path]
     if not files:
         raise SceneError(f"{path}: holds no .xml file; expected MJCF worlds")
-    scenes = [_read_scene(file, allow_unseen) for file in files]
+    worlds = [_read_scene(file, allow_unseen) for file in files]
+    _check_twins(files, [solids for _, solids in worlds])
+    scenes = [scene for scene, _ in worlds]
     if len(scenes) == 1:
         for split in ("val", "test"):
             if counts[split]:
@@ -142,13 +146,25 @@ def read_scenes(path: Path, counts: Mapping[str, int], *, seed: int, allow_unsee
     return SceneWorlds({split: tuple(scenes[next(dealt)] for _ in range(share.get(split, 0))) for split in SPLITS})
 
 
-def _read_scene(path: Path, allow_unseen: bool) -> Scene:
+def _check_twins(files: Sequence[Path], worlds: Sequence[Solids]) -> None:
+    """Raise SceneError where two files hold the same solids: they could come to lie in two splits."""
+    owner: dict[bytes, Path] = {}
+    for path, solids in zip(files, worlds, strict=True):
+        first = owner.setdefault(geometry_digest(solids), path)
+        if first is not path:
+            raise SceneError(
+                f"{path}: the same world as {first.name}, whatever its geoms are called; remove one of the two"
+            )
+
+
+def _read_scene(path: Path, allow_unseen: bool) -> tuple[Scene, Solids]:
     mjcf, assets = load_scene(path)
-    unseen = compile_world(mjcf, assets, name=str(path)).unseen
+    world = compile_world(mjcf, assets, name=str(path))
+    unseen = world.unseen
     if unseen and not allow_unseen:
         named = ", ".join(unseen[:3]) + (f" and {len(unseen) - 3} more" if len(unseen) > 3 else "")
         raise SceneError(
             f"{path}: rays cannot see geom {named} (alpha 0); give it an alpha above 0, remove it, or pass "
             "--allow-unseen to leave it out of the truth"
         )
-    return Scene(path.name, mjcf, assets)
+    return Scene(path.name, mjcf, assets), world.solids

@@ -17,8 +17,8 @@ STALE_S = 24 * 3600.0
 
 def write_whole(path: Path, content: bytes) -> None:
     """Put `content` at `path`: complete and on disk, or not at all. Raises DatasetError where the disk refuses."""
-    with whole(path) as draft:
-        draft.write_bytes(content)
+    with whole(path) as draft, open(draft, "wb") as file:
+        file.write(content)
 
 
 @contextmanager

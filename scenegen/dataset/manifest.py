@@ -122,7 +122,9 @@ def read(folder: Path) -> dict[str, Any]:
     except RecursionError:
         raise DatasetError(f"{path}: nested without end, which no manifest is; choose another folder") from None
     except (OSError, ValueError) as error:
-        raise DatasetError(f"{path}: cannot be read ({error}); remove it, or choose another --out") from None
+        raise DatasetError(
+            f"{path}: cannot be read ({error}); copy the dataset again, or generate it in another folder"
+        ) from None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "shards" not in manifest:
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
     if manifest.get("version") != VERSION:

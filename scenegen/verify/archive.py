@@ -9,7 +9,11 @@ from dataclasses import dataclass
 from io import BufferedReader
 from xml.parsers import expat
 
+import mujoco
+
+from scenegen.truth import Solids, solids_of
 from scenegen.verify.report import BrokenError
+from scenegen.world import one_line
 
 MOST_DOCUMENT_BYTES = 16 << 20
 MOST_ASSET_BYTES = 64 << 20
@@ -184,3 +188,14 @@ def _amount(value: str) -> float:
     """A number as MJCF writes amounts: 100, or 16M."""
     unit = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30}.get(value[-1:].upper())
     return float(value[:-1]) * unit if unit else float(value)
+
+
+def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Solids:
+    """The solids of an archived world that has been screened. Raises BrokenError, naming `name`."""
+    try:
+        model = mujoco.MjModel.from_xml_string(document.decode(), assets)
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        return solids_of(model, data)
+    except (ValueError, MemoryError, mujoco.FatalError) as error:
+        raise BrokenError(f"{name}: MuJoCo cannot compile it: {one_line(error)[:200]}") from None

@@ -8,7 +8,7 @@ from lidarsim import GridSpec, Lidar
 from scenegen.draw import draw_unit
 from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
-from scenegen.verify.geometry import compile_solids
+from scenegen.verify.archive import compile_solids
 from scenegen.verify.intersect import cast
 from scenegen.verify.twins import candidates, fold, signature
 

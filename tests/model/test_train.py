@@ -19,7 +19,9 @@ from model.data import Maps, TudfOf
 from model.device import TrainingError
 from model.losses import LossConfig, objective
 from model.network import Network, NetworkConfig
+from model.runfolder import Progress, RunFolder
 from model.train import TrainConfig, Watcher, learning_rate, train
+from scenegen.dataset import files
 from scenegen.errors import DatasetError, StoppedError
 from tests.model.conftest import make_dataset
 
@@ -213,12 +215,10 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(
     train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu")
     before = {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
 
-    def full(path: Path, content: bytes) -> int:
+    def full(path: Path, mode: str) -> object:
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(Path, "write_bytes", full)
-    from model.runfolder import Progress, RunFolder
-
+    monkeypatch.setattr(files, "open", full, raising=False)
     network = Network(SMALL.network)
     with pytest.raises(DatasetError, match="the disk is full"):
         RunFolder(out).save(Progress(), network, torch.optim.AdamW(network.parameters()))

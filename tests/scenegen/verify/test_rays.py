@@ -6,7 +6,7 @@ import pytest
 
 from lidarsim import Lidar, MujocoCaster, Pose, cast
 from scenegen.truth import Solids
-from scenegen.verify.geometry import compile_solids
+from scenegen.verify.archive import compile_solids
 from scenegen.verify.intersect import cast as intersect
 from scenegen.verify.rays import audit, disagrees, ray_directions
 

@@ -2,28 +2,14 @@
 
 import hashlib
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.truth import Solids, solids_of
+from scenegen.truth import Solids
 from scenegen.truth.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
-from scenegen.verify.report import BrokenError
-from scenegen.world import one_line
 
 ROUND_M = 1e-5
 """Lengths are rounded to this before they are hashed: more than arithmetic can move them, less than matters."""
-
-
-def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Solids:
-    """The solids of an archived world that has been screened. Raises BrokenError, naming `name`."""
-    try:
-        model = mujoco.MjModel.from_xml_string(document.decode(), assets)
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        return solids_of(model, data)
-    except (ValueError, MemoryError, mujoco.FatalError) as error:
-        raise BrokenError(f"{name}: MuJoCo cannot compile it: {one_line(error)[:200]}") from None
 
 
 def geometry_digest(solids: Solids) -> bytes:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from scenegen.verify.geometry import compile_solids, geometry_digest
+from scenegen.geometry import geometry_digest
+from scenegen.verify.archive import compile_solids
 
 FIELD = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 {} 0 1"/>'
 ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
