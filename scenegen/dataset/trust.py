@@ -27,7 +27,9 @@ _File = Annotated[str, pydantic.Field(pattern=SHARD_FILE, max_length=40)]
 _Digest = Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$", max_length=64)]
 
 
-class _Shard(pydantic.BaseModel, strict=True):
+class Entry(pydantic.BaseModel, strict=True, frozen=True):
+    """A shard, as the manifest lists it."""
+
     file: _File
     worlds: _File
     split: Literal["train", "val", "test"]
@@ -43,7 +45,9 @@ class _Grid(pydantic.BaseModel, strict=True):
     truncation: float
 
 
-class _Counts(pydantic.BaseModel, strict=True):
+class Counts(pydantic.BaseModel, strict=True):
+    """Samples of each split."""
+
     train: _Count
     val: _Count
     test: _Count
@@ -56,17 +60,19 @@ class _Recipe(pydantic.BaseModel, strict=True):
     accept: dict[str, Any] = {}
 
 
-class _Manifest(pydantic.BaseModel, strict=True):
+class Manifest(pydantic.BaseModel, strict=True):
+    """The types and bounds of what readers rely on."""
+
     complete: bool
     kind: Annotated[str, pydantic.Field(pattern=r"^\w[\w.-]*$", max_length=100)]
     seed: Annotated[int, pydantic.Field(ge=0)]
-    counts: _Counts | None = None  # this and `shard_samples` are for making it again, not for reading
+    counts: Counts | None = None  # this and `shard_samples` are for making it again, not for reading
     recipe: _Recipe
     fields: Annotated[list[str], pydantic.Field(max_length=len(SCHEMA))]
     grid: _Grid
     lidar: dict[str, str | int | float]
     shard_samples: Annotated[int, pydantic.Field(ge=1)] | None = None
-    shards: list[_Shard]
+    shards: list[Entry]
     rejected: dict[Literal["worlds", "viewpoints"], dict[str, _Count]]
     digest: _Digest | None
     software: dict[str, str]
@@ -79,7 +85,7 @@ def check_manifest(found: Mapping[str, Any], name: str) -> tuple[GridSpec, Lidar
     """
     where = f"{name}: {manifest.NAME}"
     try:
-        _Manifest.model_validate(found)
+        Manifest.model_validate(found)
         if math.prod(found["grid"]["shape"]) > MOST_VOXELS:
             raise ValueError(f"grid.shape = {found['grid']['shape']}: expected {MOST_VOXELS} voxels at most")
         for field, meta in SCHEMA.items():

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,57 +13,21 @@ from lidarsim import GridSpec, Lidar
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.shard import stored_fields
+from scenegen.dataset.trust import MOST_VOXELS, Counts, Entry, Manifest
 from scenegen.errors import RecipeError
 from scenegen.recipe import Recipe, make_recipe
 from scenegen.recipes import kind_names
 from scenegen.verify.report import BrokenError, Ledger
 
-MOST_VOXELS = 1 << 26
-"""A grid of more than this (a distance field of 256 MB) is not examined."""
 MOST_VIEWPOINTS = 10_000
 """A flight of more than this is not examined."""
 
-Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
-Hash = Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]
 
+class _Whole(Manifest, strict=True):
+    """A manifest that also says how to make its dataset again."""
 
-class Entry(pydantic.BaseModel, strict=True, frozen=True):
-    """A shard, as the manifest lists it."""
-
-    file: str
-    worlds: str
-    split: Literal["train", "val", "test"]
-    samples: Annotated[int, pydantic.Field(ge=1, le=10**7)]
-    first_world: Count
-    sha256: Hash
-    worlds_sha256: Hash
-
-
-class _Rejected(pydantic.BaseModel, strict=True):
-    worlds: dict[str, Count]
-    viewpoints: dict[str, Count]
-
-
-class _Grid(pydantic.BaseModel, strict=True):
-    shape: Annotated[list[int], pydantic.Field(min_length=3, max_length=3)]
-    voxel: float
-    truncation: float
-
-
-class _Manifest(pydantic.BaseModel, strict=True):
-    complete: bool
-    kind: Annotated[str, pydantic.Field(max_length=200)]
-    seed: Annotated[int, pydantic.Field(ge=0)]
-    counts: dict[Literal["train", "val", "test"], Count]
-    recipe: dict[str, Any]
-    fields: list[str]
-    grid: _Grid
-    lidar: dict[str, Any]
+    counts: Counts
     shard_samples: Annotated[int, pydantic.Field(ge=1)]
-    shards: list[Entry]
-    rejected: _Rejected
-    digest: Hash | None
-    software: dict[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +49,7 @@ class Contract:
     """Worlds drawn by hand, by split: {"file", "sha256"}; None where a recipe drew them."""
     software: dict[str, str]
     shards: tuple[Entry, ...]
-    rejected: dict[str, dict[str, int]]
+    rejected: Mapping[Any, dict[str, int]]
     digest: str | None
     fingerprint: str
     """What every shard carries, so that it is not taken for another dataset's."""
@@ -126,7 +91,7 @@ def read_contract(folder: Path, ledger: Ledger) -> Contract | None:
 def _contract(folder: Path, given: dict[str, Any]) -> Contract:
     """The manifest with every type checked. Raises BrokenError."""
     try:
-        typed = _Manifest.model_validate(given)
+        typed = _Whole.model_validate(given)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         at = ".".join(str(step) for step in first["loc"])
@@ -138,10 +103,10 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
             f"{manifest.NAME}: fields = {_short(typed.fields)}: expected all, or all but the derived ones"
         )
     drawn = typed.kind in kind_names()
-    recipe = _recipe(typed, drawn)
+    recipe = _recipe(typed, given["recipe"], drawn)
     scenes = None
     if typed.kind == "scene":
-        scenes = _scenes(typed.recipe)
+        scenes = _scenes(given["recipe"])
     if recipe.flight.viewpoints > MOST_VIEWPOINTS:
         raise BrokenError(
             f"{manifest.NAME}: flight.viewpoints = {recipe.flight.viewpoints}: expected {MOST_VIEWPOINTS} at most"
@@ -160,15 +125,15 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
         scenes=scenes,
         software=typed.software,
         shards=tuple(typed.shards),
-        rejected=typed.rejected.model_dump(),
+        rejected=typed.rejected,
         digest=typed.digest,
         fingerprint=manifest.fingerprint({name: given[name] for name in (*names, "software")}),
     )
 
 
-def _recipe(typed: _Manifest, drawn: bool) -> Recipe:
+def _recipe(typed: _Whole, given: dict[str, Any], drawn: bool) -> Recipe:
     """The recipe that the manifest spells out; that of an unknown kind is taken without its world."""
-    tables = {name: table for name, table in typed.recipe.items() if name not in ("version", "scenes")}
+    tables = {name: table for name, table in given.items() if name not in ("version", "scenes")}
     tables |= {
         "lidar": typed.lidar,
         "grid": {

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.dataset.shard import DIGEST
+from scenegen.dataset.trust import Entry
 from scenegen.sample import SCHEMA, shape_of
-from scenegen.verify.contract import Contract, Entry
+from scenegen.verify.contract import Contract
 from scenegen.verify.report import BrokenError
 
 DEFLATE, SHUFFLE, FLETCHER32 = 1, 2, 3

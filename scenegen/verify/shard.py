@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from lidarsim import Pose, Scan, voxelize
 from scenegen.dataset.shard import DIGEST
+from scenegen.dataset.trust import Entry
 from scenegen.geometry import geometry_digest
 from scenegen.sample import SCHEMA, derive_tudf
 from scenegen.truth import Solids, rasterize
 from scenegen.verify.archive import Archive, compile_solids, read_archive
-from scenegen.verify.contract import Contract, Entry
+from scenegen.verify.contract import Contract
 from scenegen.verify.layout import ShardFile, most_bytes, open_file, open_shard
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate

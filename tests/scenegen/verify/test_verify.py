@@ -305,7 +305,7 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
         ({"seed": "0"}, "manifest", "seed = '0'"),
         ({"seed": -1}, "manifest", "seed = -1"),
         ({"fields": ["tudf"]}, "manifest", "fields = ['tudf']"),
-        ({"shards": [{"file": "../x"}]}, "manifest", "shards.0.worlds"),
+        ({"shards": [{"file": "../x"}]}, "manifest", "shards.0.file"),
         ({"grid": {"shape": [10**6] * 3, "voxel": 0.2, "truncation": 2.0}}, "manifest", "voxels at most"),
         ({"grid": {"shape": [24, 24, 16], "voxel": float("nan"), "truncation": 2.0}}, "manifest", "voxel_m"),
         ({"grid": {"shape": [24, 24, 15], "voxel": 0.2, "truncation": 2.0}}, "layout", f"{SHARD}: observed is bool"),
