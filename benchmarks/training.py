@@ -41,7 +41,7 @@ def main() -> None:
                 config = TrainConfig(network=NetworkConfig(variant=variant, stem_stride=stride), batch=options.batch)
                 network = Network(config.network).to(device, memory_format=torch.channels_last_3d)
                 optimizer = torch.optim.AdamW(network.parameters())
-                learn = Step(network, optimizer, config, maps.grid, device, precision, Group())
+                learn = Step(network, optimizer, config, maps.grid, device, precision, Group(device))
                 cells.append(f"{str(precision).removeprefix('torch.')} {step_ms(learn, batch):6.1f} ms a map")
             print(f"{variant:<9} stem {stride}:  {'   '.join(cells)}", flush=True)
 

@@ -1,7 +1,9 @@
 """Where a network computes, in which precision, and together with which other processes."""
 
 import os
+import platform
 from contextlib import nullcontext
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -61,13 +63,23 @@ def device_name(device: torch.device) -> str:
     """What a device is called."""
     if device.type == "cuda":
         return torch.cuda.getdevice_name(device)
-    return f"{device.type}, {torch.get_num_threads()} threads"
+    return f"{_processor()}, {torch.get_num_threads()} of {os.cpu_count()} threads"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or "CPU"
 
 
 class Group:
     """The processes of a torchrun, or this one alone."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
         self.size = int(os.environ.get("WORLD_SIZE", 1))
         self.rank = int(os.environ.get("RANK", 0))
 
@@ -78,7 +90,7 @@ class Group:
 
     def __enter__(self) -> "Group":
         if self.size > 1:
-            dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+            dist.init_process_group("nccl" if self._device.type == "cuda" else "gloo")
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -98,8 +110,7 @@ class Group:
         """Mean of all processes' numbers, by name; all give the same names."""
         if self.size == 1:
             return mine
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-        tensor = torch.tensor(list(mine.values()), dtype=torch.float64, device=device)
+        tensor = torch.tensor(list(mine.values()), dtype=torch.float64, device=self._device)
         dist.all_reduce(tensor)
         return dict(zip(mine, (tensor / self.size).tolist(), strict=True))
 

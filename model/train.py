@@ -108,7 +108,8 @@ def train(
     last good state stays in `out`.
     """
     watcher = watcher or Watcher()
-    where, group = choose_device(device), Group()
+    where = choose_device(device)
+    group = Group(where)
     with group:
         maps, checks = Maps(folders, "train"), Maps(folders, "val")
         check_maps(maps, checks, config, group.size)
