@@ -5,6 +5,7 @@ What a command needs is imported inside it, so that help is instant.
 
 import json
 import os
+import shlex
 import signal
 import sys
 import time
@@ -53,8 +54,11 @@ def main() -> NoReturn:
         code, line = 1, f"this needs {error.name}, which is not installed; pip install 'scenegen[{EXTRAS[error.name]}]'"
     except OSError as error:
         code, line = 1, f"{error.filename or 'the system'}: {error.strerror or error}; nothing finished is lost"
-    except MemoryError:
-        code, line = 1, "out of memory; use smaller numbers, or a larger machine"
+    except (MemoryError, RuntimeError) as error:
+        memory = ("out of memory", "not enough memory", "can't allocate memory")  # as torch says it
+        if isinstance(error, RuntimeError) and not any(text in str(error) for text in memory):
+            raise
+        code, line = 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
     if line:
         print(f"scenegen: {line}", file=sys.stderr)
     sys.exit(code)
@@ -326,7 +330,9 @@ def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_
 @click.option(
     "--patience", type=click.IntRange(min=1), default=10, show_default=True, help="Epochs without improvement."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of weights and order.")
+@click.option(
+    "--seed", type=click.IntRange(min=0, max=2**63 - 1), default=0, show_default=True, help="Of weights and order."
+)
 @click.option("--width", type=click.IntRange(min=1), default=8, show_default=True, help="Channels at the first level.")
 @click.option("--stem-stride", type=click.Choice(["1", "2"]), default="2", show_default=True, help="1 is slower.")
 @click.option("--beta", "beta_m", type=float, default=1.0, show_default=True, help="Of Smooth-L1, metres.")
@@ -351,7 +357,7 @@ def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quie
             variant=variant,
             out=out or Path("runs") / variant,
             options=options,
-            command=" ".join(["scenegen", *sys.argv[1:]]),
+            command=shlex.join(["scenegen", *sys.argv[1:]]),
             progress=progress,
             say=(lambda line: None) if quiet else click.echo,
             stop=lambda: bool(_stopped),
@@ -379,6 +385,8 @@ def complete(source: Path | str, weights: str, output: Path | None, quiet: bool,
     from model.predict import predict_scan, predict_split
     from scenegen.dataset.locate import locate
 
+    for number in STOPS:  # from here on there is a draft to remove
+        signal.signal(number, _stop)
     completer = Completer.from_pretrained(weights, device=choose_device(options["device"]), batch=options["batch"])
     found = locate(source, shown=not quiet)
     if found.is_dir():
@@ -409,6 +417,8 @@ def export(weights: str, output: Path | None) -> None:
     from model.completer import locate
     from model.export import export_onnx
 
+    for number in STOPS:
+        signal.signal(number, _stop)
     path = locate(weights)
     network, grid, about = load_network(path)
     output = output or Path(f"{Path(weights).stem}.onnx")
@@ -466,7 +476,7 @@ def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, q
         quick=options["quick"],
         seed=options["seed"],
         workers=options["workers"] or cores(),
-        command=" ".join(["scenegen", *sys.argv[1:]]),
+        command=shlex.join(["scenegen", *sys.argv[1:]]),
         progress=lambda label: _Progress(label, shown=not quiet),
     )
     if not quiet:

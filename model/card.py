@@ -1,5 +1,6 @@
 """A network's card: what it is, what it was trained on, what it is worth, and what it is not good for."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -72,4 +73,4 @@ def _gives(variant: str) -> list[str]:
 
 
 def _full(command: str, epochs: int) -> str:
-    return command.replace(f" --epochs {epochs}", "")
+    return re.sub(rf" --epochs[ =]{epochs}\b", "", command)

@@ -40,7 +40,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             return {name: file.get_tensor(name) for name in file.keys()}, dict(header)  # noqa: SIM118 (no iterator)
     except FileNotFoundError:
         raise CheckpointError(f"{path}: no such file; give a .safetensors file that `scenegen train` wrote") from None
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, TypeError) as error:
         raise CheckpointError(f"{path}: {_what_it_is(path)} ({error}); expected a .safetensors file") from None
 
 
@@ -70,12 +70,14 @@ def load_network(path: Path) -> tuple[Network, GridSpec, dict[str, Any]]:
         )
     try:
         network = Network(NetworkConfig(**header["network"]))
-        grid = grid_from(header)
+        grid, about = grid_from(header), dict(header.get("about", {}))
+        if any(edge % network.config.stride for edge in grid.shape):
+            raise ValueError(f"grid {grid.shape}: edges must be multiples of {network.config.stride}")
         network.load_state_dict(tensors)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise CheckpointError(f"{path}: header and weights do not fit ({reason}); train it again") from None
-    return network.eval(), grid, dict(header.get("about", {}))
+    return network.eval(), grid, about
 
 
 def grid_from(header: Mapping[str, Any]) -> GridSpec:

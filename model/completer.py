@@ -20,6 +20,7 @@ from model.checkpoint import CheckpointError, load_network
 from model.complete import Prediction
 from model.export import load_onnx
 from model.network import Output
+from scenegen.world import one_line
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
@@ -49,16 +50,19 @@ class Completer:
         self._batch = batch
 
     @classmethod
-    def from_pretrained(cls, name: str | Path, *, device: str | torch.device = "cpu", batch: int = 8) -> "Completer":
+    def from_pretrained(
+        cls, name: str | Path, *, device: str | torch.device = "cpu", batch: int = 8, threads: int = 0
+    ) -> "Completer":
         """The network called `name`: one that comes with scenegen ("proposed", "occ", "tudf"), a .safetensors file, a
         run's folder, an .onnx file, which runs on the CPU, or ``hf://user/name[@revision]``, which alone is fetched.
 
-        At most `batch` maps are completed at once. Raises CheckpointError where there is none, or it is damaged.
+        At most `batch` maps are completed at once; an .onnx file runs on `threads` threads, 0 for all. Raises
+        CheckpointError where there is none, or it is damaged.
         """
         path = locate(name)
-        title = path.parent.name if path.name in NAMES_IN_FOLDER else path.stem
+        title = called(name, path)
         if path.suffix == ".onnx":
-            run, grid, about = load_onnx(path)
+            run, grid, about = load_onnx(path, threads=threads)
             return cls(run, grid, name=title, about=about, batch=batch)
         network, grid, about = load_network(path)
         network.to(device, memory_format=torch.channels_last_3d)
@@ -75,7 +79,7 @@ class Completer:
         torch (where `observed` is); distances are metres, at most the truncation; what the network's variant does not
         predict is None. Raises ValueError for another grid, or for values that are neither 0 nor 1.
         """
-        given = torch.as_tensor(observed)
+        given = observed if isinstance(observed, Tensor) else torch.from_numpy(np.ascontiguousarray(observed))
         if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
             raise ValueError(
                 f"observed has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, *{self.grid.shape}): "
@@ -106,6 +110,13 @@ class Completer:
         probability = None if output.logits is None else output.logits.sigmoid()
         tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
         return probability, tudf
+
+
+def called(name: str | Path, path: Path) -> str:
+    """What the network `name`, found at `path`, is called in tables: by its file, its run, or its repository."""
+    if str(name).startswith(HUB):
+        return str(name).removeprefix(HUB).partition("@")[0].rpartition("/")[2]
+    return path.resolve().parent.name if path.name in NAMES_IN_FOLDER else path.stem
 
 
 def bundled() -> list[str]:
@@ -145,5 +156,4 @@ def _fetch(name: str) -> Path:
     try:
         return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
     except Exception as error:  # its errors share no base
-        reason = str(error).strip().splitlines()[0]
-        raise CheckpointError(f"{name}: cannot be fetched: {reason}") from None
+        raise CheckpointError(f"{name}: cannot be fetched: {one_line(error)}") from None

@@ -19,6 +19,10 @@ SYMMETRIES = 8
 """Rotations by quarter turns about the sensor's vertical axis, each with and without a mirror."""
 
 
+class LoaderError(DatasetError):
+    """A process that reads samples is gone."""
+
+
 class Maps(Dataset):
     """The samples of one split of one or more datasets: ``maps[n]`` is (observed, occupancy), bool (*grid.shape) each.
 
@@ -106,9 +110,19 @@ def load(
     maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: bool
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """(observed, occupancy) of every batch in turn, bool (B, *grid.shape) each, read by `workers` processes; 0 for
-    none."""
+    none. Raises DatasetError for what cannot be read, LoaderError where such a process dies."""
     loader: DataLoader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)
-    yield from loader
+    try:
+        yield from loader
+    except DatasetError as error:  # a loader process hands over its traceback with it
+        line = str(error).strip().splitlines()[-1]
+        raise DatasetError(line.removeprefix(f"{DatasetError.__module__}.{DatasetError.__name__}: ")) from None
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        raise LoaderError(
+            f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more shared memory"
+        ) from None
 
 
 class TudfOf:

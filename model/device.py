@@ -2,12 +2,14 @@
 
 import os
 import platform
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import torch
 import torch.distributed as dist
+from torch import nn
 
 from scenegen.errors import ScenegenError
 
@@ -25,6 +27,8 @@ def choose_device(name: str) -> torch.device:
         name = "cuda" if torch.cuda.is_available() else "cpu"
     try:
         device = torch.device(name)
+        if device.type not in ("cpu", "cuda", "mps"):
+            raise RuntimeError("no device to train on")
         if device.type == "cuda" and device.index is None:
             device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0)))
         torch.zeros(1, device=device)
@@ -62,7 +66,7 @@ def is_out_of_memory(error: BaseException) -> bool:
 def device_name(device: torch.device) -> str:
     """What a device is called."""
     if device.type == "cuda":
-        return torch.cuda.getdevice_name(device)
+        return torch.cuda.get_device_name(device)
     return f"{_processor()}, {torch.get_num_threads()} of {os.cpu_count()} threads"
 
 
@@ -90,17 +94,31 @@ class Group:
 
     def __enter__(self) -> "Group":
         if self.size > 1:
-            dist.init_process_group("nccl" if self._device.type == "cuda" else "gloo")
+            on_gpu = self._device.type == "cuda"
+            dist.init_process_group("nccl" if on_gpu else "gloo", device_id=self._device if on_gpu else None)
         return self
 
     def __exit__(self, *error: object) -> None:
         if self.size > 1:
             dist.destroy_process_group()
 
-    def wait(self) -> None:
-        """Until all are here."""
+    def first_alone(self, action: Callable[[], None]) -> None:
+        """Let the first process do something while the others wait; what it raises, all raise."""
+        problem: ScenegenError | None = None
+        if self.first:
+            try:
+                action()
+            except ScenegenError as error:
+                problem = error
+        problem = self.gather(problem)[0]
+        if problem is not None:
+            raise problem
+
+    def share_statistics(self, network: nn.Module) -> None:
+        """Give every process the first one's batch statistics, which each updates by itself."""
         if self.size > 1:
-            dist.barrier()
+            for buffer in network.buffers():
+                dist.broadcast(buffer, 0)
 
     def any(self, mine: bool) -> bool:
         """Whether any process says so."""

@@ -16,6 +16,7 @@ from lidarsim import GridSpec
 from model.checkpoint import CheckpointError, grid_from
 from model.network import Network, NetworkConfig, Output
 from scenegen.dataset.files import whole
+from scenegen.world import one_line
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -101,8 +102,8 @@ def _open(path: Path, runtime: Runtime | None, threads: int) -> Callable[["NDArr
             return _openvino(path, threads) if name == "openvino" else _onnxruntime(path, threads)
         except ImportError:
             continue
-        except RuntimeError as error:
-            raise CheckpointError(f"{path}: {name} cannot run it: {str(error).splitlines()[0]}") from None
+        except Exception as error:  # each runtime has its own
+            raise CheckpointError(f"{path}: {name} cannot run it: {one_line(error)}") from None
     raise CheckpointError(f"{path}: needs {' or '.join(RUNTIMES)}; pip install 'scenegen[export]'")
 
 
@@ -133,8 +134,11 @@ def _header(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise CheckpointError(f"{path}: no such file; write one with `scenegen export`") from None
     except Exception as error:  # protobuf's errors share no base
-        raise CheckpointError(f"{path}: is not an ONNX file ({str(error).splitlines()[0]})") from None
+        raise CheckpointError(f"{path}: is not an ONNX file ({one_line(error)})") from None
     for entry in model.metadata_props:
         if entry.key == HEADER:
-            return dict(json.loads(entry.value))
+            try:
+                return dict(json.loads(entry.value))
+            except (ValueError, TypeError) as error:
+                raise CheckpointError(f"{path}: its header is damaged ({error}); export it again") from None
     raise CheckpointError(f"{path}: an ONNX file that is not from `scenegen export`; its grid is unknown")

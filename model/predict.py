@@ -17,6 +17,7 @@ from scenegen.dataset.files import whole
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError
+from scenegen.world import one_line
 
 POINTS = (".ply", ".xyz", ".npy")
 """File types of scans."""
@@ -119,7 +120,7 @@ def read_points(path: Path) -> NDArray[np.float64]:
     except FileNotFoundError:
         raise DatasetError(f"{path}: no such file") from None
     except Exception as error:  # parsers of strangers' files raise anything
-        raise DatasetError(f"{path}: cannot be read as {path.suffix}: {str(error).splitlines()[0]}") from None
+        raise DatasetError(f"{path}: cannot be read as {path.suffix}: {one_line(error)}") from None
     if found.ndim != 2 or found.shape[1] < 3 or not len(found) or found.dtype.kind not in "fiu":
         raise DatasetError(f"{path}: holds numbers of shape {found.shape}, expected (N, 3): x, y, z in metres")
     points = found[:, :3].astype(np.float64)

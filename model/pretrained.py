@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from model.complete import Prediction
-from model.completer import NAMES_IN_FOLDER, Completer, locate
+from model.completer import Completer, called, locate
 from scenegen.errors import DatasetError
 
 
@@ -21,7 +21,7 @@ class Pretrained:
 
     def __init__(self, weights: str):
         self._path = locate(weights)
-        self.name = self._path.parent.name if self._path.name in NAMES_IN_FOLDER else self._path.stem
+        self.name = called(weights, self._path)
         """How the network is called in tables."""
 
     def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
@@ -35,4 +35,4 @@ class Pretrained:
 
 @cache
 def _opened(path: str) -> Completer:
-    return Completer.from_pretrained(path)
+    return Completer.from_pretrained(path, threads=1)

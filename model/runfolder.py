@@ -77,9 +77,10 @@ class RunFolder:
         config = self.path / CONFIG
         if config.exists() and not resume:
             raise DatasetError(f"{self.path}: holds a run already; give --resume to go on with it, or another --out")
+        if not config.exists() and (self.path / LAST).exists():
+            raise DatasetError(f"{self.path}: holds {LAST} but no {CONFIG}; choose another --out")
         if config.exists():
-            there = self.settings()
-            unlike = differences(there["settings"], json.loads(json.dumps(settings["settings"])))
+            unlike = differences(self.settings(), json.loads(json.dumps(settings["settings"])))
             if unlike:
                 raise DatasetError(
                     f"{self.path}: was begun with other settings ({'; '.join(unlike)}); give those, or another --out"
@@ -90,8 +91,8 @@ class RunFolder:
     def settings(self) -> dict[str, Any]:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
-            return dict(json.loads((self.path / CONFIG).read_text(encoding="utf-8")))
-        except (OSError, ValueError) as error:
+            return dict(json.loads((self.path / CONFIG).read_text(encoding="utf-8"))["settings"])
+        except (OSError, ValueError, TypeError, KeyError) as error:
             raise DatasetError(f"{self.path / CONFIG}: cannot be read ({error}); choose another --out") from None
 
     def save(self, progress: Progress, network: Network, optimizer: torch.optim.Optimizer) -> None:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
-from model.data import Maps, TudfOf, epoch_batches, load
+from model.data import LoaderError, Maps, TudfOf, epoch_batches, load
 from model.device import (
     Group,
     TrainingError,
@@ -120,23 +120,30 @@ def train(
         settings = describe(maps, config, precision)
         about = {"command": command, "commit": commit(), "versions": versions(), "device": device_name(where)}
         folder = RunFolder(out)
-        if group.first:
-            folder.open({"settings": settings, **about}, resume=resume)
-        group.wait()
+        group.first_alone(lambda: folder.open({"settings": settings, **about}, resume=resume))
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, where, precision, group)
         steps = len(epoch_batches(maps, batch=config.batch, seed=config.seed, epoch=0))
-        saved = time.monotonic()
+        saved, stopped = time.monotonic(), f"stopped; the same command with --resume goes on with {out}"
         while progress.epoch < config.epochs and progress.epoch - progress.best_epoch <= config.patience:
             begin = time.monotonic() - progress.seconds
-            watcher.on_start(progress.epoch, steps * config.batch, progress.step * config.batch)
+            each = min(config.batch, len(maps))
+            watcher.on_start(progress.epoch, steps * each, progress.step * each)
             network.train()
             batches = epoch_batches(
                 maps, batch=config.batch, seed=config.seed, epoch=progress.epoch, augment=config.augment
             )[progress.step :]
             mine = [batch[group.rank :: group.size] for batch in batches]
             loaded = load(maps, mine, workers=workers, pinned=where.type == "cuda")
-            for batch, (observed, occupancy) in zip(batches, loaded, strict=True):
+            for batch in batches:
+                try:
+                    observed, occupancy = next(loaded)
+                except LoaderError:
+                    if not watcher.stop():
+                        raise
+                    if group.first:  # the signal to stop went to the loader's processes, too
+                        folder.save(progress, network, optimizer)
+                    raise StoppedError(stopped) from None
                 rate = learning_rate(config, progress.epoch * steps + progress.step, config.epochs * steps)
                 losses = learn(observed, occupancy, rate)
                 if not all(map(math.isfinite, losses.values())):
@@ -149,7 +156,8 @@ def train(
                     folder.save(progress, network, optimizer)
                     saved = time.monotonic()
                 if stop:
-                    raise StoppedError(f"stopped; the same command with --resume goes on with {out}")
+                    raise StoppedError(stopped)
+            group.share_statistics(network)
             found = validate(network, checks, config.loss, config.batch, where, precision, group, workers)
             if not math.isfinite(found["loss"]):
                 raise TrainingError(f"epoch {progress.epoch + 1}: the validation loss is {found['loss']}; lower --lr")
@@ -226,6 +234,8 @@ class Step:
         """Which batch would fit, found by trying."""
         processes = self._group.size
         said = f"out of memory: a batch of {len(observed) * processes} does not fit"
+        if processes > 1:  # trying would wait for the others, who are not trying
+            return f"{said}; give a smaller --batch"
         fits = len(observed) // 2
         while fits:
             try:
@@ -261,7 +271,9 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
             f"{maps.datasets[0].folder}: its maps are {maps.grid.shape} voxels; the network halves them three "
             f"times, so every edge must be a multiple of {stride}"
         )
-    if config.batch % processes or len(maps) < processes:
+    if len(maps) < processes:
+        raise TrainingError(f"{len(maps)} training samples do not go round {processes} processes; use fewer")
+    if config.batch % processes:
         raise TrainingError(f"--batch {config.batch} does not divide among {processes} processes; give a multiple")
 
 

@@ -54,6 +54,8 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
         (("complete", "data/pillar", "--weights", "nowhere"), 1, "no such network"),
         (("complete", "nothing.ply", "--weights", "nowhere"), 1, "no such network"),
         (("bench", "--weights", "nowhere"), 1, "no such network"),
+        (("bench", "--method", "returns", "--method", "returns"), 1, "two rows are called 'returns'"),
+        (("train", "--seed", 2**64), 2, "--seed"),
         (("export", "pickle.pt"), 1, "pickled checkpoint"),
     ):
         ended, said, error = run(capsys, *words)

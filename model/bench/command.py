@@ -2,6 +2,7 @@
 
 import importlib
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -50,6 +51,10 @@ def run_bench(
     Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown method.
     """
     methods = [*choose_methods(names), *map(_network, weights)]
+    called = [method.name for method in methods] + (["predicted"] if predictions is not None else [])
+    twice = [name for name, count in Counter(called).items() if count > 1]
+    if twice:
+        raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
     datasets = [Dataset(folder) for folder in folders]
     kinds = [dataset.manifest["kind"] for dataset in datasets]
     if len(set(kinds)) < len(kinds):

@@ -1,12 +1,14 @@
 """What torch is given is what the shards hold, whoever reads it."""
 
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from model.data import Maps, TudfOf, load
+from model.data import LoaderError, Maps, TudfOf, load
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from tests.model.conftest import COUNTS, make_dataset
@@ -81,6 +83,16 @@ def test_damage_is_named(folders: list[Path], tmp_path: Path) -> None:
     maps[0]
     with pytest.raises(DatasetError, match=r"train-00000\.h5: occupancy\[1\] is damaged"):
         maps[1]
+    for workers in (0, 1):
+        with pytest.raises(DatasetError, match=r"^\S*train-00000\.h5: occupancy\[1\] is damaged") as caught:
+            list(load(maps, [[0], [1]], workers=workers, pinned=False))
+        assert "\n" not in str(caught.value)
+
+
+def test_a_loader_process_that_dies_is_named(folders: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Maps, "__getitem__", lambda self, key: os.kill(os.getpid(), signal.SIGKILL))
+    with pytest.raises(LoaderError, match="--workers 0"):
+        list(load(Maps(folders, "train"), [[0], [1]], workers=1, pinned=False))
 
 
 def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import model.train
 from model.card import SHOWN
 from model.checkpoint import load_network, load_tensors
 from model.data import Maps, TudfOf
-from model.device import TrainingError
+from model.device import TrainingError, device_name
 from model.losses import LossConfig, objective
 from model.network import Network, NetworkConfig
 from model.runfolder import Progress, RunFolder
@@ -55,6 +55,12 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
 def same(one: Path, other: Path) -> bool:
     first, second = weights(one), weights(other)
     return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
+
+
+def figures(out: Path) -> list[dict[str, str]]:
+    """The rows of metrics.csv, less how long they took."""
+    with open(out / "metrics.csv") as file:
+        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +105,7 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
     train(folders, SMALL, tmp_path / "run", device="cpu", resume=True)
     for name in ("best.safetensors", "last.safetensors"):
         assert same(tmp_path / "run" / name, uninterrupted / name)
+    assert figures(tmp_path / "run") == figures(uninterrupted)
 
 
 KILLED = """
@@ -259,10 +266,56 @@ def test_two_processes_train_one_network(folders: list[Path], tmp_path: Path) ->
     command = [str(word) for word in [*launch, root / "cli.py", *words]]
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
     assert ended.returncode == 0, ended.stderr
-    alone = train(folders, dataclasses.replace(SMALL, epochs=1), tmp_path / "alone", device="cpu")
-    with open(out / "metrics.csv") as file:
-        together = list(csv.DictReader(file))
-    assert len(together) == 1
-    # batch statistics are over half as many maps, so the losses are near but not the same
-    assert float(together[0]["train_loss"]) == pytest.approx(alone[0]["train_loss"], rel=0.1)
+    assert len(figures(out)) == 1
     load_network(out / "best.safetensors")
+    again = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
+    assert again.returncode != 0
+    assert "give --resume" in again.stderr  # on all processes: none waits for the others
+
+
+STEP = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+import torch
+from model.checkpoint import save_tensors
+from model.data import Maps
+from model.device import Group
+from model.network import Network
+from model.train import Step
+from tests.model.test_train import SMALL
+torch.set_num_threads(1)
+device = torch.device("cpu")
+with Group(device) as group:
+    maps = Maps([Path(name) for name in sys.argv[2:]], "train")
+    torch.manual_seed(0)
+    network = Network(replace(SMALL.network, variant='occ')).eval()  # or each process has statistics of its own
+    optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
+    learn = Step(network, optimizer, SMALL, maps.grid, device, torch.float32, group)
+    mine = [maps[n] for n in range(4)][group.rank :: group.size]
+    losses = learn(*(torch.stack(parts) for parts in zip(*mine)), 1.0)
+    save_tensors(Path(sys.argv[1] + str(group.rank)), network.state_dict(), losses)
+"""
+
+
+def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_path: Path) -> None:
+    """Gradients and losses are means over both; the Eikonal term is a mean of means, so distances are left out."""
+    (tmp_path / "step.py").write_text(STEP)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
+    given = [tmp_path / "step.py", tmp_path / "two", *folders]
+    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", *map(str, given)]
+    subprocess.run(launch, env=environment, check=True, timeout=100, capture_output=True)
+    given[1] = tmp_path / "one"
+    subprocess.run([sys.executable, *map(str, given)], env=environment, check=True, timeout=100)
+    one, losses = load_tensors(tmp_path / "one0")
+    for rank in ("two0", "two1"):
+        two, theirs = load_tensors(tmp_path / rank)
+        assert theirs == pytest.approx(losses, rel=1e-5)
+        for name, tensor in one.items():
+            torch.testing.assert_close(two[name], tensor, atol=1e-6, rtol=1e-5)
+
+
+def test_a_gpu_is_called_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
+    assert device_name(torch.device("cuda", 1)) == "GPU 1"
+    assert "threads" in device_name(torch.device("cpu"))
