@@ -105,6 +105,7 @@ def test_a_signal_saves_and_resume_goes_on(here: Path, capsys: pytest.CaptureFix
     assert (ended, "give --resume" in error) == (1, True)
 
 
+@pytest.mark.slow
 def test_networks_prints_what_they_cost(capsys: pytest.CaptureFixture[str]) -> None:
     code, said, _ = run(capsys, "networks", "--json")
     assert code == 0

@@ -15,6 +15,7 @@ def test_mean_spread_and_count_are_those_of_the_samples() -> None:
     assert summarize([np.nan], [0], rng=np.random.default_rng(0)).n == 0
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_true_mean_where_samples_of_a_world_go_together() -> None:
     rng = np.random.default_rng(1)
     covered = naive = 0
