@@ -23,7 +23,7 @@ CONVEX = tuple(k for k in KINDS if k != "plane")
 VOXELS = (0.1, 0.2, 0.25)
 
 THINNEST, THICKEST = 0.01, 5.0  # metres across
-ATTITUDES = 300
+ATTITUDES = 1000
 MILLION = 1_000_000
 # At least this many boundary voxels per kind; they add up to more than a million.
 WANTED = {"plane": 300_000} | dict.fromkeys(CONVEX, 150_000)
@@ -227,7 +227,7 @@ SEEN_THROUGH = 1e-3
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind: str) -> None:
+def test_primitives_at_a_thousand_attitudes_occupy_the_cubes_they_touch(kind: str) -> None:
     """Random sizes, attitudes, positions and voxels; every voxel of every map, near the surface or not."""
     rng = np.random.default_rng([13, KINDS.index(kind)])
     n = 16
