@@ -181,11 +181,9 @@ def generate(
     names = {shard.file.name for shard in chosen}
 
     def start() -> None:
-        _raise_if_stopped()
         progress.start(sum(shard.samples for shard in chosen))
 
     def count(report: Any, fresh: bool) -> None:
-        _raise_if_stopped()
         progress.count(report.samples if report.file in names else 0)
 
     for number in STOPS:  # from here on there are workers to end and drafts to remove
@@ -295,20 +293,18 @@ def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_
     from scenegen.verify import verify as prove
 
     folder = locate(dataset, shown=talk)
-
-    def start(samples: int) -> None:
-        _raise_if_stopped()
-        progress.start(samples)
-
-    def count(samples: int) -> None:
-        _raise_if_stopped()
-        progress.count(samples)
-
     for number in STOPS:  # from here on there are workers to end
         signal.signal(number, _stop)
     begin = time.perf_counter()
     with _Progress("verify", shown=talk) as progress:
-        report = prove(folder, quick=quick, seed=seed, workers=workers or cores(), on_start=start, on_done=count)
+        report = prove(
+            folder,
+            quick=quick,
+            seed=seed,
+            workers=workers or cores(),
+            on_start=progress.start,
+            on_done=progress.count,
+        )
     if as_json:
         print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
     elif talk:
@@ -348,8 +344,15 @@ def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quie
     """Train the completion network on datasets; under torchrun, on several GPUs."""
     from model.train_command import run_train
 
-    for number in STOPS:  # the loop looks between two steps; a second signal ends at once
-        signal.signal(number, _note_stop)
+    asked: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        if asked:  # for the second time
+            os._exit(130)
+        asked.append(number)
+
+    for number in STOPS:  # the loop looks between two steps
+        signal.signal(number, note)
     quiet = quiet or int(os.environ.get("RANK", "0")) > 0
     with _Progress(variant, shown=not quiet) as progress:
         run_train(
@@ -360,7 +363,7 @@ def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quie
             command=shlex.join(["scenegen", *sys.argv[1:]]),
             progress=progress,
             say=(lambda line: None) if quiet else click.echo,
-            stop=lambda: bool(_stopped),
+            stop=lambda: bool(asked),
         )
 
 
@@ -525,14 +528,6 @@ def publish(
         signal.signal(number, _stop)
     with _Progress("verify", shown=talk) as progress:
 
-        def start(samples: int) -> None:
-            _raise_if_stopped()
-            progress.start(samples)
-
-        def count(samples: int) -> None:
-            _raise_if_stopped()
-            progress.count(samples)
-
         def staged(found: Any) -> None:
             _raise_if_stopped()
             progress.stop()
@@ -546,8 +541,8 @@ def publish(
             quick=options["quick"],
             workers=options["workers"] or cores(),
             shown=talk,
-            on_start=start,
-            on_done=count,
+            on_start=progress.start,
+            on_done=progress.count,
             on_staged=staged,
         )
     if not quiet:
@@ -603,12 +598,6 @@ def _stop(number: int, frame: Any) -> NoReturn:
     raise StoppedError(STOPPED)
 
 
-def _note_stop(number: int, frame: Any) -> None:
-    if _stopped:
-        os._exit(130)
-    _stopped.append(number)
-
-
 def _raise_if_stopped() -> None:
     """For an exception that `_stop` raised in a library's callback, and that was lost there."""
     if _stopped:
@@ -645,6 +634,7 @@ class _Progress:
 
     def start(self, total: int) -> None:
         """Show the bar, of `total` samples less those counted already."""
+        _raise_if_stopped()
         if not self._shown:
             return
         from rich.console import Console
@@ -676,6 +666,7 @@ class _Progress:
 
     def count(self, samples: int) -> None:
         """Count samples as done."""
+        _raise_if_stopped()
         self._done += samples
         if self._bar is not None:
             rate = (self._done - self._at_begin) / max(time.perf_counter() - self._begin, 1e-9)
