@@ -75,10 +75,8 @@ def read_archive(file: BufferedReader, name: str) -> Archive:
         }
     except BrokenError as error:
         raise BrokenError(f"{name}: {error}") from None
-    except (zipfile.BadZipFile, OSError, ValueError, EOFError, RuntimeError, NotImplementedError) as error:
-        raise BrokenError(f"{name}: is damaged ({' '.join(str(error).split())[:200]})") from None
-    except Exception as error:  # zlib.error, struct.error and what else a crafted file may bring forth
-        raise BrokenError(f"{name}: is damaged ({type(error).__name__})") from None
+    except Exception as error:  # zipfile's, zlib's, struct's, and what else a crafted file may bring forth
+        raise BrokenError(f"{name}: is damaged ({one_line(error)[:200] or type(error).__name__})") from None
     return Archive(documents, outlines, assets)
 
 
