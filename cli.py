@@ -167,7 +167,7 @@ def generate(
     if talk:
         _announce_compilation()
     from scenegen.dataset.build import build, check_folder
-    from scenegen.dataset.workers import cores
+    from scenegen.workers import cores
 
     plan = _plan(kind, scene, recipe, counts, options)
     shard_range = options["split_range"]
@@ -255,9 +255,9 @@ def inspect(dataset: Path | str, as_json: bool) -> None:
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="MJCF file to write.  [default: standard output]")
 def world(dataset: Path | str, number: int, split: str, output: Path | None) -> None:
     """Take one world's MJCF, and the files it refers to, out of a dataset."""
-    from scenegen.dataset.files import write_whole
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
+    from scenegen.files import write_whole
 
     files = Dataset(locate(dataset, shown=True), partial=True).world(split, number)
     document = files.pop("world.xml")
@@ -289,8 +289,8 @@ def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_
     if talk:
         _announce_compilation()
     from scenegen.dataset.locate import locate
-    from scenegen.dataset.workers import cores
     from scenegen.verify import verify as prove
+    from scenegen.workers import cores
 
     folder = locate(dataset, shown=talk)
     for number in STOPS:  # from here on there are workers to end
@@ -467,7 +467,7 @@ def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, q
     if not quiet:
         _announce_compilation()
     from model.bench.command import run_bench, tables
-    from scenegen.dataset.workers import cores
+    from scenegen.workers import cores
 
     report = run_bench(
         _found(datasets, shown=not quiet),
@@ -512,9 +512,9 @@ def publish(
         _announce_compilation()
     from model.provenance import commit
     from scenegen.dataset.locate import locate
-    from scenegen.dataset.workers import cores
     from scenegen.publish.run import publish as run_publish
     from scenegen.publish.stage import Request
+    from scenegen.workers import cores
 
     request = Request(
         dataset=locate(dataset, shown=talk),

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from lidarsim import GridSpec
 from model.network import Network, NetworkConfig
-from scenegen.dataset.files import write_whole
 from scenegen.errors import ScenegenError
+from scenegen.files import write_whole
 
 FORMAT = "scenegen-network"
 VERSION = 1

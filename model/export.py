@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from lidarsim import GridSpec
 from model.checkpoint import CheckpointError, grid_from
 from model.network import Network, NetworkConfig, Output
-from scenegen.dataset.files import whole
+from scenegen.files import whole
 from scenegen.world import one_line
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from model.bench.methods import FIELDS
 from model.complete import Prediction, Thresholds
 from model.completer import Completer
 from model.data import Maps, load
-from scenegen.dataset.files import whole
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError
+from scenegen.files import whole
 from scenegen.world import one_line
 
 POINTS = (".ply", ".xyz", ".npy")

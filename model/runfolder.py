@@ -15,9 +15,9 @@ from lidarsim import GridSpec
 from model.card import card
 from model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
 from model.network import Network
-from scenegen.dataset.files import disk_error, remove_drafts, write_whole
 from scenegen.dataset.manifest import differences
 from scenegen.errors import DatasetError
+from scenegen.files import disk_error, remove_drafts, write_whole
 
 CONFIG, METRICS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 BEST, LAST = "best.safetensors", "last.safetensors"

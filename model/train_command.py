@@ -9,7 +9,7 @@ from model.device import TrainingError, choose_device
 from model.losses import LossConfig
 from model.network import NetworkConfig
 from model.train import TrainConfig, Watcher, train
-from scenegen.dataset.workers import cores
+from scenegen.workers import cores
 
 
 class Progress(Protocol):

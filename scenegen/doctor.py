@@ -9,10 +9,10 @@ import numpy as np
 
 from lidarsim.jit import cache_folder
 from scenegen.dataset.manifest import installed, software
-from scenegen.dataset.workers import cores
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
+from scenegen.workers import cores
 
 SELF_TEST_S = 2.0
 

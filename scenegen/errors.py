@@ -1,5 +1,8 @@
 """What can be wrong with what a user gave. Every message is one line: what, where, what was expected, how to fix it."""
 
+MOST_TOLD = 60
+"""Characters of a stranger's value that an error repeats."""
+
 
 class ScenegenError(Exception):
     """Base of every error that a user can act on; the command line prints it without a traceback."""
@@ -25,5 +28,24 @@ class PublishError(ScenegenError):
     """A dataset cannot be published as asked, or not to that place."""
 
 
+class GuardError(ScenegenError):
+    """A process that looked at a stranger's file crashed, took too long, or took too much memory."""
+
+
 class StoppedError(ScenegenError):
     """The run was stopped from outside; what is finished stays."""
+
+
+def printable(text: object) -> str:
+    """`text` as one line that a terminal shows as it is: line ends become spaces, control characters become escapes.
+
+    Names, keys and messages may come from a stranger's file; raw, they could print lines of their own.
+    """
+    line = " ".join(str(text).split())
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line)
+
+
+def short(value: object) -> str:
+    """A stranger's value for an error's line: escaped, and cut where it is long."""
+    said = ascii(value)
+    return said if len(said) <= MOST_TOLD else f"{said[: MOST_TOLD - 3]}..."

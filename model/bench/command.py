@@ -14,9 +14,9 @@ from model.bench.report import PLAN_METRICS, build_report, to_markdown
 from model.bench.run import BenchConfig, bench
 from model.complete import UNLEARNED
 from model.provenance import commit
-from scenegen.dataset.files import write_whole
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
+from scenegen.files import write_whole
 
 QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 """What `--quick` measures of every dataset."""

@@ -20,8 +20,8 @@ from model.planning.config import PlanConfig
 from model.planning.measure import Measurement, run_trial
 from model.planning.trials import draw_trials
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.workers import run as run_workers
 from scenegen.errors import DatasetError
+from scenegen.workers import run as run_workers
 
 CHUNK = 10
 """Samples a task of a worker."""

@@ -13,18 +13,17 @@ from typing import Any
 from lidarsim import GridSpec
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.files import disk_error, remove_drafts
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
-from scenegen.dataset.workers import run
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
+from scenegen.files import disk_error, remove_drafts
+from scenegen.limits import MOST_SHARDS
 from scenegen.recipe import Recipe
 from scenegen.source import Source
+from scenegen.workers import run
 
 FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
 """About what a sample of the default grid takes on disk; half of it may do."""
-MOST_SHARDS = 99_999
-"""What five digits can number."""
 
 
 @dataclass(frozen=True, kw_only=True)

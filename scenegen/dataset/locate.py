@@ -10,6 +10,7 @@ from pathlib import Path
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import check_manifest
 from scenegen.errors import DatasetError
+from scenegen.limits import MOST_MANIFEST_BYTES
 
 SCHEME = "hf://"
 REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
@@ -143,7 +144,7 @@ def _check_listing(repository: str, revision: str | None) -> None:
     sizes = {file.rfilename: file.size or 0 for file in info.siblings or []}
     if manifest.NAME not in sizes:
         raise DatasetError(f"{SCHEME}{repository}: not a scenegen dataset, it has no {manifest.NAME}")
-    if sizes[manifest.NAME] > manifest.MOST_BYTES:
+    if sizes[manifest.NAME] > MOST_MANIFEST_BYTES:
         raise DatasetError(
             f"{SCHEME}{repository}: its {manifest.NAME} has {sizes[manifest.NAME]} bytes; that is no manifest of ours"
         )

@@ -12,17 +12,16 @@ from typing import Any
 
 from lidarsim import GridSpec, Lidar
 from scenegen import SPLITS, __version__
-from scenegen.dataset.files import write_whole
 from scenegen.dataset.shard import ShardReport, stored_fields
 from scenegen.errors import DatasetError
+from scenegen.files import write_whole
+from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.recipe import Recipe
 from scenegen.source import Source
 
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
-MOST_BYTES = 64 << 20
-"""A manifest of more than this, some 200,000 shards, is not read."""
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
 
@@ -111,10 +110,10 @@ def read(folder: Path) -> dict[str, Any]:
         if path.exists() and not path.is_file():
             raise DatasetError(f"{path}: is no file, expected a manifest; choose another folder")
         with open(path, "rb") as file:  # however large it grows meanwhile
-            content = file.read(MOST_BYTES + 1)
-        if len(content) > MOST_BYTES:
+            content = file.read(MOST_MANIFEST_BYTES + 1)
+        if len(content) > MOST_MANIFEST_BYTES:
             raise DatasetError(
-                f"{path}: larger than {MOST_BYTES >> 20} MB, which no manifest is; choose another folder"
+                f"{path}: larger than {MOST_MANIFEST_BYTES >> 20} MB, which no manifest is; choose another folder"
             )
         manifest = json.loads(content.decode())
     except (FileNotFoundError, NotADirectoryError):

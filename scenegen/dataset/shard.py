@@ -15,8 +15,8 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.dataset.files import write_whole
 from scenegen.draw import Rejections, Unit, draw_unit
+from scenegen.files import write_whole
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA, Sample, shape_of
 from scenegen.source import Source

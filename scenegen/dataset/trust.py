@@ -13,14 +13,11 @@ import pydantic
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset import manifest
 from scenegen.errors import DatasetError
+from scenegen.limits import MOST_ASSET_BYTES, MOST_SAMPLES_IN_SHARD, MOST_VOXELS
 from scenegen.sample import SCHEMA, shape_of
 
 SHARD_FILE = r"^(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)$"
 """What a file of a dataset may be called, besides the manifest."""
-MOST_VOXELS = 1 << 26
-"""A grid of more than this, a distance field of 256 MB, is not read."""
-MOST_MEMBER_BYTES = 1 << 28
-"""A world, or a file that it refers to, is not read from an archive where it has more."""
 
 _Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
 _File = Annotated[str, pydantic.Field(pattern=SHARD_FILE, max_length=40)]
@@ -33,7 +30,7 @@ class Entry(pydantic.BaseModel, strict=True, frozen=True):
     file: _File
     worlds: _File
     split: Literal["train", "val", "test"]
-    samples: Annotated[int, pydantic.Field(ge=1, le=10**7)]
+    samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)]
     first_world: _Count
     sha256: _Digest
     worlds_sha256: _Digest
@@ -126,8 +123,8 @@ def read_member(archive: zipfile.ZipFile, name: str) -> bytes:
     if not name.isprintable() or set(name) & set("/\\:") or name.startswith("."):
         raise ValueError(f"holds {_short(name)}, expected plain names")
     size = archive.getinfo(name).file_size
-    if size > MOST_MEMBER_BYTES:
-        raise ValueError(f"{_short(name)} has {size} bytes, expected {MOST_MEMBER_BYTES} at most")
+    if size > MOST_ASSET_BYTES:
+        raise ValueError(f"{_short(name)} has {size} bytes, expected {MOST_ASSET_BYTES} at most")
     return archive.read(name)
 
 

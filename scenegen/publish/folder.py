@@ -10,9 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from scenegen.dataset import manifest
-from scenegen.dataset.files import disk_error, remove_drafts, sync_folder, write_whole
 from scenegen.dataset.locate import file_sha256
 from scenegen.errors import PublishError
+from scenegen.files import disk_error, remove_drafts, sync_folder, write_whole
 
 SUMS = "SHA256SUMS"
 """Digest and name of every other file, as sha256sum writes and checks them."""

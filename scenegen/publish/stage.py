@@ -10,10 +10,10 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.files import write_whole
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256, listed_files
 from scenegen.dataset.read import Dataset
 from scenegen.errors import PublishError
+from scenegen.files import write_whole
 from scenegen.inspect import inspect
 from scenegen.publish.card import card
 from scenegen.publish.croissant import croissant

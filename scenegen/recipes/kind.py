@@ -7,11 +7,10 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from scenegen.limits import MOST_DRAWN_SOLIDS
+
 Range = tuple[float, float]
 """A lower and an upper bound, both included; worlds or solids draw from between."""
-
-MOST_SOLIDS = 20_000
-"""Beyond this many in a world, MuJoCo takes minutes over it, and next to no flight exists."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +47,10 @@ class WorldKind(ABC):
                 raise ValueError(f"{name} = {list(value)}: expected [low, high] with 0 <= low <= high")
             if name.endswith("_share") and not 0 <= value <= 1:
                 raise ValueError(f"{name} = {value}: expected a share from 0 to 1")
-            if name.endswith("density") and numbers[-1] * self.size_m[0] * self.size_m[1] > MOST_SOLIDS:
-                raise ValueError(f"{name} = {value}: more than {MOST_SOLIDS} of them in a world; lower it or size_m")
+            if name.endswith("density") and numbers[-1] * self.size_m[0] * self.size_m[1] > MOST_DRAWN_SOLIDS:
+                raise ValueError(
+                    f"{name} = {value}: more than {MOST_DRAWN_SOLIDS} of them in a world; lower it or size_m"
+                )
             if name.endswith("_m") and not (numbers > 0).all():
                 raise ValueError(f"{name} = {value}: expected lengths above 0, in metres")
 

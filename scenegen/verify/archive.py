@@ -11,28 +11,23 @@ from xml.parsers import expat
 
 import mujoco
 
+from scenegen.limits import (
+    MOST_ARCHIVE_BYTES,
+    MOST_ASKED,
+    MOST_ASSET_BYTES,
+    MOST_CELLS,
+    MOST_DEPTH,
+    MOST_DOCUMENT_BYTES,
+    MOST_ELEMENTS,
+    MOST_GEOMS,
+    MOST_MEMBERS,
+)
 from scenegen.truth import Solids, solids_of
 from scenegen.verify.report import BrokenError
 from scenegen.world import one_line
 
-MOST_DOCUMENT_BYTES = 16 << 20
-MOST_ASSET_BYTES = 64 << 20
-MOST_ARCHIVE_BYTES = 1 << 30
-"""Of all members, unpacked."""
-MOST_MEMBERS = 65_000
-MOST_GEOMS = 50_000
-"""In a world: MuJoCo takes five seconds over so many, and four times as long over twice as many."""
-MOST_ELEMENTS = 200_000
-MOST_CELLS = 1 << 24
-"""Of a height field, pixels of an image, or numbers anywhere else."""
-MOST_DEPTH = 200
-
 FORBIDDEN = {"include", "attach", "model", "plugin", "extension", "replicate", "composite", "flexcomp", "skin", "flex"}
 """MJCF elements that read other files, run other code, multiply, or are not solids. An archived world has none."""
-MOST_ASKED = {"memory": 1 << 30, "njmax": 1 << 20, "nconmax": 1 << 20, "nstack": 1 << 27, "nkey": 1000}
-MOST_ASKED |= {"nuserdata": 1 << 20, "nrow": MOST_CELLS, "ncol": MOST_CELLS, "width": MOST_CELLS, "height": MOST_CELLS}
-MOST_ASKED |= {f"nuser_{what}": 100 for what in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}
-"""Attributes for which MuJoCo takes memory as they say, whatever the document's size, and the most they may say."""
 FILES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
 FOLDERS = {"meshdir", "texturedir", "assetdir"}
 LOOKS = {"name", "rgba", "material"}

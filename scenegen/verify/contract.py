@@ -13,14 +13,12 @@ from lidarsim import GridSpec, Lidar
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.shard import stored_fields
-from scenegen.dataset.trust import MOST_VOXELS, Counts, Entry, Manifest
+from scenegen.dataset.trust import Counts, Entry, Manifest
 from scenegen.errors import RecipeError
+from scenegen.limits import MOST_VIEWPOINTS, MOST_VOXELS
 from scenegen.recipe import Recipe, make_recipe
 from scenegen.recipes import kind_names
 from scenegen.verify.report import BrokenError, Ledger
-
-MOST_VIEWPOINTS = 10_000
-"""A flight of more than this is not examined."""
 
 
 class _Whole(Manifest, strict=True):

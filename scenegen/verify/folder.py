@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.workers import Limits, run
 from scenegen.verify.contract import Contract, read_contract
 from scenegen.verify.layout import ShardFile, open_file, open_shard
 from scenegen.verify.regenerate import why_not_comparable
@@ -19,6 +18,7 @@ from scenegen.verify.report import CHECKS, Ledger, Report
 from scenegen.verify.shard import Findings, Task, examine
 from scenegen.verify.twins import OBSERVED_IOU, OCCUPIED_IOU, candidates, overlap
 from scenegen.verify.warm import warm_up
+from scenegen.workers import Limits, run
 
 SECONDS, SECONDS_A_SAMPLE = 120.0, 0.5
 """A shard whose examination takes longer than this and as much for every sample is given up."""

@@ -22,7 +22,7 @@ from model.losses import LossConfig, objective
 from model.network import Network, NetworkConfig
 from model.runfolder import Progress, RunFolder
 from model.train import TrainConfig, Watcher, learning_rate, train
-from scenegen.dataset import files
+from scenegen import files
 from scenegen.errors import DatasetError, StoppedError
 from tests.model.conftest import make_dataset
 

@@ -13,7 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset import files, manifest
+from scenegen import files
+from scenegen.dataset import manifest
 from scenegen.dataset.build import Plan, build, plan_dataset
 from scenegen.source import DrawnWorlds
 from tests.conftest import picky_recipe

@@ -125,7 +125,7 @@ def test_an_archive_writes_nowhere_else_and_takes_no_memory(
     path.write_bytes(whole[: len(whole) // 2])
     assert "is damaged" in refused(lambda: Dataset(dataset).world("train", 0))
     path.write_bytes(whole)
-    monkeypatch.setattr("scenegen.dataset.trust.MOST_MEMBER_BYTES", 10)
+    monkeypatch.setattr("scenegen.dataset.trust.MOST_ASSET_BYTES", 10)
     assert "expected 10 at most" in refused(lambda: Dataset(dataset).world("train", 0))
     shutil.rmtree(dataset)
     assert "not a dataset" in refused(lambda: scenegen.load(dataset))

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from scenegen.dataset.workers import Limits, run
+from scenegen.workers import Limits, run
 
 LIMITS: Limits[str, str] = Limits(
     lambda task: 2.0 if task == "sleep" else 60.0, 1 << 30, lambda task, why: f"{task}: {why}"
@@ -46,7 +46,7 @@ def test_bad_tasks_are_given_up_and_good_ones_done(workers: int) -> None:
 
 
 def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scenegen.dataset.workers.MOST_REPLACED", 1)
+    monkeypatch.setattr("scenegen.workers.MOST_REPLACED", 1)
     results = list(run(work, ["die"] * 5, 1, limits=LIMITS))
     assert len(results) == 5
     assert "crashed" in results[1]

@@ -1,18 +1,53 @@
-"""Files that are whole or absent: written under a temporary name, synced, then renamed."""
+"""Files: read only where they are regular and no larger than expected, written whole or not at all."""
 
 import errno
 import os
 import shutil
 import socket
+import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
 
 from scenegen.errors import DatasetError
 
 STALE_S = 24 * 3600.0
 """Age after which a temporary file of an unknown machine counts as left behind, seconds."""
+
+
+def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
+    """`path` opened for reading, if it is a regular file of at most `most_bytes` bytes: no pipe or device, whose
+    reading might never end.
+
+    Raises DatasetError for anything else, FileNotFoundError where there is nothing.
+    """
+    try:
+        handle = os.open(
+            path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
+        )  # opening a pipe does not wait for its writer
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileNotFoundError(errno.ENOENT, "no such file", str(path)) from None
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be opened ({error.strerror}); give a file that can be read") from None
+    status = os.fstat(handle)
+    if stat.S_ISREG(status.st_mode) and status.st_size <= most_bytes:
+        return open(handle, "rb")
+    os.close(handle)
+    if not stat.S_ISREG(status.st_mode):
+        raise DatasetError(f"{path}: is not a regular file; give a file")
+    raise DatasetError(f"{path}: {status.st_size} bytes, expected {most_bytes} at most; give a smaller file")
+
+
+def read_bounded(path: Path, most_bytes: int) -> bytes:
+    """The content of a regular file of at most `most_bytes` bytes, however it grows meanwhile. Raises as
+    `open_bounded`."""
+    with open_bounded(path, most_bytes) as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise DatasetError(f"{path}: more than {most_bytes} bytes; give a smaller file")
+    return content
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from scenegen.errors import GenerationError
+from scenegen.errors import GenerationError, GuardError, ScenegenError
 
 MOST_REPLACED = 5
 """Workers that may die in a run with limits before the rest is given up."""
@@ -95,6 +95,33 @@ def run(
     finally:
         for worker in busy:
             worker.end()
+
+
+def guarded(function: Callable[[Task], Result], task: Task, *, seconds: float, memory_bytes: int) -> Result:
+    """`function(task)`, computed in a process of its own that may take `seconds` and `memory_bytes` more than this one.
+
+    For libraries that a stranger's bytes could make hang, crash or take all memory: what they do happens elsewhere, and
+    only the result, which must be picklable, comes back. Costs some 10 ms. Raises the ScenegenError that `function`
+    raises, and GuardError where the process ends in any other way.
+    """
+    limits: Limits[Task, Any] = Limits(lambda _: seconds, memory_bytes, lambda _, reason: GuardError(reason))
+    (outcome,) = run(_Guarded(function), [task], 1, limits=limits)
+    if isinstance(outcome, ScenegenError):
+        raise outcome
+    return outcome[0]  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class _Guarded(Generic[Task, Result]):
+    """A function whose ScenegenErrors are results, too."""
+
+    function: Callable[[Task], Result]
+
+    def __call__(self, task: Task) -> tuple[Result] | ScenegenError:
+        try:
+            return (self.function(task),)
+        except ScenegenError as error:
+            return error
 
 
 class _Worker:
