@@ -38,7 +38,11 @@ class Bounds:
 
     def hold(self, value: float) -> bool:
         """Whether `value` lies within the bounds."""
-        inside = math.isfinite(value) and self.least <= value <= self.most and self.above < value < self.below
+        try:
+            finite = math.isfinite(value)
+        except OverflowError:  # a whole number beyond all floats
+            return False
+        inside = finite and self.least <= value <= self.most and self.above < value < self.below
         return inside and (not self.whole or float(value).is_integer())
 
     def __str__(self) -> str:

@@ -108,7 +108,7 @@ def guarded(function: Callable[[Task], Result], task: Task, *, seconds: float, m
     (outcome,) = run(_Guarded(function), [task], 1, limits=limits)
     if isinstance(outcome, ScenegenError):
         raise outcome
-    return outcome[0]  # type: ignore[no-any-return]
+    return outcome[0]
 
 
 @dataclass(frozen=True)

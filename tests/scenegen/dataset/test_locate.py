@@ -116,7 +116,7 @@ def test_a_manifest_of_gigabytes_is_not_even_downloaded(
 ) -> None:
     publish(asked)
     hub.log.clear()
-    monkeypatch.setattr("scenegen.dataset.manifest.MOST_MANIFEST_BYTES", 100)
+    monkeypatch.setattr("scenegen.dataset.locate.MOST_MANIFEST_BYTES", 100)
     with pytest.raises(DatasetError, match="that is no manifest of ours"):
         locate(NAME)
     assert not [line for line in hub.log if "/resolve/" in line]
