@@ -17,12 +17,16 @@ from click.shell_completion import CompletionItem, get_completion_class
 
 from scenegen import SPLITS, __version__
 from scenegen.errors import ScenegenError, StoppedError
+from scenegen.limits import MOST_WORKERS
 from scenegen.recipes import kind_names
 
 EXTRAS = {"torch": "train", "safetensors": "train"}
 """Packages that commands need beyond the core, and the extra that brings each."""
 VARIANTS = ("proposed", "occ", "tudf", "dual", "shared")
 
+NETWORK_EDGE = 8
+"""Its three halvings need edges of maps that are multiples of this."""
+WORKERS = click.IntRange(min=1, max=MOST_WORKERS)
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPPED = "stopped; nothing finished is lost: give the same command again"
 _stopped: list[int] = []
@@ -111,8 +115,9 @@ class ShardRange(click.ParamType):
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
         """The two numbers."""
         first, colon, stop = str(value).partition(":")
-        if not (colon and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
-            self.fail(f"{value!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx)
+        short = len(str(value)) <= 40  # and no more digits than int() takes
+        if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
+            self.fail(f"{str(value)[:60]!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx)
         return int(first), int(stop)
 
 
@@ -133,7 +138,7 @@ def app() -> None:
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed, the same dataset."
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the dataset.  [default: data/<kind>]")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--workers", type=WORKERS, help="Processes.  [default: all cores]")
 @click.option("--compact", is_flag=True, help="Leave out what readers can derive: free space and distances.")
 @click.option("--shard-samples", type=click.IntRange(min=1), default=100, show_default=True, help="Samples in a file.")
 @click.option("--split-range", type=ShardRange(), help="Only these shards, for a cluster; --dry-run counts them.")
@@ -174,6 +179,12 @@ def generate(
     if shard_range and shard_range[1] > len(plan.shards):
         raise click.UsageError(f"--split-range {shard_range[0]}:{shard_range[1]}: there are {len(plan.shards)} shards")
     check_folder(plan, force=options["force"])
+    if talk and any(edge % NETWORK_EDGE for edge in plan.parameters["grid"]["shape"]):
+        print(
+            f"note: the bundled networks need edges that are multiples of {NETWORK_EDGE}, and grid.shape = "
+            f"{plan.parameters['grid']['shape']}; other methods take any",
+            file=sys.stderr,
+        )
     if dry_run:
         _print_plan(plan, as_json)
         return
@@ -280,7 +291,7 @@ def world(dataset: Path | str, number: int, split: str, output: Path | None) -> 
 @click.argument("dataset", type=DatasetPath())
 @click.option("--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of what is audited at random.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--workers", type=WORKERS, help="Processes.  [default: all cores]")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
 def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_json: bool, quiet: bool) -> None:
@@ -460,7 +471,7 @@ def networks(as_json: bool) -> None:
 @click.option("--split", type=click.Choice(SPLITS), default="test", show_default=True, help="Calibrate on val alone.")
 @click.option("--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of goals and intervals.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--workers", type=WORKERS, help="Processes.  [default: all cores]")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
 def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, quiet: bool, **options: Any) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
@@ -496,7 +507,7 @@ def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, q
 @click.option("--private", is_flag=True, help="Make the repository a private one.")
 @click.option("--dry-run", is_flag=True, help="Make the folder, list what would go, and contact nobody.")
 @click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--workers", type=WORKERS, help="Processes.  [default: all cores]")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
 def publish(

@@ -5,6 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.parameters import check, number
+
+MOST_EDGE = 8192
+"""Voxels along an axis: distances are computed on rows of whole slices, padded by the truncation."""
+MOST_REACH = 1000
+"""Voxels in the truncation: its square, counted in voxels, then fits 32 bits twice over."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class GridSpec:
@@ -15,24 +22,18 @@ class GridSpec:
     ``origin + (i + 0.5, j + 0.5, k + 0.5) * voxel_m``.
     """
 
-    shape: tuple[int, int, int] = (80, 80, 40)
+    shape: tuple[int, int, int] = number((80, 80, 40), least=1, most=MOST_EDGE)
     """Voxels along x, y and z."""
-    voxel_m: float = 0.2
+    voxel_m: float = number(0.2, least=1e-3, most=1e3)
     """Edge of a voxel, metres."""
-    truncation_m: float = 2.0
+    truncation_m: float = number(2.0, above=0)
     """Distance at which distance fields on this grid saturate, metres."""
 
     def __post_init__(self) -> None:
-        if len(self.shape) != 3 or not all(np.isfinite(n) and n >= 1 and int(n) == n for n in self.shape):
-            raise ValueError(f"shape = {self.shape} must be three whole numbers of at least 1")
-        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
-        for name in ("voxel_m", "truncation_m"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} = {value} must be a positive length in metres")
-        if self.truncation_m > 1000 * self.voxel_m:
+        check(self)
+        if self.truncation_m > MOST_REACH * self.voxel_m:
             raise ValueError(
-                f"truncation_m = {self.truncation_m}: expected a thousand voxels of {self.voxel_m} m at most"
+                f"truncation_m = {self.truncation_m}: expected {MOST_REACH} voxels of {self.voxel_m} m at most"
             )
 
     @property

@@ -7,7 +7,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.parameters import check, number
 from lidarsim.pose import rotate
+
+MOST_RAYS = 1_000_000
+"""Of one scan."""
+MOST_RANGE_M = 1e4
+"""A range is stored in float32, which here still tells millimetres apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,41 +26,26 @@ class Lidar:
     degrees and 10 m are the paper's; the full turn and the rigid tilt are how we read it.
     """
 
-    rows: int = 16
+    rows: int = number(16, least=1, most=MOST_RAYS)
     """Lines, one elevation each."""
-    columns: int = 120
+    columns: int = number(120, least=1, most=MOST_RAYS)
     """Rays a line, one azimuth each."""
-    vertical_fov_deg: float = 60.0
+    vertical_fov_deg: float = number(60.0, least=0, most=180)
     """Angle between the lowest and the highest line, degrees."""
-    horizontal_fov_deg: float = 360.0
+    horizontal_fov_deg: float = number(360.0, least=0, most=360)
     """Angle swept in azimuth, degrees."""
-    pitch_deg: float = 30.0
+    pitch_deg: float = number(30.0, least=-90, most=90)
     """How far the sensor looks down from the body's forward axis, degrees; see `mount`."""
-    max_range_m: float = 10.0
+    max_range_m: float = number(10.0, least=1e-3, most=MOST_RANGE_M)
     """Farthest return, metres; nothing is returned beyond."""
     mount: Literal["tilt", "band"] = "tilt"
     """`tilt`: the sensor is turned nose down as a rigid body, so forward rays look down and rear rays up.
     `band`: every ray's elevation is lowered by the pitch instead, the same all around."""
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 1 and int(value) == value):
-                raise ValueError(f"{name} = {getattr(self, name)} must be a whole number of at least 1")
-        if self.rows * self.columns > 1_000_000:
-            raise ValueError(f"rows = {self.rows}, columns = {self.columns}: expected a million rays at most")
-        for name, low, high in (
-            ("vertical_fov_deg", 0.0, 180.0),
-            ("horizontal_fov_deg", 0.0, 360.0),
-            ("pitch_deg", -90.0, 90.0),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"{name} = {value} must lie in [{low:g}, {high:g}] degrees")
-        if not (np.isfinite(self.max_range_m) and self.max_range_m > 0):
-            raise ValueError(f"max_range_m = {self.max_range_m} must be a positive length in metres")
-        if self.mount not in ("tilt", "band"):
-            raise ValueError(f"mount = {self.mount!r} must be 'tilt' or 'band'")
+        check(self)
+        if self.rows * self.columns > MOST_RAYS:
+            raise ValueError(f"rows = {self.rows}, columns = {self.columns}: expected {MOST_RAYS} rays at most")
 
     @cached_property
     def directions_body(self) -> NDArray[np.float64]:

@@ -10,13 +10,19 @@ class Sensor:
 """
 
 import dataclasses
+import functools
 import math
-from collections.abc import Iterable
+import typing
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Literal, Union
 
 BOUNDS = "bounds"
 """Key of a field's metadata under which its `Bounds` stand."""
+MOST_SHOWN = 60
+"""Characters of a value that an error repeats."""
+_COUNTED = {2: "two", 3: "three", 4: "four"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +38,7 @@ class Bounds:
     below: float = math.inf
     """The value must be less than this."""
     whole: bool = False
-    """Only whole numbers are allowed."""
+    """Only whole numbers are allowed; fields annotated `int` are so anyway."""
     rising: bool = False
     """A tuple of two is a lower and an upper bound, in this order; equal ones are allowed."""
 
@@ -47,12 +53,19 @@ class Bounds:
 
     def __str__(self) -> str:
         """The bounds in words: "a whole number from 1 to 1000"."""
-        low = f"above {self.above:g}" if math.isfinite(self.above) else ""
-        low = low or (f"at least {self.least:g}" if math.isfinite(self.least) else "")
-        high = f"below {self.below:g}" if math.isfinite(self.below) else ""
-        high = high or (f"at most {self.most:g}" if math.isfinite(self.most) else "")
-        what = "a whole number" if self.whole else "a finite number"
-        return " ".join([what, " and ".join(part for part in (low, high) if part)]).strip()
+        return self.words(whole=self.whole)
+
+    def words(self, *, whole: bool, count: int = 1) -> str:
+        """The bounds in words, of one number or of each of `count`."""
+        what = f"{'whole' if whole else 'finite'} number"
+        parts = [f"a {what}" if count == 1 else f"{_COUNTED.get(count, count)} {what}s"]
+        if math.isfinite(self.least) and math.isfinite(self.most):
+            parts.append(f"from {self.least:.12g} to {self.most:.12g}")
+        else:
+            bounds = {"above": self.above, "at least": self.least, "below": self.below, "at most": self.most}
+            said = [f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)]
+            parts += [" and ".join(said)] if said else []
+        return " ".join(parts) + (", the lower one first" if self.rising and count == 2 else "")
 
 
 def number(default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
@@ -60,25 +73,88 @@ def number(default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
     return field(default=default, metadata={BOUNDS: Bounds(**bounds)})
 
 
-def check(parameters: Any) -> None:
-    """Raise ValueError, naming the field, where a number in the dataclass `parameters` is not within its bounds.
+def check(parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name, value: Bounds()) -> None:
+    """Raise ValueError, naming the field, where a value in the dataclass `parameters` is not of the type that its
+    annotation says (numbers, bool, str, Literal, and tuples or unions of these) or is not within its bounds.
 
-    Every number must be finite, also in fields without bounds of their own.
+    A field without bounds of its own has those that `otherwise` gives for its name and value; by default, its numbers
+    must be finite. Values of the right kind become the annotated type: a list a tuple, a whole float an int.
     """
+    kind_of: type = type(parameters)
+    hints = _hints(kind_of)
     for item in dataclasses.fields(parameters):
-        value = getattr(parameters, item.name)
-        bounds = item.metadata.get(BOUNDS, Bounds())
-        numbers = _numbers(value)
-        if item.metadata.get(BOUNDS) and not numbers:
-            raise ValueError(f"{item.name} = {value!r}: expected {bounds}")
-        if not all(bounds.hold(one) for one in numbers):
-            raise ValueError(f"{item.name} = {_shown(value)}: expected {bounds}")
-        if bounds.rising and not numbers[0] <= numbers[-1]:
-            raise ValueError(f"{item.name} = {_shown(value)}: expected [low, high] with low <= high")
+        given = getattr(parameters, item.name)
+        kind = hints.get(item.name, Any)
+        bounds = item.metadata.get(BOUNDS) or otherwise(item.name, given)
+        try:
+            value = _read(given, kind, bounds)
+        except _UnfitError:
+            such = f", such as {shown(item.default)}" if isinstance(item.default, tuple) else ""
+            raise ValueError(f"{item.name} = {shown(given)}: expected {_words(kind, bounds)}{such}") from None
+        if value is not given:
+            object.__setattr__(parameters, item.name, value)
+
+
+def shown(value: Any) -> str:
+    """A value for an error's line: escaped, tuples as lists, and cut where it is long."""
+    try:
+        said = ascii(list(value) if isinstance(value, tuple) else value)
+    except (ValueError, RecursionError):  # a number of thousands of digits, or nested without end
+        return f"a value of type {type(value).__name__}"
+    return said if len(said) <= MOST_SHOWN else f"{said[: MOST_SHOWN - 3]}..."
+
+
+class _UnfitError(Exception):
+    """A value is not of its field's type, or out of its bounds."""
+
+
+@functools.cache
+def _hints(kind: type) -> dict[str, Any]:
+    """The fields' annotations; none where some can be resolved by a type checker alone."""
+    try:
+        return typing.get_type_hints(kind)
+    except NameError:
+        return {}
+
+
+def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
+    """`given` as a value of the type `kind` within `bounds`. Raises _UnfitError."""
+    value = given.tolist() if hasattr(given, "tolist") else given  # NumPy's scalars and arrays
+    origin, options = typing.get_origin(kind), typing.get_args(kind)
+    if kind in (bool, str, NoneType):
+        return _expect(isinstance(value, kind), value)
+    if kind in (int, float):
+        plain = isinstance(value, int | float) and not isinstance(value, bool)
+        bounds = dataclasses.replace(bounds, whole=bounds.whole or kind is int)
+        return kind(_expect(plain and bounds.hold(value), value))
+    if origin is Literal:
+        return _expect(any(type(value) is type(option) and value == option for option in options), value)
+    if origin is tuple:
+        several = isinstance(value, list | tuple)
+        kinds = options[:1] * len(value) if several and options[1:] == (...,) else options
+        parts = zip(_expect(several and len(value) == len(kinds), value), kinds, strict=True)
+        read = tuple(_read(one, its, bounds) for one, its in parts)
+        return _expect(not bounds.rising or read[:1] <= read[-1:], read)
+    if origin in (Union, UnionType):
+        for option in options:
+            try:
+                return _read(given, option, bounds)
+            except _UnfitError:
+                continue
+        raise _UnfitError
+    numbers = _numbers(value)
+    bounded = bounds != Bounds()
+    return _expect(all(bounds.hold(one) for one in numbers) and not (bounded and not numbers), given)
+
+
+def _expect(holds: bool, value: Any) -> Any:
+    if not holds:
+        raise _UnfitError
+    return value
 
 
 def _numbers(value: Any) -> list[float]:
-    """The numbers in a field's value; none where it is something else."""
+    """The numbers in a value of any type; none where it is something else."""
     if isinstance(value, bool | str) or value is None:
         return []
     if isinstance(value, Iterable):
@@ -86,5 +162,18 @@ def _numbers(value: Any) -> list[float]:
     return [value] if isinstance(value, int | float) else []
 
 
-def _shown(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+def _words(kind: Any, bounds: Bounds) -> str:
+    """What `_read` takes, in words."""
+    origin, options = typing.get_origin(kind), typing.get_args(kind)
+    plain = {bool: "true or false", str: "text", NoneType: "none"}
+    if kind in plain:
+        return plain[kind]
+    if origin is Literal:
+        return " or ".join(repr(option) for option in options)
+    if origin is tuple and options[1:] != (...,) and set(options) <= {int, float}:
+        return bounds.words(whole=bounds.whole or set(options) == {int}, count=len(options))
+    if origin is tuple:
+        return f"a list, each {_words(options[0], bounds)}" if options[1:] == (...,) else f"{len(options)} values"
+    if origin in (Union, UnionType):
+        return " or ".join(_words(option, bounds) for option in options)
+    return bounds.words(whole=bounds.whole or kind is int)

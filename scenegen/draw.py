@@ -127,11 +127,15 @@ def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float
     """Solids whose bounding boxes reach into the map, averaged over a flight's candidate viewpoints (m, 3)."""
     if not len(positions):
         return 0.0
-    positions = positions[:, None]
     half = recipe.grid.extent_m / 2
     lower, upper = world.solids.boxes
-    inside = (lower < positions + half) & (upper > positions - half)
-    return float(inside.all(axis=2).sum(axis=1).mean())
+    several = max(1_000_000 // max(len(lower), 1), 1)  # at a time, so that long flights over many solids fit in memory
+    total = 0
+    for begin in range(0, len(positions), several):
+        here = positions[begin : begin + several, None]
+        inside = (lower < here + half) & (upper > here - half)
+        total += int(np.count_nonzero(inside.all(axis=2)))
+    return total / len(positions)
 
 
 def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> str:

@@ -47,5 +47,8 @@ def printable(text: object) -> str:
 
 def short(value: object) -> str:
     """A stranger's value for an error's line: escaped, and cut where it is long."""
-    said = ascii(value)
+    try:
+        said = ascii(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits, or nested without end
+        return f"a value of type {type(value).__name__}"
     return said if len(said) <= MOST_TOLD else f"{said[: MOST_TOLD - 3]}..."

@@ -1,6 +1,5 @@
 """Flights: OMPL's RRT between a random start and goal, and the viewpoints along the path."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,16 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from lidarsim import Pose
+from lidarsim.parameters import check, number
 from scenegen.clearance import CAP_M, Clearance
+from scenegen.limits import (
+    LEAST_DRAWN_M,
+    MOST_DRAWN_M,
+    MOST_FLIGHTS,
+    MOST_ITERATIONS,
+    MOST_LENGTH_M,
+    MOST_VIEWPOINTS,
+)
 
 ou.noOutputHandler()
 
@@ -19,41 +27,31 @@ ou.noOutputHandler()
 class Flight:
     """How a sensor flies through a world, and where along the way it scans."""
 
-    robot_radius_m: float = 0.3
+    robot_radius_m: float = number(0.3, above=0, below=CAP_M)
     """Clearance that every point of a flight keeps, metres."""
-    altitude_m: tuple[float, float] = (1.5, 5.0)
+    altitude_m: tuple[float, float] = number((1.5, 5.0), least=-MOST_DRAWN_M, most=MOST_DRAWN_M, rising=True)
     """Heights between which flights keep, metres; a world drawn by hand brings its own bounds."""
-    margin_m: float = 8.0
+    margin_m: float = number(8.0, least=0, most=MOST_DRAWN_M)
     """How far flights keep from a drawn world's lateral edges, metres: half a map, so that maps lie in the world."""
-    min_distance_m: float = 10.0
+    min_distance_m: float = number(10.0, least=0, most=MOST_LENGTH_M)
     """Least distance between start and goal, metres; a third of the flight bounds' diagonal where that is less."""
-    viewpoints: int = 5
+    viewpoints: int = number(5, least=1, most=MOST_VIEWPOINTS)
     """Samples a flight gives."""
-    spacing_m: float = 1.0
+    spacing_m: float = number(1.0, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
     """Least distance between two viewpoints of a flight, metres."""
-    iterations: int = 2000
+    iterations: int = number(2000, least=1, most=MOST_ITERATIONS)
     """Iterations after which RRT gives up."""
-    step_m: float = 3.0
+    step_m: float = number(3.0, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
     """Longest edge of the RRT, metres."""
-    goal_tolerance_m: float = 0.5
+    goal_tolerance_m: float = number(0.5, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
     """How near to its goal a flight must end, metres."""
-    flights_per_world: int = 3
+    flights_per_world: int = number(3, least=1, most=MOST_FLIGHTS)
     """Flights tried in one drawn world before it is rejected."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.robot_radius_m < CAP_M:
-            raise ValueError(f"robot_radius_m = {self.robot_radius_m}: expected above 0 and below {CAP_M:g} metres")
-        if not (np.isfinite(self.altitude_m).all() and self.altitude_m[0] < self.altitude_m[1]):
+        check(self)
+        if self.altitude_m[0] == self.altitude_m[1]:
             raise ValueError(f"altitude_m = {list(self.altitude_m)}: expected [low, high] in metres, low < high")
-        for name in ("viewpoints", "iterations", "flights_per_world"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected at least 1")
-        for name in ("spacing_m", "step_m", "goal_tolerance_m"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected a positive length in metres")
-        for name in ("margin_m", "min_distance_m"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected a length of at least 0 metres")
 
     def bounds(self, size_m: tuple[float, float, float]) -> NDArray[np.float64]:
         """The box (2, 3) in which flights through a drawn world of extent `size_m` keep.
@@ -65,7 +63,9 @@ class Flight:
             [[self.margin_m, self.margin_m, low], [size_m[0] - self.margin_m, size_m[1] - self.margin_m, high]]
         )
         if not (box[0] < box[1]).all():
-            raise ValueError(f"margin_m = {self.margin_m}: leaves no room to fly in a world of {list(size_m)} metres")
+            raise ValueError(
+                f"[flight] margin_m = {self.margin_m}: leaves no room to fly in a world of {list(size_m)} metres"
+            )
         return box
 
 

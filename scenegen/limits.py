@@ -7,7 +7,26 @@ MOST_VOXELS = 1 << 26
 """In a grid: a distance field of this size takes 256 MB."""
 MOST_VIEWPOINTS = 10_000
 """Of one flight."""
-MOST_SAMPLES_IN_SHARD = 10**7
+MOST_VOXELS_IN_FLIGHT = 1 << 30
+"""Of all maps of one flight: its samples are in memory together, some eight bytes a voxel."""
+MOST_CANDIDATES = 100_000
+"""Places along one flight at which a scan may be tried."""
+MOST_DRAWS = 10_000
+"""Of one world."""
+MOST_FLIGHTS = 1000
+"""Tried in one world."""
+MOST_ITERATIONS = 10**6
+"""Of one search for a flight: some ten seconds."""
+MOST_SEARCHED = 10**9
+"""Iterations over all draws of one world and all flights in each: some hours, after which there is none."""
+MOST_SEED = 2**63 - 1
+"""What every reader of JSON takes as a whole number."""
+MOST_SAMPLES = 10**9
+"""Of a split."""
+MOST_WORKERS = 1024
+"""Processes."""
+MOST_SAMPLES_IN_SHARD = 10**5
+"""A shard is made in memory: some eight gigabytes of maps of the default size."""
 MOST_SHARDS = 99_999
 """In a split: what five digits can number."""
 MOST_MANIFEST_BYTES = 64 << 20
@@ -18,7 +37,13 @@ MOST_RECIPE_BYTES = 1 << 20
 MOST_GEOMS = 50_000
 """In a world: MuJoCo takes five seconds over so many, and four times as long over twice as many."""
 MOST_DRAWN_SOLIDS = 20_000
-"""In a world that a recipe draws: beyond this, next to no flight exists."""
+"""In a world that a recipe draws, of all sorts together: MuJoCo takes a second over so many, twice a world, and
+`verify` gives a shard of a hundred worlds three minutes."""
+MOST_DRAWN_M = 1e4
+"""Lengths in a recipe, metres: MJCF's six digits then place solids to a decimetre, and whatever is stacked or scattered
+stays within `MOST_LENGTH_M`."""
+LEAST_DRAWN_M = 1e-3
+"""Steps and distances of flights, metres: how finely motions are checked."""
 MOST_ELEMENTS = 200_000
 """In an MJCF document."""
 MOST_DEPTH = 200

@@ -2,16 +2,28 @@
 
 import dataclasses
 import difflib
+import math
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pydantic
+import numpy as np
 
 from lidarsim import GridSpec, Lidar
-from scenegen.errors import RecipeError
+from lidarsim.parameters import check, number
+from scenegen.errors import DatasetError, RecipeError, printable, short
+from scenegen.files import read_bounded
 from scenegen.flight import Flight
+from scenegen.limits import (
+    MOST_CANDIDATES,
+    MOST_DEPTH,
+    MOST_DRAWS,
+    MOST_RECIPE_BYTES,
+    MOST_SEARCHED,
+    MOST_VOXELS,
+    MOST_VOXELS_IN_FLIGHT,
+)
 from scenegen.recipes import find_kind, kind_names
 from scenegen.recipes.kind import WorldKind
 
@@ -23,30 +35,25 @@ class Acceptance:
     Maps that are poorly seen stay: they are the task.
     """
 
-    min_solids: float = 1.0
+    min_solids: float = number(1.0, least=0)
     """A world is rejected when, averaged along its flight, fewer solids than this reach into the map."""
-    min_occupied_share: float = 0.0005
+    min_occupied_share: float = number(0.0005, least=0, most=1)
     """A viewpoint is rejected when a smaller share of its map's voxels than this is occupied."""
-    min_returned_share: float = 0.01
+    min_returned_share: float = number(0.01, least=0, most=1)
     """A viewpoint is rejected when a smaller share of its rays than this returns."""
-    max_draws: int = 50
+    max_draws: int = number(50, least=1, most=MOST_DRAWS)
     """Draws of one world after which generation gives up."""
 
     def __post_init__(self) -> None:
-        if not self.min_solids >= 0:
-            raise ValueError(f"min_solids = {self.min_solids}: expected at least 0")
-        for name in ("min_occupied_share", "min_returned_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected a share from 0 to 1")
-        if self.max_draws < 1:
-            raise ValueError(f"max_draws = {self.max_draws}: expected at least 1")
+        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
     """Everything besides the seed and the counts that decides a dataset's content.
 
-    Raises ValueError where flights have no room in the world.
+    Raises ValueError, naming the table, where flights have no room in the world, or where parameters that are fine each
+    ask together for more memory or time than `scenegen.limits` allows.
     """
 
     kind: str
@@ -59,8 +66,35 @@ class Recipe:
     grid: GridSpec = field(default_factory=GridSpec)
 
     def __post_init__(self) -> None:
+        grid, flight = self.grid, self.flight
+        voxels = math.prod(grid.shape)
+        if voxels > MOST_VOXELS:
+            raise ValueError(f"[grid] shape = {list(grid.shape)}: {voxels} voxels, expected {MOST_VOXELS} at most")
+        if voxels * flight.viewpoints > MOST_VOXELS_IN_FLIGHT:
+            raise ValueError(
+                f"[flight] viewpoints = {flight.viewpoints}: their maps are in memory together, expected "
+                f"{MOST_VOXELS_IN_FLIGHT // voxels} at most with grid.shape = {list(grid.shape)}"
+            )
+        if grid.voxel_m > self.lidar.max_range_m:
+            raise ValueError(
+                f"[grid] voxel_m = {grid.voxel_m}: expected at most the sensor's range, lidar.max_range_m = "
+                f"{self.lidar.max_range_m}"
+            )
+        if self.accept.max_draws * flight.flights_per_world * flight.iterations > MOST_SEARCHED:
+            raise ValueError(
+                f"[accept] max_draws = {self.accept.max_draws}: times flight.flights_per_world = "
+                f"{flight.flights_per_world} and flight.iterations = {flight.iterations}, expected {MOST_SEARCHED} at "
+                "most; lower one of them"
+            )
         if self.world is not None:
-            self.flight.bounds(self.world.size_m)
+            box = flight.bounds(self.world.size_m)
+            # flights wind, but none was ever seen to be ten times as long as the diagonal
+            candidates = 10 * float(np.sqrt(((box[1] - box[0]) ** 2).sum())) / flight.spacing_m
+            if candidates > MOST_CANDIDATES:
+                raise ValueError(
+                    f"[flight] spacing_m = {flight.spacing_m}: {candidates:.3g} places to scan from along one flight, "
+                    f"expected {MOST_CANDIDATES} at most; raise it"
+                )
 
     @property
     def version(self) -> int:
@@ -86,22 +120,33 @@ def read_recipe(path: Path, kind: str | None = None) -> Recipe:
 
     Raises RecipeError naming the file, the table and the parameter.
     """
+    where = printable(path)
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecipeError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise RecipeError(f"{path}: not valid TOML: {error}") from None
-    named = tables.pop("kind", None)
-    if kind is None and named is None:
-        raise RecipeError(f'{path}: names no kind; add a line such as kind = "pillar", or give --kind')
-    if kind is not None and named is not None and kind != named:
-        raise RecipeError(f"{path}: is a recipe for kind {named!r}, not for {kind!r}; leave one of the two out")
-    return make_recipe(kind or str(named), tables, where=str(path))
+        text = read_bounded(path, MOST_RECIPE_BYTES).decode()
+        if any(line.count(".") > MOST_DEPTH for line in text.splitlines() if not line.lstrip().startswith("#")):
+            raise RecursionError  # dotted keys: tomllib's time grows with the square of their depth, or worse
+        tables = tomllib.loads(text)
+    except OSError as error:
+        raise RecipeError(f"{where}: cannot be read: {error.strerror}") from None
+    except DatasetError as error:
+        raise RecipeError(printable(error)) from None
+    except ValueError as error:  # TOMLDecodeError, and int()'s for thousands of digits
+        raise RecipeError(f"{where}: not valid TOML: {printable(error)}") from None
+    except RecursionError:
+        raise RecipeError(f"{where}: nested too deeply; expected tables of parameters") from None
+    named = tables.pop("kind", kind)
+    if named is None:
+        raise RecipeError(f'{where}: names no kind; add a line such as kind = "pillar", or give --kind')
+    if kind is not None and kind != named:
+        raise RecipeError(f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the two out")
+    return make_recipe(named, tables, where=where)
 
 
 def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
-    """The preset of `kind` with the values in `tables` put in; `where` names their source in errors."""
+    """The preset of `kind` with the values in `tables` put in; `where` names their source in errors.
+
+    Raises RecipeError naming the table and the parameter.
+    """
     parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec}
     defaults: dict[str, dict[str, Any]] = {}
     if kind != "scene":
@@ -111,7 +156,7 @@ def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
     for name, table in tables.items():
         _check_name(name, tuple(sorted(parts)), "table", where)
         if not isinstance(table, dict):
-            raise RecipeError(f"{where}: {name} = {table!r}: expected a table, [{name}], of parameters")
+            raise RecipeError(f"{where}: {name} = {short(table)}: expected a table, [{name}], of parameters")
     built = {
         name: _from_table(part, defaults.get(name, {}) | dict(tables.get(name, {})), f"{where}: [{name}]")
         for name, part in parts.items()
@@ -119,36 +164,26 @@ def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
     try:
         return Recipe(kind=kind, **built)
     except ValueError as error:
-        raise RecipeError(f"{where}: [flight] {error}") from None
+        raise RecipeError(f"{where}: {error}") from None
 
 
 def _from_table(part: type, table: dict[str, Any], where: str) -> Any:
-    """An instance of the dataclass `part` from a table of values, types and bounds checked."""
-    names = tuple(item.name for item in dataclasses.fields(part))
+    """An instance of the dataclass `part` from a table of values, which it checks."""
+    fields = {item.name: item for item in dataclasses.fields(part)}
     for name in table:
-        _check_name(name, names, "parameter", where)
-    for name, value in table.items():
-        default = getattr(part, name, value)  # a kind may have parameters without a default
-        if isinstance(value, bool | str) and type(value) is not type(default):
-            raise RecipeError(f"{where} {name} = {value!r}: expected something like {default!r}")
+        _check_name(name, tuple(fields), "parameter", where)
+    for name, item in fields.items():
+        needed = item.default is item.default_factory is dataclasses.MISSING
+        if needed and name not in table:
+            raise RecipeError(f"{where} {name}: is missing, and has no default; give it a value")
     try:
-        return pydantic.TypeAdapter(_finite(part)).validate_python(table)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        at = ".".join(str(step) for step in first["loc"])
-        reason = first["msg"].removeprefix("Value error, ")
-        named = f"{at} = {first['input']!r}: " if at else ""
-        raise RecipeError(f"{where} {named}{reason}") from None
+        return part(**table)
+    except ValueError as error:
+        raise RecipeError(f"{where} {error}") from None
 
 
-def _finite(part: type) -> type:
-    """`part`, to be checked for numbers that are none."""
-    part.__pydantic_config__ = pydantic.ConfigDict(allow_inf_nan=False)  # type: ignore[attr-defined]
-    return part
-
-
-def _check_name(name: str, known: tuple[str, ...], what: str, where: str) -> None:
+def _check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None:
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
+        near = difflib.get_close_matches(str(name)[:100], known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        raise RecipeError(f"{where}: unknown {what} {name!r}; {hint}")
+        raise RecipeError(f"{where}: unknown {what} {short(name)}; {hint}")

@@ -15,9 +15,9 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
 from scenegen.draw import draw_unit
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, short
 from scenegen.files import disk_error, remove_drafts
-from scenegen.limits import MOST_SHARDS
+from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS
 from scenegen.recipe import Recipe
 from scenegen.source import Source
 from scenegen.workers import run
@@ -73,7 +73,14 @@ def plan_dataset(
     compact: bool = False,
     shard_samples: int = 100,
 ) -> Plan:
-    """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units."""
+    """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units.
+
+    Raises DatasetError for numbers beyond those that readers take.
+    """
+    _check_asked("--seed", seed, 0, MOST_SEED)
+    _check_asked("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
+    for split, count in counts.items():
+        _check_asked("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
     given = manifest.parameters(recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples)
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints
@@ -103,6 +110,11 @@ def plan_dataset(
                 )
             )
     return Plan(folder=folder, parameters=given, shards=tuple(shards))
+
+
+def _check_asked(option: str, value: int, least: int, most: int) -> None:
+    if not least <= value <= most:
+        raise DatasetError(f"{option} {short(value)}: expected a whole number from {least} to {most}")
 
 
 def build(

@@ -13,13 +13,13 @@ import pydantic
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset import manifest
 from scenegen.errors import DatasetError
-from scenegen.limits import MOST_ASSET_BYTES, MOST_SAMPLES_IN_SHARD, MOST_VOXELS
+from scenegen.limits import MOST_ASSET_BYTES, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
 from scenegen.sample import SCHEMA, shape_of
 
 SHARD_FILE = r"^(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)$"
 """What a file of a dataset may be called, besides the manifest."""
 
-_Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
+_Count = Annotated[int, pydantic.Field(ge=0, le=MOST_SAMPLES)]
 _File = Annotated[str, pydantic.Field(pattern=SHARD_FILE, max_length=40)]
 _Digest = Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$", max_length=64)]
 
@@ -62,13 +62,13 @@ class Manifest(pydantic.BaseModel, strict=True):
 
     complete: bool
     kind: Annotated[str, pydantic.Field(pattern=r"^\w[\w.-]*$", max_length=100)]
-    seed: Annotated[int, pydantic.Field(ge=0)]
+    seed: Annotated[int, pydantic.Field(ge=0, le=MOST_SEED)]
     counts: Counts | None = None  # this and `shard_samples` are for making it again, not for reading
     recipe: _Recipe
     fields: Annotated[list[str], pydantic.Field(max_length=len(SCHEMA))]
     grid: _Grid
     lidar: dict[str, str | int | float]
-    shard_samples: Annotated[int, pydantic.Field(ge=1)] | None = None
+    shard_samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)] | None = None
     shards: list[Entry]
     rejected: dict[Literal["worlds", "viewpoints"], dict[str, _Count]]
     digest: _Digest | None

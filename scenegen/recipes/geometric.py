@@ -6,6 +6,8 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from lidarsim.parameters import number
+from scenegen.limits import MOST_DRAWN_SOLIDS
 from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
 
 SHAPES = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER)
@@ -22,7 +24,7 @@ class Geometric(WorldKind):
     """
 
     version: ClassVar[int] = 1
-    crowding: ClassVar[tuple[str, ...]] = ("density", "wall_density", "clutter_density")
+    crowding: ClassVar[tuple[str, ...]] = ("density", "wall_density", "clutter_density", "clutter_count")
     accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 2.0}
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 4.0)}
 
@@ -30,11 +32,11 @@ class Geometric(WorldKind):
     """Extent of the world along x, y and z, metres; z is how high floating solids may have their centres."""
     ground: bool = True
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
-    density: Range = (0.002, 0.4)
+    density: Range = number((0.002, 0.4), above=0, rising=True)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform."""
     half_size_m: Range = (0.3, 1.2)
     """Radii and half edges, metres; one value an axis of a solid."""
-    scale: Range = (0.7, 1.2)
+    scale: Range = number((0.7, 1.2), above=0, most=100, rising=True)
     """Factor on `half_size_m`; one value a world."""
     standing_share: float = 0.5
     """Share of solids that stand on the ground; others float at any height, or are stacked."""
@@ -52,7 +54,7 @@ class Geometric(WorldKind):
     """Half the thickness, metres."""
     clutter_density: Range = (0.0, 0.003)
     """Heaps of small solids per square metre; one value a world."""
-    clutter_count: tuple[int, int] = (4, 8)
+    clutter_count: tuple[int, int] = number((4, 8), least=0, most=MOST_DRAWN_SOLIDS, rising=True)
     """Small solids in a heap."""
     clutter_spread_m: float = 0.5
     """Standard deviation of small solids' places about their heap's, metres."""
@@ -65,10 +67,11 @@ class Geometric(WorldKind):
             raise ValueError(
                 f"standing_share = {self.standing_share} and stacked_share = {self.stacked_share}: at most 1"
             )
-        if self.scale[0] <= 0:
-            raise ValueError(f"scale = {list(self.scale)}: expected factors above 0")
-        if self.density[0] <= 0:
-            raise ValueError(f"density = {list(self.density)}: expected a lower bound above 0, its logarithm is drawn")
+
+    def most_solids(self) -> float:
+        """See `WorldKind.most_solids`: a heap counts as what is in it."""
+        heaps = self.clutter_density[1] * self.size_m[0] * self.size_m[1]
+        return super().most_solids() + heaps * (self.clutter_count[1] - 1)
 
     def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
         """See `WorldKind.add_to`."""

@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from scenegen.limits import MOST_DRAWN_SOLIDS
+from lidarsim.parameters import Bounds, check, shown
+from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
 
 Range = tuple[float, float]
 """A lower and an upper bound, both included; worlds or solids draw from between."""
@@ -37,22 +38,20 @@ class WorldKind(ABC):
     """Thickness of that slab, metres."""
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if isinstance(value, str):
-                continue
-            numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
-            if not np.isfinite(numbers).all():
-                raise ValueError(f"{name} = {value}: expected finite numbers")
-            if isinstance(value, tuple) and len(value) == 2 and not 0 <= value[0] <= value[1]:
-                raise ValueError(f"{name} = {list(value)}: expected [low, high] with 0 <= low <= high")
-            if name.endswith("_share") and not 0 <= value <= 1:
-                raise ValueError(f"{name} = {value}: expected a share from 0 to 1")
-            if name.endswith("density") and numbers[-1] * self.size_m[0] * self.size_m[1] > MOST_DRAWN_SOLIDS:
-                raise ValueError(
-                    f"{name} = {value}: more than {MOST_DRAWN_SOLIDS} of them in a world; lower it or size_m"
-                )
-            if name.endswith("_m") and not (numbers > 0).all():
-                raise ValueError(f"{name} = {value}: expected lengths above 0, in metres")
+        check(self, _bounds_by_name)
+        most = self.most_solids()
+        if most > MOST_DRAWN_SOLIDS:
+            given = ", ".join(f"{name} = {shown(getattr(self, name))}" for name in self.crowding)
+            raise ValueError(
+                f"{given}: up to {most:.4g} solids in a world of {list(self.size_m)} metres, expected "
+                f"{MOST_DRAWN_SOLIDS} at most; lower them or size_m"
+            )
+
+    def most_solids(self) -> float:
+        """How many solids a world may have. Here, parameters named `…density` count them per square metre; a kind that
+        counts otherwise says so."""
+        densities = [value for name, value in vars(self).items() if name.endswith("density")]
+        return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
 
     @abstractmethod
     def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
@@ -64,6 +63,18 @@ class WorldKind(ABC):
             x, y, _ = self.size_m
             half, centre = (x / 2, y / 2, self.ground_m / 2), (x / 2, y / 2, -self.ground_m / 2)
             add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, half, centre, rgba=(0.55, 0.53, 0.5, 1.0))
+
+
+def _bounds_by_name(name: str, value: Any) -> Bounds:
+    """What a parameter that declares no bounds may be: its name's ending says so, and ranges of two rise."""
+    pair = isinstance(value, list | tuple) and len(value) == 2
+    if name.endswith("_share"):
+        return Bounds(least=0, most=1, rising=pair)
+    if name.endswith("_m"):
+        return Bounds(above=0, most=MOST_DRAWN_M, rising=pair)
+    if name.endswith("density") or pair:
+        return Bounds(least=0, rising=pair)
+    return Bounds()
 
 
 def add_geom(spec: mujoco.MjSpec, shape: mujoco.mjtGeom, size: Any, position: Any, **more: Any) -> None:

@@ -6,6 +6,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from lidarsim.parameters import number
 from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
 
 
@@ -30,7 +31,7 @@ class Pillar(WorldKind):
     """Share of pillars with a round section."""
     oblong_share: float = 0.1
     """Share of pillars with a rectangular section, up to `oblong_ratio` times as long as wide; the rest are square."""
-    oblong_ratio: float = 3.0
+    oblong_ratio: float = number(3.0, least=1, most=1000)
     """Greatest ratio of the two edges of a rectangular section."""
     passage_share: float = 0.1
     """Share of pillars set beside an earlier one, a passage's width away; a few leave the world by that."""
@@ -43,8 +44,6 @@ class Pillar(WorldKind):
         super().__post_init__()
         if self.round_share + self.oblong_share > 1:
             raise ValueError(f"round_share + oblong_share = {self.round_share + self.oblong_share}: expected at most 1")
-        if not self.oblong_ratio >= 1:
-            raise ValueError(f"oblong_ratio = {self.oblong_ratio}: expected at least 1")
 
     def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
         """See `WorldKind.add_to`."""

@@ -15,7 +15,7 @@ from scenegen.dataset import manifest
 from scenegen.dataset.shard import stored_fields
 from scenegen.dataset.trust import Counts, Entry, Manifest
 from scenegen.errors import RecipeError
-from scenegen.limits import MOST_VIEWPOINTS, MOST_VOXELS
+from scenegen.limits import MOST_SAMPLES_IN_SHARD, MOST_VOXELS
 from scenegen.recipe import Recipe, make_recipe
 from scenegen.recipes import kind_names
 from scenegen.verify.report import BrokenError, Ledger
@@ -25,7 +25,7 @@ class _Whole(Manifest, strict=True):
     """A manifest that also says how to make its dataset again."""
 
     counts: Counts
-    shard_samples: Annotated[int, pydantic.Field(ge=1)]
+    shard_samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,10 +105,6 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
     scenes = None
     if typed.kind == "scene":
         scenes = _scenes(given["recipe"])
-    if recipe.flight.viewpoints > MOST_VIEWPOINTS:
-        raise BrokenError(
-            f"{manifest.NAME}: flight.viewpoints = {recipe.flight.viewpoints}: expected {MOST_VIEWPOINTS} at most"
-        )
     names = (*("format", "version", "kind", "seed", "counts", "recipe", "fields", "grid", "lidar"), "shard_samples")
     return Contract(
         folder=folder,
