@@ -58,14 +58,15 @@ class Bounds:
     def words(self, *, whole: bool, count: int = 1) -> str:
         """The bounds in words, of one number or of each of `count`."""
         what = f"{'whole' if whole else 'finite'} number"
-        parts = [f"a {what}" if count == 1 else f"{_COUNTED.get(count, count)} {what}s"]
+        rising = "[low, high] with low <= high," if self.rising and count == 2 else _COUNTED.get(count, str(count))
+        parts = [f"a {what}" if count == 1 else f"{rising} {what}s"]
         if math.isfinite(self.least) and math.isfinite(self.most):
             parts.append(f"from {self.least:.12g} to {self.most:.12g}")
         else:
             bounds = {"above": self.above, "at least": self.least, "below": self.below, "at most": self.most}
             said = [f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)]
             parts += [" and ".join(said)] if said else []
-        return " ".join(parts) + (", the lower one first" if self.rising and count == 2 else "")
+        return " ".join(parts)
 
 
 def number(default: Any = dataclasses.MISSING, **bounds: Any) -> Any:

@@ -266,6 +266,13 @@ def test_more_files_than_five_digits_number_are_refused(tmp_path: Path) -> None:
         plan(tmp_path / "d", counts={"train": 10**9, "val": 0, "test": 0})
 
 
+@pytest.mark.parametrize("asked", [{"n": 10**30}, {"val": 10**12}, {"seed": 10**40}, {"shard_samples": 10**12}])
+def test_numbers_beyond_those_that_readers_take_are_refused_at_once(tmp_path: Path, asked: dict[str, int]) -> None:
+    counts = {"train": asked.pop("n", 9), "val": asked.pop("val", 0), "test": 0}
+    with pytest.raises(DatasetError, match=r"^--(n|val|seed|shard-samples) 10+: expected a whole number from"):
+        plan(tmp_path / "d", counts=counts, **asked)
+
+
 def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     for force in (False, True):
