@@ -11,8 +11,10 @@ from ompl import util as ou
 from lidarsim import Pose
 from lidarsim.parameters import check, number
 from scenegen.clearance import CAP_M, Clearance
+from scenegen.errors import GenerationError
 from scenegen.limits import (
     LEAST_DRAWN_M,
+    MOST_CANDIDATES,
     MOST_DRAWN_M,
     MOST_FLIGHTS,
     MOST_ITERATIONS,
@@ -159,7 +161,8 @@ class Viewpoints:
 def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator) -> Viewpoints:
     """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it, in random order.
 
-    Where the path climbs straight up, the body looks as it did before.
+    Where the path climbs straight up, the body looks as it did before. Raises GenerationError where there would be more
+    than `MOST_CANDIDATES`.
     """
     legs = np.diff(path, axis=0)
     lengths = np.sqrt((legs**2).sum(axis=1))
@@ -167,6 +170,11 @@ def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Ge
     level = np.hypot(legs[:, 0], legs[:, 1]) > 1e-6
     turned = np.maximum.accumulate(np.where(level, np.arange(len(legs)), 0))
     heading = np.where(level, np.arctan2(legs[:, 1], legs[:, 0]), 0.0)[turned]
+    if ends[-1] > MOST_CANDIDATES * spacing_m:
+        raise GenerationError(
+            f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on a flight of "
+            f"{ends[-1]:.0f} m; raise it"
+        )
     flown = np.arange(rng.uniform(0.0, spacing_m), ends[-1], spacing_m)
     flown = flown[rng.permutation(len(flown))]
     leg = np.minimum(np.searchsorted(ends, flown, side="right") - 1, len(legs) - 1)

@@ -88,7 +88,7 @@ class Recipe:
             )
         if self.world is not None:
             box = flight.bounds(self.world.size_m)
-            # flights wind, but none was ever seen to be ten times as long as the diagonal
+            # ten diagonals: a flight made of straight steps towards random points hardly ever takes two
             candidates = 10 * float(np.sqrt(((box[1] - box[0]) ** 2).sum())) / flight.spacing_m
             if candidates > MOST_CANDIDATES:
                 raise ValueError(

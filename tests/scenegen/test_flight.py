@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 
 import mujoco
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from lidarsim.pose import rotate
 from scenegen.clearance import Clearance
+from scenegen.errors import GenerationError
 from scenegen.flight import Flight, plan, viewpoints
 from scenegen.truth import solids_of
 
@@ -260,3 +262,16 @@ def test_the_margin_and_the_altitudes_bound_flights_through_a_drawn_world() -> N
     for size in ((6.0, 12.0, 9.0), (20.0, 5.9, 9.0)):
         with pytest.raises(ValueError, match="margin_m"):
             flight.bounds(size)
+
+
+def test_a_flight_with_too_many_places_is_refused_before_they_take_memory() -> None:
+    path = np.array([[0.0, 0.0, 1.0], [1e6, 0.0, 1.0]])
+    with pytest.raises(GenerationError, match=r"spacing_m = 0.001: more than 100000 places .* of 1000000 m"):
+        viewpoints(path, 0.001, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Flight)])
+@pytest.mark.parametrize("value", [-1e9, 1e30, math.nan, math.inf, True, "3", None, (3.0, 1.0), [[1.0]]])
+def test_a_bad_value_is_named(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"^{name} = .*: expected"):
+        Flight(**{name: value})

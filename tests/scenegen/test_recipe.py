@@ -1,0 +1,147 @@
+"""Recipes of any values either end in one line, or make a manifest that every reader takes."""
+
+import dataclasses
+import datetime
+import json
+import math
+import random
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenegen.dataset import manifest
+from scenegen.dataset.trust import check_manifest
+from scenegen.errors import RecipeError
+from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED
+from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
+from scenegen.recipes import kind_names
+from scenegen.source import DrawnWorlds
+from scenegen.verify.contract import read_contract
+from scenegen.verify.report import Ledger
+
+NASTY = (
+    *(0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 10**30, 1 << 20_000, math.nan, math.inf, -math.inf, True, False, None),
+    *("", "5", "\x1b[2J\n", [], [1], [1, 2], [2, 1], [8, 8, 8], [1e9, 1e9], [math.nan, 1], [[1], 2], [1] * 999, {}),
+    *({"a": 1}, datetime.date(1979, 5, 27), datetime.time(7, 32), datetime.datetime(1979, 5, 27)),
+)
+"""Values as TOML could give them, and worse."""
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looking up versions takes longer than all the rest."""
+    monkeypatch.setattr(manifest, "software", dict)
+
+
+def manifest_of(recipe: Recipe) -> dict[str, Any]:
+    """A manifest of no shard, with the greatest numbers besides the recipe that there may be."""
+    counts = dict.fromkeys(("train", "val", "test"), MOST_SAMPLES)
+    options = {"seed": MOST_SEED, "counts": counts, "compact": False, "shard_samples": MOST_SAMPLES_IN_SHARD}
+    given = manifest.parameters(recipe, DrawnWorlds(recipe), **options)
+    return json.loads(json.dumps(manifest.assemble(given, [], complete=False)))
+
+
+def random_tables(chance: random.Random, recipe: Recipe) -> dict[str, Any]:
+    """A few parameters, of random values: nasty ones, and those that are there, scaled or mixed up."""
+    tables: dict[str, Any] = {}
+    for _ in range(chance.choice((1, 1, 1, 2, 4))):
+        name = chance.choice(("world", "flight", "accept", "lidar", "grid"))
+        part = getattr(recipe, name)
+        parameter = chance.choice([item.name for item in dataclasses.fields(part)])
+        there = getattr(part, parameter)
+        scale = 10.0 ** chance.uniform(-6, 8)
+        scaled = [type(one)(one * scale) for one in there] if isinstance(there, tuple) else there
+        if isinstance(there, int | float) and not isinstance(there, bool):
+            scaled = type(there)(there * scale)
+        tables.setdefault(name, {})[parameter] = chance.choice((scaled, scaled, chance.choice(NASTY)))
+    if chance.random() < 0.05:
+        tables[chance.choice(("wrld", "\x1b[2J", "world", ""))] = chance.choice(NASTY)
+    return tables
+
+
+def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_readers_take(tmp_path: Path) -> None:
+    chance = random.Random(0)
+    presets = {kind: preset(kind) for kind in kind_names()}
+    outcome: Counter[str] = Counter()
+    lines: set[str] = set()
+    for _ in range(1500):
+        kind = chance.choice(list(presets))
+        try:
+            recipe = make_recipe(kind, random_tables(chance, presets[kind]), where="test")
+        except RecipeError as error:
+            lines.add(str(error))
+            outcome["refused"] += 1
+            continue
+        found = manifest_of(recipe)
+        grid, lidar = check_manifest(found, "test")
+        assert (grid, lidar) == (recipe.grid, recipe.lidar)
+        assert recipe.world is not None
+        assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS
+        if outcome["made"] % 20 == 0:
+            (tmp_path / manifest.NAME).write_text(json.dumps(found))
+            contract = read_contract(tmp_path, Ledger())
+            assert contract is not None
+            assert contract.recipe == recipe
+        outcome["made"] += 1
+    assert outcome["refused"] > 500
+    assert outcome["made"] > 300
+    assert [line for line in lines if not line.isprintable() or len(line) > 400] == []
+    assert [line for line in lines if "Input should" in line or "required" in line] == []
+
+
+@pytest.mark.parametrize("kind", [*kind_names(), "scene"])
+def test_every_preset_keeps_its_own_rules_and_reads_back(kind: str) -> None:
+    recipe = preset(kind)
+    plain = {name: dataclasses.asdict(getattr(recipe, name)) for name in ("flight", "accept", "lidar", "grid")}
+    if recipe.world is not None:
+        plain["world"] = dataclasses.asdict(recipe.world)
+    assert make_recipe(kind, json.loads(json.dumps(plain)), where="test") == recipe
+
+
+def test_whole_numbers_and_floats_make_the_same_dataset() -> None:
+    """A recipe says 1 or 1.0; the manifest, and so the dataset's fingerprint, says one of them."""
+    whole = {
+        "grid": {"voxel_m": 1, "shape": [8.0, 8.0, 8.0]},
+        "world": {"density": [0, 1]},
+        "flight": {"viewpoints": 2.0},
+    }
+    exact = {
+        "grid": {"voxel_m": 1.0, "shape": [8, 8, 8]},
+        "world": {"density": [0.0, 1.0]},
+        "flight": {"viewpoints": 2},
+    }
+    found = [json.dumps(manifest_of(make_recipe("pillar", tables, where="test"))) for tables in (whole, exact)]
+    assert found[0] == found[1]
+
+
+def test_all_sorts_of_solids_are_counted_together() -> None:
+    """Each alone would do."""
+    alone = {"density": [0.001, 9.0]}, {"wall_density": [0.0, 9.0]}, {"clutter_density": [0.0, 0.9]}
+    for world in alone:
+        make_recipe("geometric", {"world": world}, where="test")
+    for one, other in ((0, 1), (1, 2), (0, 2)):
+        tables = {"world": {**alone[one], **alone[other], "clutter_count": [0, 18]}}
+        with pytest.raises(RecipeError, match=r"solids in a world of .* expected 20000 at most"):
+            make_recipe("geometric", tables, where="test")
+
+
+def test_a_parameter_without_default_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Bare(type(preset("pillar").world)):  # type: ignore[misc]
+        posts: int
+
+    monkeypatch.setattr("scenegen.recipe.find_kind", lambda name: Bare)
+    with pytest.raises(RecipeError, match=r"^test: \[world\] posts: is missing"):
+        make_recipe("pillar", {}, where="test")
+    assert make_recipe("pillar", {"world": {"posts": 3}}, where="test").world.posts == 3  # type: ignore[union-attr]
+    with pytest.raises(RecipeError, match=r"posts = 3.5: expected a whole number"):
+        make_recipe("pillar", {"world": {"posts": 3.5}}, where="test")
+
+
+def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path: Path) -> None:
+    lines = f"[{'a.' * 200}a]\n" + "".join(f"k{n:05d}=1\n" for n in range(6_000))
+    (tmp_path / "r.toml").write_text(f'kind = "pillar"\n{lines}')
+    with pytest.raises(RecipeError, match="unknown table 'a'"):
+        read_recipe(tmp_path / "r.toml")
