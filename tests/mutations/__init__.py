@@ -6,11 +6,11 @@ one printable line on standard error that begins with ``scenegen: ``, and leaves
 
 A case is named ``family/number``; with the seed, the name decides every byte of it:
 
-    python -m tests.mutations                          # 30 cases of every family, seed 0
+    python -m tests.mutations                          # 25 cases of every family, seed 0
     python -m tests.mutations --cases 1000 --seed 7    # more, and others
     python -m tests.mutations archives --cases 500     # of one family
     python -m tests.mutations archives/17 --seed 7     # one case: prints all that it did, and keeps its folder
 
-`python -m pytest tests/mutations` runs 30 a family; with ``-m slow``, SCENEGEN_MUTATIONS of them (300), by
+`python -m pytest tests/mutations` runs 25 a family; with ``-m slow``, SCENEGEN_MUTATIONS of them (300), by
 SCENEGEN_MUTATION_SEED (1).
 """

@@ -4,6 +4,7 @@ import argparse
 import collections
 import os
 import shlex
+import shutil
 import sys
 import tempfile
 import time
@@ -21,7 +22,7 @@ def main() -> int:
         prog="tests.mutations", description=about, formatter_class=argparse.RawTextHelpFormatter
     )
     asked.add_argument("what", nargs="*", help="families, or cases as family/number; all for none")
-    asked.add_argument("--cases", type=int, default=30, help="of each family")
+    asked.add_argument("--cases", type=int, default=25, help="of each family")
     asked.add_argument("--seed", type=int, default=0)
     asked.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     given = asked.parse_args()
@@ -32,6 +33,8 @@ def main() -> int:
     ends = run(names, seed=given.seed, jobs=given.jobs, base=base)
     if len(names) == 1:
         _print_whole(ends[0])
+    elif not any(ended.wrong for ended in ends):
+        shutil.rmtree(base)
     return print_table(ends)
 
 

@@ -3,10 +3,10 @@
 import io
 import struct
 import zipfile
-import zlib
 from pathlib import Path
 from random import Random
 
+from tests.mutations import bombs
 from tests.mutations.case import VALID, Attempt
 from tests.mutations.damage_bytes import damage
 from tests.mutations.damage_scenes import hostile
@@ -89,16 +89,12 @@ def _bomb(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]
     names = [f"asset{number}.obj" for number in range(12)]
     members[0] = first, document.replace(b"</mujoco>", f"<!-- {' '.join(names)} --></mujoco>".encode())
     honest = _zipped(members)
-    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
-    size = 250 << 20 if kind == 1 else 40 << 20
-    block = bytes(1 << 20)
-    packed, checksum = b"", 0
-    for _ in range(size >> 20):
-        packed += packer.compress(block)
-        checksum = zlib.crc32(block, checksum)
-    packed += packer.flush()
+    size_mb = 250 if kind == 1 else 40
+    size = size_mb << 20
     said = size if random.random() < 0.5 else 100
-    return _with_raw(honest, names, packed, checksum, said), f"12 members of {size >> 20} MB that say {said} bytes"
+    return _with_raw(
+        honest, names, bombs.deflated(size_mb), bombs.checksum(size_mb), said
+    ), f"12 members of {size_mb} MB that say {said} bytes"
 
 
 def _with_raw(archive: bytes, names: list[str], packed: bytes, checksum: int, size: int) -> bytes:

@@ -104,7 +104,7 @@ def other_chunks(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
             {"chunks": (1, *(max(1, n // 2) for n in shape[1:]))},
             {"chunks": (1,) * len(shape)},
             {"chunks": (1, *shape[1:]), "maxshape": (None, *shape[1:])},
-            {"chunks": (1 << 20, *shape[1:]), "maxshape": (None, *shape[1:])},
+            {"chunks": (1 << 8, *shape[1:]), "maxshape": (None, *shape[1:])},
         )
     )
     _remade(file, name, **options)

@@ -33,7 +33,8 @@ def _read(random: Random, valid: Valid, here: Path, name: str, done: str, conten
     original = json.loads((valid.folder / name / "dataset.json").read_text())
 
     def unchanged(result: Any) -> str:
-        return "" if json.loads(content) == original else f"passed, in spite of: {done}"
+        found = json.loads(content)  # keys that nobody knows say nothing
+        return "" if {key: found.get(key) for key in original} == original else f"passed, in spite of: {done}"
 
     return Attempt(words=attempt.words, damage=done, makes=attempt.makes, holds=unchanged)
 

@@ -6,13 +6,14 @@ from random import Random
 import h5py
 import numpy as np
 
+from tests.mutations import bombs
 from tests.mutations.case import REFUSED, SAME, VALID
 
 
 def unknown_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     values = file[name][()]
     made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    made.setchunk_of_our_own((1, *values.shape[1:]))
+    made.set_chunk((1, *values.shape[1:]))
     number = random.choice((4, 5, 6, 307, 32000, 32015, 65000))
     flag = random.choice((h5py.h5z.FLAG_OPTIONAL, h5py.h5z.FLAG_OPTIONAL, h5py.h5z.FLAG_MANDATORY))
     try:
@@ -21,7 +22,7 @@ def unknown_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str
         del file[name]
         made = h5py.h5d.create(file.id, name.encode(), kind, space, made)
         for row in range(len(values)):
-            made.write_directchunk_of_our_own((row,) + (0,) * (values.ndim - 1), random.randbytes(64), 0)
+            made.write_direct_chunk((row,) + (0,) * (values.ndim - 1), random.randbytes(64), 0)
     except (ValueError, OSError):
         if name not in file:
             file[name] = values
@@ -48,16 +49,15 @@ def chunk_of_our_own(file: h5py.File, name: str, random: Random) -> tuple[str, s
     packed = zlib.compress(raw)
     if data.compression != "gzip":
         return chunk_missing(file, name, random)
-    bomb = zlib.compress(bytes(40 << 20), 9)
     content, mask, said, expected = random.choice(
         (
             (raw[: len(raw) // 2], 1, "unpacked, half as long", REFUSED),
-            (b"", 1, "unpacked, empty", REFUSED),
+            (b"\1", 1, "unpacked, of one byte", REFUSED),
             (raw * 2, 1, "unpacked, twice as long", REFUSED),
             (raw, 1, "unpacked", SAME),
             (packed, 1, "packed, and marked unpacked", REFUSED),
             (raw, 0, "unpacked, and marked packed", REFUSED),
-            (bomb, 0, "of 40 MB", REFUSED),
+            (bombs.zlibbed(40), 0, "of 40 MB", REFUSED),
             (zlib.compress(raw + b"\0"), 0, "one byte too long", REFUSED),
             (zlib.compress(raw[:-1]), 0, "one byte too short", REFUSED),
             (packed[: len(packed) // 2], 0, "cut", REFUSED),
@@ -67,7 +67,7 @@ def chunk_of_our_own(file: h5py.File, name: str, random: Random) -> tuple[str, s
             (packed, 0xFFFFFFFF, "with every filter masked", REFUSED),
         )
     )
-    data.id.write_directchunk_of_our_own((0,) * data.ndim, content, mask)
+    data.id.write_direct_chunk((0,) * data.ndim, content, mask)
     return f"first chunk {said}", expected
 
 
@@ -76,10 +76,6 @@ def shuffled_bomb(file: h5py.File, name: str, random: Random) -> tuple[str, str]
     shape, dtype = data.shape, data.dtype
     del file[name]
     made = file.create_dataset(name, shape, dtype, chunks=(1, *shape[1:]), compression="gzip", shuffle=True)
-    bomb = zlib.compress(bytes(1 << 20), 9)
-    inner = zlib.compressobj(9)
-    content = (
-        b"".join(inner.compress(bytes(16 << 20)) for _ in range(64)) + inner.flush() if random.random() < 0.3 else bomb
-    )
-    made.id.write_directchunk_of_our_own((0,) * len(shape), content, 0)
+    content = bombs.zlibbed(random.choice((1, 1, 200, 1024)))
+    made.id.write_direct_chunk((0,) * len(shape), content, 0)
     return f"shuffled chunk of {len(content)} bytes that unpacks to far more", REFUSED

@@ -1,6 +1,7 @@
 """Whether a case ended well."""
 
 import fnmatch
+import re
 import signal
 
 from tests.mutations.case import Attempt, Result
@@ -40,7 +41,9 @@ def _said_well(attempt: Attempt, result: Result) -> str:
     if result.code == 0:
         return f"said on standard error: {result.stderr[:300]!r}" if result.stderr else ""
     if "Traceback" in result.stderr:
-        return f"ended in a traceback: {result.stderr.strip().splitlines()[-1][:200]}"
+        frames = re.findall(r'File ".*?/((?:(?:scenegen|model|lidarsim)/.*|cli)\.py)", line (\d+)', result.stderr)
+        where = ":".join(frames[-1]) if frames else "nowhere of ours"
+        return f"ended in a traceback at {where}: {result.stderr.strip().splitlines()[-1][:200]}"
     line = result.stderr.removesuffix("\n")
     if not line.startswith("scenegen: ") or not line.isprintable():
         return f"ended with {result.code} and not in one line: {result.stderr[:300]!r}"

@@ -47,7 +47,8 @@ class Ended:
 def campaign(
     names: list[str], families: dict[str, Any], valid: Any, *, seed: int, jobs: int, base: Path
 ) -> Iterator[Ended]:
-    """Run the cases called `names`, `jobs` at a time; each has a folder under `base`, kept where it went wrong."""
+    """Run the cases called `names`, `jobs` at a time. Each has a folder under `base`, kept where it went wrong or was
+    alone."""
     gc.collect()
     gc.freeze()  # what is collected no more is copied no more
     waiting = iter(names)
@@ -58,7 +59,7 @@ def campaign(
         if not running:
             return
         for case in [*running]:
-            ended = _ended(case)
+            ended = _ended(case, keep=len(names) == 1)
             if ended is not None:
                 running.remove(case)
                 yield ended
@@ -69,7 +70,10 @@ def _start(name: str, families: dict[str, Any], valid: Any, seed: int, base: Pat
     folder = Path(tempfile.mkdtemp(prefix=name.replace("/", "-") + "-", dir=base))
     here = folder / "here"
     here.mkdir()
-    attempt = families[name.partition("/")[0]](random_of(seed, name), valid, here)
+    try:
+        attempt = families[name.partition("/")[0]](random_of(seed, name), valid, here)
+    except Exception as error:
+        raise RuntimeError(f"{name} with seed {seed} cannot be made") from error
     before = _look(here)
     begin = time.monotonic()
     process = os.fork()
@@ -122,7 +126,7 @@ def _command(words: tuple[str, ...]) -> int:
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
 
 
-def _ended(case: _Running) -> Ended | None:
+def _ended(case: _Running, *, keep: bool) -> Ended | None:
     seconds = time.monotonic() - case.begin
     process, status, usage = os.wait4(case.process, os.WNOHANG)
     timed_out = process == 0 and seconds > SECONDS
@@ -148,7 +152,7 @@ def _ended(case: _Running) -> Ended | None:
     names = sorted(name for name in {*case.before, *now} if case.before.get(name) != now.get(name))
     result = replace(result, changed=tuple(names))
     wrong = verdict(case.attempt, result)
-    if not wrong:
+    if not wrong and not keep:
         shutil.rmtree(case.folder, ignore_errors=True)
     return Ended(case.name, case.attempt, result, wrong)
 
