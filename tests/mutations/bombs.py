@@ -1,0 +1,29 @@
+"""A little that unpacks to very much, made without packing that much."""
+
+import struct
+import zlib
+from functools import cache
+
+BLOCK = 1 << 20
+
+
+def deflated(size_mb: int) -> bytes:
+    """Raw deflate of so many megabytes of zeros."""
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    block = packer.compress(bytes(BLOCK)) + packer.flush(zlib.Z_FULL_FLUSH)  # stands on its own: may be repeated
+    return block * size_mb + packer.flush()
+
+
+def zlibbed(size_mb: int) -> bytes:
+    """The same as a zlib stream; of zeros, Adler-32 counts the length alone."""
+    checksum = (size_mb * BLOCK % 65521) << 16 | 1
+    return b"\x78\xda" + deflated(size_mb) + struct.pack(">L", checksum)
+
+
+@cache
+def checksum(size_mb: int) -> int:
+    """CRC-32 of so many megabytes of zeros."""
+    found, block = 0, bytes(BLOCK)
+    for _ in range(size_mb):
+        found = zlib.crc32(block, found)
+    return found

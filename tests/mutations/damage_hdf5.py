@@ -1,0 +1,236 @@
+"""Family ``hdf5``: shards that are well-formed HDF5, and not what the format says."""
+
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tests.mutations.case import REFUSED, SAME, VALID, Attempt
+from tests.mutations.dataset_commands import read_dataset
+from tests.mutations.datasets import sign
+from tests.mutations.hdf5_chunks import chunk_missing, chunk_of_our_own, shuffled_bomb, unknown_filter
+from tests.mutations.nasty import ESCAPES
+from tests.mutations.valid import Valid
+
+PACKED = ("observed", "occupancy", "ranges", "free", "tudf")
+Damage = Callable[[h5py.File, str, Random], tuple[str, str]]
+"""Damages the dataset of that name in a file; says how, and what exit code 0 may mean."""
+
+
+def _remade(file: h5py.File, name: str, values: Any = None, **options: Any) -> h5py.Dataset:
+    """The dataset anew, with `values` and creation options in place of its own."""
+    old = file[name][()]
+    del file[name]
+    return file.create_dataset(name, data=old if values is None else values, **options)
+
+
+def virtual(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    old = file[name]
+    shape, dtype = old.shape, old.dtype
+    file.move(name, "elsewhere")
+    layout = h5py.VirtualLayout(shape=shape, dtype=dtype)
+    layout[...] = h5py.VirtualSource(random.choice((".", "train-00000.h5", "/etc/passwd")), "elsewhere", shape=shape)
+    file.create_virtual_dataset(name, layout)
+    return "virtual", REFUSED
+
+
+def external(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    old = file[name]
+    shape, dtype = old.shape, old.dtype
+    del file[name]
+    other = random.choice(("/etc/passwd", "/dev/zero", "recipe.toml"))
+    file.create_dataset(name, shape, dtype, external=[(other, 0, h5py.h5f.UNLIMITED)])
+    return f"stored in {other}", REFUSED
+
+
+def link(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    del file[name]
+    link = random.choice((h5py.SoftLink("/sha256"), h5py.SoftLink(f"/{name}"), h5py.ExternalLink("/dev/zero", name)))
+    file[name] = link
+    return f"{type(link).__name__} to {link.path}", REFUSED
+
+
+def other_type(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    shape = file[name].shape
+    kinds: tuple[Any, ...] = (
+        "f2",
+        "f8",
+        ">f4",
+        "u1",
+        "i8",
+        ">i8",
+        "c16",
+        "S8",
+        h5py.string_dtype(),
+        "V16",
+        h5py.ref_dtype,
+    )
+    kind = random.choice([k for k in (*kinds, [("x", "f4"), ("y", "i2")]) if np.dtype(k) != file[name].dtype])
+    del file[name]
+    file.create_dataset(name, shape, kind, chunks=(1, *shape[1:]))
+    return f"of type {np.dtype(kind)}", REFUSED
+
+
+def other_shape(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    values = file[name][()]
+    many, dtype = (1 << 40, *values.shape[1:]), values.dtype
+    kind = random.randrange(6)
+    if kind == 0:
+        del file[name]
+        file.create_dataset(name, many, dtype, chunks=(1, *values.shape[1:]), compression="gzip")
+        return f"of shape {many}", REFUSED
+    if kind == 1:
+        del file[name]
+        file.create_group(name)
+        return "a group", REFUSED
+    if kind == 2:
+        del file[name]
+        file.create_dataset(name, data=h5py.Empty(dtype))
+        return "empty", REFUSED
+    others = {3: values[:0], 4: np.concatenate([values, values]), 5: values.reshape(-1)[: values.size - 1]}
+    _remade(file, name, others[kind])
+    return f"of shape {others[kind].shape}", REFUSED
+
+
+def other_chunks(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    shape = file[name].shape
+    options = random.choice(
+        (
+            {},
+            {"chunks": shape},
+            {"chunks": (1, *(max(1, n // 2) for n in shape[1:]))},
+            {"chunks": (1,) * len(shape)},
+            {"chunks": (1, *shape[1:]), "maxshape": (None, *shape[1:])},
+            {"chunks": (1 << 8, *shape[1:]), "maxshape": (None, *shape[1:])},
+        )
+    )
+    _remade(file, name, **options)
+    return f"laid out by {options}", SAME
+
+
+def other_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    shape = file[name].shape
+    options = random.choice(
+        (
+            {"compression": "gzip", "shuffle": True},
+            {"compression": "gzip", "fletcher32": True},
+            {"shuffle": True},
+            {"fletcher32": True},
+            {"compression": "lzf"},
+            {"compression": "gzip", "compression_opts": 9, "shuffle": True, "fletcher32": True},
+        )
+    )
+    _remade(file, name, chunks=(1, *shape[1:]), **options)
+    return f"filtered by {options}", SAME
+
+
+def number(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    """Other numbers, in place."""
+    data = file[name]
+    if data.dtype == np.bool_:
+        data[0] = ~data[0]
+        return "inverted", VALID
+    if data.dtype.kind == "f":
+        value = random.choice((np.nan, -np.nan, 1e308, -1e30, np.inf, -1.0))
+        data[(random.randrange(len(data)),) + (0,) * (data.ndim - 1)] = value
+        return f"holds {value}", VALID
+    data[random.randrange(len(data))] = random.choice((-1, 2**62, 255))
+    return "holds another number", VALID
+
+
+def attribute(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    key = random.choice(("parameters", "rejected", "worlds_sha256", "first_world", "split"))
+    values: tuple[Any, ...] = (
+        None,
+        3,
+        -1,
+        np.arange(5),
+        ["a", "b"],
+        ESCAPES.replace("\x00", ""),
+        "[" * 5000,
+        "{}",
+        "x" * 60_000,
+    )
+    value = random.choice((*values, np.bytes_(b"\xff\xfe"), h5py.Empty("f4"), np.float64("nan"), '{"worlds": 3}'))
+    if value is None:
+        del file.attrs[key]
+    else:
+        file.attrs[key] = value
+    return f"attribute {key} = {ascii(value)[:60]}", SAME if key != "parameters" else VALID
+
+
+def more(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    """Things that nobody asked for."""
+    match random.randrange(4):
+        case 0:
+            file.create_dataset("zz", (1 << 30,), "f8", chunks=(1 << 16,), compression="gzip")
+        case 1:
+            group = file
+            for _ in range(200):
+                group = group.create_group("g")
+        case 2:
+            file[ESCAPES.replace("\x00", "").replace("/", "")] = h5py.SoftLink("/")
+        case _:
+            file["again"] = file[name]
+    return "with something more beside it", VALID
+
+
+def aliased(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    other = "occupancy" if name == "observed" else "observed"
+    del file[name]
+    file[name] = file[other]
+    return f"the same as {other}", VALID if name in ("occupancy", "free", "observed") else REFUSED
+
+
+OF_CHUNKS: tuple[Damage, ...] = (chunk_of_our_own, shuffled_bomb)
+"""Those that need a packed field."""
+STRUCTURAL: tuple[Damage, ...] = (
+    *(
+        virtual,
+        external,
+        link,
+        other_type,
+        other_shape,
+        other_chunks,
+        other_filter,
+        unknown_filter,
+        more,
+        chunk_missing,
+    ),
+    *(chunk_of_our_own, chunk_of_our_own, chunk_of_our_own, shuffled_bomb),
+)
+DAMAGES: tuple[Damage, ...] = (*STRUCTURAL, number, number, attribute, attribute, aliased)
+
+
+def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+    """A shard of a dataset, damaged; mostly signed again."""
+    name = random.choice("ddc")
+    folder = valid.put(name, here)
+    path = random.choice(sorted(folder.glob("*.h5")))
+    latest = random.random() < 0.2
+    if latest:
+        _rewrite(path)
+    with h5py.File(path, "r+", libver="latest" if latest else None) as file:
+        field = random.choice([n for n in file if n != "sha256"])
+        packed = [n for n in PACKED if n in file]
+        change = random.choice(DAMAGES)
+        field = random.choice(packed) if change in OF_CHUNKS else field
+        done, expected = change(file, field, random)
+    signed = random.random() < 0.7
+    if signed:
+        sign(folder)
+    said = f"{name}/{path.name}: {field} {done}{', newest layout' * latest}{', signed again' * signed}"
+    return read_dataset(random, valid, here, name, said, expected)
+
+
+def _rewrite(path: Path) -> None:
+    """The same content, in HDF5's newest layout."""
+    newer = path.with_suffix(".new")
+    with h5py.File(path, "r") as old, h5py.File(newer, "w", libver="latest") as new:
+        for name in old:
+            old.copy(name, new)
+        new.attrs.update(dict(old.attrs))
+    newer.replace(path)

@@ -1,0 +1,110 @@
+"""Family ``options``: every command's own options, from its own list, with values that nobody expects."""
+
+import glob
+import os
+from pathlib import Path
+from random import Random
+
+import click
+
+from tests.mutations.case import Attempt
+from tests.mutations.nasty import number, text
+from tests.mutations.valid import Valid
+
+MADE = {
+    "generate": (
+        "--recipe",
+        "recipe.toml",
+        "--n",
+        "1",
+        "--val",
+        "0",
+        "--test",
+        "0",
+        "--workers",
+        "1",
+        "--quiet",
+        "--out",
+        "out",
+    ),
+    "inspect": ("d",),
+    "world": ("d", "0", "-o", "out"),
+    "verify": ("d", "--quick", "--workers", "1", "--quiet"),
+    "train": ("d", "--epochs", "1", "--width", "1", "--workers", "0", "--device", "cpu", "--quiet", "--out", "out"),
+    "complete": ("d", "--weights", "n.safetensors", "--device", "cpu", "--quiet", "-o", "out"),
+    "export": ("n.safetensors", "-o", "out"),
+    "networks": (),
+    "bench": ("d", "--quick", "--workers", "1", "--quiet", "--method", "returns", "--out", "out"),
+    "publish": ("d", "--repo", "ada/d", "--dry-run", "--quick", "--workers", "1", "--quiet", "--out", "out"),
+    "doctor": (),
+    "completion": ("bash",),
+}
+"""Commands as they work; what a case changes comes after, and so holds."""
+DEAR = {"networks", "doctor", "export", "train", "publish"}
+"""Commands that take seconds: their cases break one option in a way that cannot pass."""
+KEPT = ("pipe", "loop")
+"""Neither files nor folders: nothing replaces them, even where it is asked to."""
+
+
+def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+    """A command with one or two options that say something odd."""
+    from cli import app
+
+    valid.put("d", here)
+    valid.put("recipe.toml", here)
+    valid.put("n.safetensors", here)
+    os.mkfifo(here / "pipe")
+    (here / "loop").symlink_to("loop")
+    (here / "file").write_text("the user's own\n")
+    (here / "folder").mkdir()
+    name = random.choice(sorted(app.commands))
+    command = app.commands[name]
+    words = [name, *MADE.get(name, ())]
+    done, asked = [], ["out"]
+    for _ in range(random.choice((1, 1, 2))):
+        parameter = random.choice(
+            [p for p in command.params if p.name not in ("as_json", "quiet", "dry_run")] or [None]
+        )
+        if parameter is None:
+            words.append(done_one := text(random))
+            done.append(ascii(done_one)[:60])
+            continue
+        value = _values(parameter, random)
+        if isinstance(parameter, click.Argument):
+            words[1:2] = value if len(words) > 1 else [*value]
+        else:
+            words += [random.choice(parameter.opts), *value]
+        if parameter.name in ("out", "output") and value[0] not in KEPT:
+            asked.append(glob.escape(os.path.normpath(value[0])))
+        done.append(f"{parameter.name} = {ascii(value)[:80]}")
+    if name in DEAR:
+        words.append("one word\x1b[2Jtoo many" if random.random() < 0.2 else "--no-such-option")
+    return Attempt(
+        words=tuple(words),
+        damage="; ".join(done),
+        makes=tuple(pattern for name in asked for pattern in (name, f"{name}/*")),
+        may_lack_memory=True,
+    )
+
+
+def _values(parameter: click.Parameter, random: Random) -> list[str]:
+    """A value of the option, as words; none for a switch."""
+    if getattr(parameter, "is_flag", False):
+        return []
+    count = parameter.nargs if parameter.nargs > 1 else 1
+    small = ("0", "-1", "2", "1.5", "1e3", "nan", "inf", "-inf", "1_000", " 1", "٣", "0x10", "1" * 400)
+    if isinstance(parameter.type, click.types.IntParamType | click.types.FloatParamType | click.Tuple):
+        return [random.choice((*small, text(random))) for _ in range(count)]
+    paths = (
+        "pipe",
+        "loop",
+        "file",
+        "folder",
+        "d",
+        "d/dataset.json",
+        "missing/deep/x",
+        "/dev/null/x",
+        "file/x",
+        "/proc/self/mem",
+    )
+    return [random.choice((*paths, *paths, text(random), str(number(random))[:500])) for _ in range(count)]

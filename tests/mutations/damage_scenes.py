@@ -1,0 +1,186 @@
+"""Family ``scenes``: MJCF of numbers that are none, of sizes and depths beyond reason, of files that are not there."""
+
+import os
+import re
+import struct
+from pathlib import Path
+from random import Random
+
+from tests.mutations.case import Attempt
+from tests.mutations.damage_bytes import damage
+from tests.mutations.generated import generated
+from tests.mutations.nasty import ESCAPES
+from tests.mutations.valid import Valid
+
+NUMBERS = (
+    "nan",
+    "inf",
+    "-inf",
+    "1e308",
+    "-1e308",
+    "1e30",
+    "1e9",
+    "1e-300",
+    "0",
+    "-1",
+    "65536",
+    "2147483648",
+    "a",
+    "",
+    "1 2 3 4 5 6 7",
+)
+SCENE = """<mujoco model="small">
+<compiler angle="degree"/>
+<custom><numeric name="flight_bounds" data="-3 -3 0.5 3 3 2.5"/></custom>
+<asset>
+<mesh name="rock" vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="1 1 1"/>
+<hfield name="hill" nrow="3" ncol="3" size="1 1 0.5 0.1" elevation="0 0 0 0 1 0 0 0 0"/>
+<texture name="paint" type="2d" builtin="flat" width="8" height="8" rgb1="1 0 0"/>
+<material name="red" texture="paint"/>
+</asset>
+<worldbody>
+<geom name="floor" type="plane" size="4 4 0.1" material="red"/>
+<geom name="box" type="box" size="0.3 0.4 0.5" pos="2 0 0.5" euler="0 0 30"/>
+<geom name="ball" type="sphere" size="0.5" pos="-2 0 1"/>
+<geom name="rod" type="capsule" fromto="0 2 0 0 2 2" size="0.1"/>
+<geom name="stone" type="mesh" mesh="rock" pos="0 -2 0"/>
+<geom name="ground" type="hfield" hfield="hill" pos="2 2 0"/>
+<body name="cart" pos="-2 2 0.5" quat="1 0 0 0"><geom name="lid" type="ellipsoid" size="0.3 0.2 0.1"/></body>
+</worldbody>
+</mujoco>
+"""
+DEEP = 20_000
+ADDED = {
+    "asset": (
+        '<mesh name="m" file="missing.stl"/>',
+        '<mesh name="m" file="pipe"/>',
+        '<mesh name="m" file="/dev/zero"/>',
+        '<mesh name="m" file="liar.stl"/>',
+        '<mesh name="m" builtin="sphere" params="2000"/>',
+        '<mesh name="m" builtin="supersphere" params="20000 1 1"/>',
+        '<mesh name="m" vertex="nan 0 0 1 0 0 0 1 0 0 0 1"/>',
+        '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" face="0 1 2000000000"/>',
+        '<hfield name="h" nrow="65536" ncol="65536" size="1 1 1 1"/>',
+        '<hfield name="h" nrow="4096" ncol="4096" size="1 1 1 1"/>',
+        '<hfield name="h" nrow="2" ncol="2" size="1 1 nan 1" elevation="0 nan 0 1"/>',
+        '<hfield name="h" file="liar.bin" size="1 1 1 1"/>',
+        '<texture name="t" type="2d" builtin="checker" width="60000" height="60000"/>',
+        '<texture name="t" type="2d" file="liar.png"/>',
+        '<model name="other" file="scene.xml"/>',
+        '<skin name="s" file="missing.skn"/>',
+    ),
+    "worldbody": (
+        '<replicate count="1000000000" offset="1 0 0"><geom size="0.1"/></replicate>',
+        '<replicate count="300">' * 3 + '<geom size="0.1"/>' + "</replicate>" * 3,
+        '<geom size="0.1"/>' * 60_000,
+        "<body>" * DEEP + '<geom size="0.1"/>' + "</body>" * DEEP,
+        '<body><freejoint/><geom size="0.1" mass="nan"/></body>',
+        '<body><joint range="nan nan"/><geom size="0.1"/></body>',
+        '<composite type="cable" count="10000000 1 1" prefix="c" size="1"/>',
+        '<flexcomp type="grid" count="300 300 300" name="f" spacing="1 1 1"/>',
+        '<flexcomp type="grid" count="3 3 1" name="f" spacing="1 1 1" mass="1"/>',
+        '<include file="pipe"/>',
+        '<include file="missing.xml"/>',
+        '<include file="scene.xml"/>',
+        '<include file="/dev/zero"/>',
+        '<frame pos="nan 0 0"><geom size="0.1"/></frame>',
+        f'<geom name="{"n" * 100_000}" size="0.1"/>',
+        '<geom name="verify: all 17 checks passed&#10;scenegen: \x7f" size="-1"/>',
+        '<geom type="mesh" mesh="nobody"/>',
+        '<geom type="box" size="1e6 1e6 1e6"/>',
+        '<geom type="box" size="1e-12 1e-12 1e-12"/>',
+        '<geom user="' + "1 " * 100_000 + '" size="1"/>',
+        '<plugin plugin="mujoco.nothing"/>',
+        '<light texture="x" bulbradius="nan"/><camera fovy="nan"/>',
+    ),
+    "mujoco": (
+        '<size memory="100G"/>',
+        '<size memory="-1" njmax="2000000000" nconmax="2000000000"/>',
+        '<size nuserdata="2000000000" nkey="100000000"/>',
+        '<option timestep="nan" gravity="nan nan nan"/>',
+        '<compiler meshdir="/" settotalmass="nan" boundmass="nan"/>',
+        '<compiler settotalmass="10"/>',
+        '<extension><plugin plugin="mujoco.elasticity.cable"><instance name="x"/></plugin></extension>',
+        '<keyframe><key qpos="1 2 3"/></keyframe>',
+        '<statistic extent="nan" meansize="-1"/>',
+        '<custom><numeric name="n" size="2000000000" data="1"/></custom>',
+        '<custom><numeric name="flight_bounds" data="nan nan nan nan nan nan"/></custom>',
+        '<custom><numeric name="flight_bounds" data="-1e300 -1e300 -1e300 1e300 1e300 1e300"/></custom>',
+        "<visual><global offwidth='2000000000'/><map znear='nan'/></visual>",
+        "<worldbody/>" * 1000,
+        "<what/>",
+        "<!-- " + ESCAPES.replace("\x00", "") + " -->",
+    ),
+}
+
+
+def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+    """A world drawn by hand, damaged, alone or in a folder, and a sample made of it."""
+    document, said, beside = hostile(random)
+    (here / "scene.toml").write_text((valid.folder / "scene.toml").read_text())
+    os.mkfifo(here / "pipe")
+    for name, content in beside.items():
+        (here / name).write_bytes(content)
+    (here / "scene.xml").write_bytes(document)
+    words = ("--scene", "scene.xml", "--recipe", "scene.toml", *(["--allow-unseen"] if random.random() < 0.3 else []))
+    return generated(words, f"scene.xml: {said}")
+
+
+def hostile(random: Random) -> tuple[bytes, str, dict[str, bytes]]:
+    """A document, what is wrong with it, and files beside it."""
+    beside = {
+        "liar.stl": bytes(80) + struct.pack("<L", random.choice((0, 1, 2**31, 2**32 - 1))) + bytes(50),
+        "liar.bin": struct.pack("<ll", *random.choice(((65536, 65536), (-1, -1), (2, 2)))) + bytes(16),
+        "liar.png": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">LL", 2**31 - 1, 2**31 - 1) + bytes(9),
+    }
+    document, said = random.choice((_number, _number, _number, _number, _added, _added, _added, _added, _text))(random)
+    return document, said, beside
+
+
+def _number(random: Random) -> tuple[bytes, str]:
+    """Other numbers in an attribute of numbers."""
+    places = list(re.finditer(r'(\w+)="([^"a-z]+)"', SCENE))
+    place = random.choice(places)
+    words = place[2].split()
+    value = random.choice(NUMBERS)
+    words[random.randrange(len(words))] = value
+    if random.random() < 0.3:
+        words = [value] * len(words)
+    changed = SCENE[: place.start(2)] + " ".join(words) + SCENE[place.end(2) :]
+    line = SCENE[: place.start()].count("\n")
+    return changed.encode(), changed.splitlines()[line][:150]
+
+
+def _added(random: Random) -> tuple[bytes, str]:
+    """Something more in one of the sections."""
+    section = random.choice(list(ADDED))
+    more = random.choice(ADDED[section])
+    if section == "asset" and random.random() < 0.7:
+        kind, name = re.match(r'<(\w+) name="(\w+)"', more).groups()  # type: ignore[union-attr]
+        use = {"mesh": f'<geom type="mesh" mesh="{name}"/>', "hfield": f'<geom type="hfield" hfield="{name}"/>'}
+        use["model"] = f'<attach model="{name}" body="cart" prefix="p"/>'
+        placed = SCENE.replace("</worldbody>", use.get(kind, "") + "</worldbody>")
+    else:
+        placed = SCENE
+    return placed.replace(f"</{section}>", more + f"</{section}>").encode(), f"{more[:100]} in <{section}>"
+
+
+def _text(random: Random) -> tuple[bytes, str]:
+    """Something else as a whole."""
+    bombs = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 10))
+    match random.randrange(7):
+        case 0:
+            return f'<!DOCTYPE x [<!ENTITY a0 "x">{bombs}]>'.encode() + SCENE.replace(
+                "small", "&a9;"
+            ).encode(), "entities"
+        case 1:
+            return b'<!DOCTYPE x [<!ENTITY a SYSTEM "/etc/passwd">]>' + SCENE.encode(), "an external entity"
+        case 2:
+            return SCENE.encode(random.choice(("utf-16", "utf-32"))), "another encoding"
+        case 3:
+            return random.choice((b"", b"<mujoco/>", b"<robot/>", b"\x00" * 1000, b"<" * 100_000)), "something else"
+        case 4:
+            return SCENE.replace("</mujoco>", " " * (20 << 20) + "</mujoco>").encode(), "20 MB of spaces"
+        case _:
+            content, said = damage(SCENE.encode(), random)
+            return content, said

@@ -1,0 +1,91 @@
+"""What a dataset holds, read in ways of our own, to hold results against."""
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from scenegen import SPLITS
+from scenegen.errors import ScenegenError
+
+COVERED = ("observed", "occupancy", "ranges", "position", "quaternion", "origin", "world", "viewpoint")
+"""Fields that a sample's digest covers."""
+DERIVED = ("free", "tudf")
+
+
+def print_load(folder: str) -> int:
+    """What `scenegen.load` gives for every split, as a digest; the exit code of a command that did this."""
+    import scenegen
+
+    try:
+        digest = hashlib.sha256()
+        for split in SPLITS:
+            for sample in scenegen.load(folder, split=split):
+                for name in (*COVERED, *DERIVED):
+                    _add(digest, name, np.asarray(getattr(sample, name)))
+    except ScenegenError as error:
+        print(f"scenegen: {error}", file=sys.stderr)
+        return 1
+    print(digest.hexdigest())
+    return 0
+
+
+def _add(digest: Any, name: str, values: np.ndarray) -> None:
+    """Also the bytes of bools, since 2 is not one."""
+    if values.dtype == np.bool_ and values.view(np.uint8).max(initial=0) > 1:
+        raise AssertionError(f"{name} holds bools other than 0 and 1")
+    digest.update(f"{name} {values.dtype.str} {values.shape}".encode() + values.tobytes())
+
+
+def stored(folder: Path, *, derived: bool) -> dict[str, str]:
+    """A digest of every shard's fields as HDF5 gives them, `derived` ones too."""
+    found = {}
+    for path in sorted(folder.glob("*.h5")):
+        digest = hashlib.sha256()
+        with h5py.File(path, "r") as file:
+            for name in (*COVERED, *(DERIVED if derived else ())):
+                if name in file:
+                    _add(digest, name, file[name][()])
+        found[path.name] = digest.hexdigest()
+    return found
+
+
+def files_of(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file that a dataset consists of."""
+    return {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.iterdir())
+        if path.suffix in (".h5", ".zip", ".json")
+    }
+
+
+def sign(folder: Path) -> None:
+    """Put the files' digests as they are now into the manifest, as a forger would."""
+    path = folder / "dataset.json"
+    manifest = json.loads(path.read_text())
+    for shard in manifest["shards"]:
+        shard["worlds_sha256"] = hashlib.sha256((folder / shard["worlds"]).read_bytes()).hexdigest()
+        try:
+            with h5py.File(folder / shard["file"], "r+") as file:
+                if file.attrs["worlds_sha256"] != shard["worlds_sha256"]:
+                    file.attrs["worlds_sha256"] = shard["worlds_sha256"]
+        except Exception:
+            pass  # too damaged to be signed
+        shard["sha256"] = hashlib.sha256((folder / shard["file"]).read_bytes()).hexdigest()
+    path.write_text(json.dumps(manifest, indent=1) + "\n")
+
+
+def finite_prediction(path: Path) -> dict[str, Any]:
+    """What a file of predictions holds: shapes, and whether its numbers can be such."""
+    with h5py.File(path, "r") as file:
+        found: dict[str, Any] = {}
+        for name, most in (("occupancy_probability", 1.0), ("tudf", 2.0)):
+            if name in file:
+                values = file[name][()]
+                fits = bool(np.isfinite(values).all() and values.min() >= 0 and values.max() <= most)
+                found[name] = [list(values.shape), fits, hashlib.sha256(values.tobytes()).hexdigest()]
+        return found

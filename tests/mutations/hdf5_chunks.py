@@ -1,0 +1,81 @@
+"""Damage to a shard's chunks: written past HDF5, with contents, masks and filters of our own."""
+
+import zlib
+from random import Random
+
+import h5py
+import numpy as np
+
+from tests.mutations import bombs
+from tests.mutations.case import REFUSED, SAME, VALID
+
+
+def unknown_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    values = file[name][()]
+    made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    made.set_chunk((1, *values.shape[1:]))
+    number = random.choice((4, 5, 6, 307, 32000, 32015, 65000))
+    flag = random.choice((h5py.h5z.FLAG_OPTIONAL, h5py.h5z.FLAG_OPTIONAL, h5py.h5z.FLAG_MANDATORY))
+    try:
+        made.set_filter(number, flag, tuple(range(4)))
+        kind, space = h5py.h5t.py_create(values.dtype, logical=True), h5py.h5s.create_simple(values.shape)
+        del file[name]
+        made = h5py.h5d.create(file.id, name.encode(), kind, space, made)
+        for row in range(len(values)):
+            made.write_direct_chunk((row,) + (0,) * (values.ndim - 1), random.randbytes(64), 0)
+    except (ValueError, OSError):
+        if name not in file:
+            file[name] = values
+        return f"filter {number}, which HDF5 would not write", VALID
+    return f"filter {number}, {'optional' if flag else 'mandatory'}", REFUSED
+
+
+def chunk_missing(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    values = file[name][()]
+    del file[name]
+    fill = random.choice((None, 1))
+    made = file.create_dataset(
+        name, values.shape, values.dtype, chunks=(1, *values.shape[1:]), compression="gzip", fillvalue=fill
+    )
+    for row in range(1, len(values)):
+        made[row] = values[row]
+    return "first chunk never written", REFUSED
+
+
+def chunk_of_our_own(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    """Chunks written past HDF5, with masks and contents of our own."""
+    data = file[name]
+    raw = data[0].tobytes()
+    packed = zlib.compress(raw)
+    if data.compression != "gzip":
+        return chunk_missing(file, name, random)
+    content, mask, said, expected = random.choice(
+        (
+            (raw[: len(raw) // 2], 1, "unpacked, half as long", REFUSED),
+            (b"\1", 1, "unpacked, of one byte", REFUSED),
+            (raw * 2, 1, "unpacked, twice as long", REFUSED),
+            (raw, 1, "unpacked", SAME),
+            (packed, 1, "packed, and marked unpacked", REFUSED),
+            (raw, 0, "unpacked, and marked packed", REFUSED),
+            (bombs.zlibbed(40), 0, "of 40 MB", REFUSED),
+            (zlib.compress(raw + b"\0"), 0, "one byte too long", REFUSED),
+            (zlib.compress(raw[:-1]), 0, "one byte too short", REFUSED),
+            (packed[: len(packed) // 2], 0, "cut", REFUSED),
+            (packed[:-4] + b"\0\0\0\1", 0, "with another checksum", REFUSED),
+            (zlib.compress(bytes([2]) * len(raw)), 0, "of twos", REFUSED if data.dtype == np.bool_ else VALID),
+            (zlib.compress(b"\xff" * len(raw)), 0, "of ones", REFUSED if data.dtype == np.bool_ else VALID),
+            (packed, 0xFFFFFFFF, "with every filter masked", REFUSED),
+        )
+    )
+    data.id.write_direct_chunk((0,) * data.ndim, content, mask)
+    return f"first chunk {said}", expected
+
+
+def shuffled_bomb(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+    data = file[name]
+    shape, dtype = data.shape, data.dtype
+    del file[name]
+    made = file.create_dataset(name, shape, dtype, chunks=(1, *shape[1:]), compression="gzip", shuffle=True)
+    content = bombs.zlibbed(random.choice((1, 1, 200, 1024)))
+    made.id.write_direct_chunk((0,) * len(shape), content, 0)
+    return f"shuffled chunk of {len(content)} bytes that unpacks to far more", REFUSED

@@ -1,0 +1,161 @@
+"""The valid inputs, made once by the commands themselves: what is compiled and imported late is warm from then on."""
+
+import contextlib
+import io
+import json
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import cli
+from lidarsim import GridSpec
+from tests.mutations import datasets
+
+EDGE = 16
+"""Voxels along each edge of the map."""
+RECIPE: dict[str, Any] = {
+    "kind": "pillar",
+    "world": {"size_m": [16.0, 16.0, 8.0]},
+    "flight": {"viewpoints": 2, "margin_m": 2.0, "min_distance_m": 4.0, "iterations": 300},
+    "accept": {"min_solids": 1.0},
+    "lidar": {"rows": 8, "columns": 24},
+    "grid": {"shape": [EDGE, EDGE, EDGE]},
+}
+SCENE_RECIPE = {
+    "kind": "scene",
+    "flight": {"viewpoints": 1, "min_distance_m": 1.0},
+    "accept": {"min_solids": 0.0, "min_occupied_share": 0.0, "min_returned_share": 0.0},
+    "lidar": RECIPE["lidar"],
+    "grid": RECIPE["grid"],
+}
+GENERATE = (
+    *("generate", "--recipe", "recipe.toml", "--n", "4", "--val", "2", "--test", "2", "--shard-samples", "2"),
+    *("--workers", "1", "--quiet", "--out"),
+)
+
+
+@dataclass(frozen=True)
+class Valid:
+    """Files that are as they should be, and what commands make of them."""
+
+    folder: Path
+    """Holds d (a dataset), c (a compact one), n.safetensors, n.onnx, predictions.h5, scan.npy, .ply and .xyz."""
+    loaded: dict[str, str]
+    """What `load` prints of d and of c."""
+    inspected: dict[str, Any]
+    stored: dict[str, dict[str, str]]
+    """Of d and of c, with the derived fields."""
+    files: dict[str, dict[str, str]]
+    completed: dict[str, Any]
+    """Of d's test split, by n.safetensors."""
+    scored: dict[str, Any]
+    """What `bench --predictions` reports of predictions.h5."""
+
+    def put(self, name: str, here: Path) -> Path:
+        """A copy of the file or folder `name`, to damage."""
+        source = self.folder / name
+        copy = shutil.copytree if source.is_dir() else shutil.copyfile
+        return Path(copy(source, here / name))
+
+
+def make_valid(folder: Path) -> Valid:
+    """Make them in `folder`, an empty one, which becomes the current folder."""
+    import os
+
+    os.chdir(folder)
+    (folder / "recipe.toml").write_text(to_toml(RECIPE))
+    (folder / "scene.toml").write_text(to_toml(SCENE_RECIPE))
+    run(*GENERATE, "d")
+    run(*GENERATE, "c", "--compact")
+    _write_networks(folder)
+    points = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 3))
+    np.save("scan.npy", points)
+    np.savetxt("scan.xyz", points, fmt="%.4f")
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n" + "".join(f"property float {a}\n" for a in "xyz")
+    (folder / "scan.ply").write_text(head + "end_header\n" + "\n".join(" ".join(f"{x:.4f}" for x in p) for p in points))
+    run("verify", "d", "--workers", "1", "--quiet")
+    run("complete", "d", "--weights", "n.safetensors", "--quiet", "--device", "cpu")
+    for scan in ("scan.npy", "scan.ply", "scan.xyz"):
+        run("complete", scan, "--weights", "n.safetensors", "--quiet", "-o", "out.h5", "--device", "cpu")
+    run("complete", "scan.npy", "--weights", "n.onnx", "--quiet", "-o", "out.h5")
+    run("bench", "d", "--quick", "--workers", "1", "--quiet", "--method", "returns", "--predictions", "predictions.h5")
+    return Valid(
+        folder=folder,
+        loaded={name: _loaded(name) for name in "dc"},
+        inspected={name: json.loads(run("inspect", name, "--json")) for name in "dc"},
+        stored={name: datasets.stored(folder / name, derived=True) for name in "dc"},
+        files={name: datasets.files_of(folder / name) for name in "dc"},
+        completed=datasets.finite_prediction(folder / "predictions.h5"),
+        scored=scores(folder / "bench"),
+    )
+
+
+def run(*words: str) -> str:
+    """A command in this process that must succeed; what it prints."""
+    said = io.StringIO()
+    before, sys.argv = sys.argv, ["scenegen", *words]
+    try:
+        with contextlib.redirect_stdout(said):
+            cli.main()
+    except SystemExit as ended:
+        if ended.code:
+            raise RuntimeError(f"{words} ended with {ended.code}") from None
+    finally:
+        sys.argv = before
+    return said.getvalue()
+
+
+def scores(folder: Path) -> dict[str, Any]:
+    """What a report says of the row ``predicted``."""
+    report = json.loads((folder / "report.json").read_text())
+    return {table: report[table]["pillar"]["predicted"] for table in ("reconstruction", "planning")}
+
+
+def to_toml(tables: dict[str, Any]) -> str:
+    """A recipe as TOML; values that TOML cannot say become strings."""
+    top = {name: value for name, value in tables.items() if not isinstance(value, dict)}
+    text = "".join(f"{_key(name)} = {_value(value)}\n" for name, value in top.items())
+    for name, table in tables.items():
+        if isinstance(table, dict):
+            text += f"[{_key(name)}]\n" + "".join(f"{_key(key)} = {_value(value)}\n" for key, value in table.items())
+    return text
+
+
+def _key(name: str) -> str:
+    return name if name.isidentifier() and name.isascii() else json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, bool | int):
+        return str(value).lower() if isinstance(value, bool) else hex(value) if value > 10**100 else str(value)
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
+    return json.dumps(value).replace("\\ud800", "\ufffd")
+
+
+def _loaded(name: str) -> str:
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert datasets.print_load(name) == 0
+    return said.getvalue().strip()
+
+
+def _write_networks(folder: Path) -> None:
+    import torch
+
+    from model.checkpoint import save_network
+    from model.network import Network, NetworkConfig
+    from tests.mutations.onnx_files import write_onnx
+
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    save_network(folder / "n.safetensors", Network(NetworkConfig(width=1)), GridSpec(shape=(EDGE, EDGE, EDGE)), {})
+    write_onnx(folder / "n.onnx")

@@ -1,0 +1,261 @@
+"""No command connects anywhere, and none leaves anything where nobody asked for it.
+
+Commands run with a library before all others that notes every connection and every look-up of a name, and refuses it.
+It sees what goes through the C library, as all of Python and every library here does; not a system call made by hand.
+"""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli import app
+from lidarsim.jit import cache_folder
+
+SHIM = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <netdb.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+static void note(const char *what, const char *whom) {
+    const char *path = getenv("SILENCE_LOG");
+    char line[300];
+    int handle = path ? open(path, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600) : -1;
+    if (handle < 0) return;
+    snprintf(line, sizeof line, "%s %.200s\n", what, whom ? whom : "");
+    if (write(handle, line, strlen(line)) < 0) abort();
+    close(handle);
+}
+
+static int far(const struct sockaddr *to) {
+    return to && (to->sa_family == AF_INET || to->sa_family == AF_INET6);
+}
+
+int connect(int socket, const struct sockaddr *to, socklen_t length) {
+    if (far(to)) { note("connect", ""); errno = ECONNREFUSED; return -1; }
+    int (*real)(int, const struct sockaddr *, socklen_t) = dlsym(RTLD_NEXT, "connect");
+    return real(socket, to, length);
+}
+
+ssize_t sendto(int socket, const void *data, size_t size, int flags, const struct sockaddr *to, socklen_t length) {
+    if (far(to)) { note("sendto", ""); errno = ECONNREFUSED; return -1; }
+    ssize_t (*real)(int, const void *, size_t, int, const struct sockaddr *, socklen_t) = dlsym(RTLD_NEXT, "sendto");
+    return real(socket, data, size, flags, to, length);
+}
+
+ssize_t sendmsg(int socket, const struct msghdr *message, int flags) {
+    if (message && far(message->msg_name)) { note("sendmsg", ""); errno = ECONNREFUSED; return -1; }
+    ssize_t (*real)(int, const struct msghdr *, int) = dlsym(RTLD_NEXT, "sendmsg");
+    return real(socket, message, flags);
+}
+
+int getaddrinfo(const char *node, const char *service, const struct addrinfo *hints, struct addrinfo **found) {
+    note("getaddrinfo", node);
+    return EAI_FAIL;
+}
+
+struct hostent *gethostbyname(const char *name) { note("gethostbyname", name); return NULL; }
+struct hostent *gethostbyname2(const char *name, int family) { note("gethostbyname2", name); return NULL; }
+int gethostbyname_r(const char *name, struct hostent *entry, char *buffer, size_t size, struct hostent **found,
+                    int *error) {
+    note("gethostbyname_r", name);
+    *found = NULL;
+    *error = NO_RECOVERY;
+    return ENOENT;
+}
+"""
+NATIVE = """
+#include <netdb.h>
+int look_up(void) { struct addrinfo *found; return getaddrinfo("native.invalid", "80", 0, &found); }
+"""
+SMALL = """
+kind = "pillar"
+world = {size_m = [16, 16, 8]}
+flight = {viewpoints = 2, margin_m = 2, min_distance_m = 4}
+accept = {min_solids = 1}
+lidar = {rows = 8, columns = 24}
+grid = {shape = [16, 16, 16]}
+"""
+ONE = ("--workers", "1")
+COMMANDS: dict[str, list[tuple[str, ...]]] = {
+    "generate": [("--recipe", "small.toml", "--n", "4", "--val", "2", "--test", "2", "--out", "d", *ONE)],
+    "inspect": [("d",)],
+    "world": [("d", "0", "-o", "w.xml")],
+    "verify": [("d", *ONE)],
+    "train": [("d", "--epochs", "1", "--width", "1", "--out", "run", "--device", "cpu")],
+    "complete": [
+        ("d", "--weights", "run", "-o", "p.h5", "--device", "cpu"),
+        ("scan.xyz", "--weights", "run", "-o", "s.h5", "--device", "cpu"),
+        ("d", "--weights", "n.onnx", "-o", "o.h5"),
+    ],
+    "bench": [("d", "--weights", "run", "--predictions", "p.h5", "--quick", *ONE)],
+    "publish": [("d", "--repo", "ada/d", "--dry-run", "--quick", *ONE)],
+    "doctor": [()],
+    "completion": [("bash",)],
+    "export": [("run", "-o", "e.onnx")],
+    "networks": [()],
+}
+"""Every command, in an order in which each finds what it needs."""
+DEAR = ("export", "networks")
+"""Commands that take ten seconds and more."""
+ASKED = {"small.toml", "scan.xyz", "n.onnx", "d", "w.xml", "run", "p.h5", "s.h5", "o.h5", "bench", "publish", "e.onnx"}
+FONTS = ".cache/matplotlib/"
+"""Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a user's home besides the
+kernels."""
+
+
+@pytest.fixture(scope="session")
+def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The library that notes connections, compiled."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("needs a C compiler called cc")
+    folder = tmp_path_factory.mktemp("shim")
+    for name, source in (("shim", SHIM), ("native", NATIVE)):
+        (folder / f"{name}.c").write_text(source)
+        subprocess.run(
+            [compiler, "-shared", "-fPIC", "-w", "-o", folder / f"{name}.so", folder / f"{name}.c", "-ldl"], check=True
+        )
+    return folder / "shim.so"
+
+
+def environment(shim: Path, folder: Path) -> dict[str, str]:
+    """Of a user whose home is empty, under the shim; the compiled kernels are where they always are."""
+    kept = {name: os.environ[name] for name in ("PATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV") if name in os.environ}
+    for name in ("home", "temporary", "here"):
+        (folder / name).mkdir(exist_ok=True)
+    return kept | {
+        "HOME": str(folder / "home"),
+        "TMPDIR": str(folder / "temporary"),
+        "SCENEGEN_CACHE": str(cache_folder("scenegen").parents[2]),
+        "PYTHONPATH": str(Path(__file__).parents[1]),
+        "LD_PRELOAD": str(shim),
+        "SILENCE_LOG": str(folder / "log"),
+    }
+
+
+def noted(folder: Path) -> list[str]:
+    """What the shim saw."""
+    log = folder / "log"
+    return log.read_text().splitlines() if log.exists() else []
+
+
+def run_all(shim: Path, folder: Path, lines: list[tuple[str, ...]]) -> None:
+    """Run command lines in one process, each of which must succeed."""
+    ended = subprocess.run(
+        [sys.executable, "-m", "tests.test_silence"],
+        input=json.dumps(lines),
+        env=environment(shim, folder),
+        cwd=folder / "here",
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert ended.returncode == 0, f"{ended.stdout[-1000:]}\n{ended.stderr[-3000:]}"
+
+
+def test_the_shim_sees_python_and_native_libraries(shim: Path, tmp_path: Path) -> None:
+    reach = (
+        "import ctypes, socket\n"
+        f"ctypes.CDLL({str(shim.with_name('native.so'))!r}).look_up()\n"
+        "for act in (lambda: socket.create_connection(('127.0.0.1', 9)),\n"
+        "            lambda: socket.gethostbyname('python.invalid'),\n"
+        "            lambda: socket.socket().connect(('127.0.0.1', 9)),\n"
+        "            lambda: socket.socket(type=socket.SOCK_DGRAM).sendto(b'', ('127.0.0.1', 9))):\n"
+        "    try:\n"
+        "        act()\n"
+        "    except OSError:\n"
+        "        pass\n"
+        "one, other = socket.socketpair()\n"
+        "one.sendall(b'near')\n"
+        "assert other.recv(4) == b'near'\n"
+    )
+    subprocess.run([sys.executable, "-c", reach], env=environment(shim, tmp_path), check=True, timeout=60)
+    seen = noted(tmp_path)
+    assert "getaddrinfo native.invalid" in seen
+    assert "getaddrinfo 127.0.0.1" in seen
+    assert any("python.invalid" in line for line in seen)
+    assert {"connect ", "sendto "} <= set(seen)
+    assert len(seen) == 5
+
+
+def lines_of(names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """The command lines of these commands, as far as what they need is installed."""
+    runtime = any(importlib.util.find_spec(name) for name in ("openvino", "onnxruntime"))
+    found = [(name, *words) for name in COMMANDS if name in names for words in COMMANDS[name]]
+    return [words for words in found if runtime or "n.onnx" not in words]
+
+
+def prepare(here: Path) -> None:
+    """What the commands read and do not make."""
+    (here / "small.toml").write_text(SMALL)
+    (here / "scan.xyz").write_text("".join(f"{x / 10} {y / 10} 0.3\n" for x in range(9) for y in range(9)))
+    if importlib.util.find_spec("onnx"):
+        from tests.mutations.onnx_files import write_onnx
+
+        write_onnx(here / "n.onnx")
+
+
+def everything_in(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+
+
+def check_silent(shim: Path, folder: Path, names: tuple[str, ...]) -> None:
+    """Run these commands: nothing is noted, and nothing is left but what was asked for."""
+    environment(shim, folder)
+    prepare(folder / "here")
+    run_all(shim, folder, lines_of(names))
+    assert noted(folder) == []
+    assert {path.name for path in (folder / "here").iterdir()} <= ASKED
+    assert everything_in(folder / "here" / "run") >= {"best.safetensors"}
+    left = {name for name in everything_in(folder / "home") if not name.startswith(FONTS)}
+    assert left == set()
+    assert everything_in(folder / "temporary") == set()
+
+
+def test_no_command_connects_or_leaves_anything_behind(shim: Path, tmp_path: Path) -> None:
+    if not importlib.util.find_spec("torch"):
+        pytest.skip("needs torch")
+    assert set(COMMANDS) == set(app.commands), "a new command? say here how it is run"
+    check_silent(shim, tmp_path, tuple(name for name in COMMANDS if name not in DEAR))
+
+
+@pytest.mark.slow
+def test_nor_do_the_dear_ones(shim: Path, tmp_path: Path) -> None:
+    if not importlib.util.find_spec("onnxscript"):
+        pytest.skip("needs onnxscript")
+    check_silent(shim, tmp_path, ("generate", "train", *DEAR))
+
+
+def main() -> None:
+    """Run the command lines that standard input lists, one after another, in this process."""
+    import time
+
+    import cli
+
+    for words in json.load(sys.stdin):
+        sys.argv = ["scenegen", *words]
+        begin = time.process_time()
+        try:
+            cli.main()
+        except SystemExit as ended:
+            if ended.code:
+                sys.exit(f"{words} ended with {ended.code}")
+        print(f"{time.process_time() - begin:.1f} s for {' '.join(words)}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
