@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from scenegen.truth.shapes import HFIELD, MESH, PLANE
-from scenegen.world import FLIGHT_BOUNDS
+from scenegen.world import FLIGHT_BOUNDS, least_memory
 
 
 def flatten(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, dict[str, bytes]]:
@@ -22,8 +22,7 @@ def flatten(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, dict[str
     out.
     """
     root = ElementTree.Element("mujoco", model="scenegen")
-    # as little memory as will do: it is taken anew for every world
-    ElementTree.SubElement(root, "size", memory=str(max(1 << 20, 256 * model.ngeom)))
+    ElementTree.SubElement(root, "size", memory=str(least_memory(model.ngeom)))
     custom = ElementTree.SubElement(root, "custom")
     for number in map(model.numeric, range(model.nnumeric)):
         if number.name == FLIGHT_BOUNDS:

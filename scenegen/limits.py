@@ -27,8 +27,8 @@ MOST_CELLS = 1 << 24
 """Of a height field, pixels of an image, or numbers of an MJCF attribute."""
 MOST_TRIANGLES = 5_000_000
 """Of all meshes and height fields of a world, each counted as often as a geom uses it: 360 MB."""
-MOST_BUILTIN = 1000
-"""A parameter of a mesh that MuJoCo makes by itself, such as its resolution: a million vertices then."""
+MOST_BUILTIN = 300
+"""A parameter of a mesh that MuJoCo makes by itself, such as its resolution: some 100,000 vertices then."""
 MOST_LENGTH_M = 1e6
 """Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
 MOST_DOCUMENT_BYTES = 16 << 20

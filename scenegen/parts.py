@@ -6,7 +6,7 @@ from pathlib import Path
 
 from scenegen.errors import DatasetError, SceneError
 from scenegen.files import read_bounded
-from scenegen.limits import MOST_DOCUMENT_BYTES
+from scenegen.limits import MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.screen import ScreenError, check_numbers
 
 ELEMENT = re.compile(r"<([A-Za-z]\w*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*/?>")
@@ -19,9 +19,10 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
     """Read an MJCF file and all that it includes or attaches: whether it is a world of its own, and which files it
     includes, resolved.
 
-    Raises SceneError for a file that is not regular or too large, and for numbers that no solid can have.
+    Raises SceneError for a file that is not regular or too large, for numbers that no solid can have, and for more
+    geoms than MuJoCo can cope with.
     """
-    is_world, included, waiting, seen = True, set[Path](), [main], set[Path]()
+    is_world, included, waiting, seen, geoms = True, set[Path](), [main], set[Path](), 0.0
     while waiting:
         path = waiting.pop()
         if path.resolve() in seen:  # MuJoCo says what it thinks of a circle
@@ -29,6 +30,9 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
         seen.add(path.resolve())
         for tag, attributes in _elements(path):
             is_world &= not (tag == PART and path is main)
+            geoms += _geoms(tag, attributes)
+            if geoms > MOST_GEOMS:  # over many more, MuJoCo takes hours
+                raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
             try:
                 check_numbers(tag, attributes, str(path))
             except ScreenError as error:
@@ -43,6 +47,12 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
                             included.add(other.resolve())
                         break
     return is_world, frozenset(included)
+
+
+def _geoms(tag: str, attributes: dict[str, str]) -> float:
+    """How many geoms an element gives at least."""
+    count = attributes.get("count", "") if tag == "replicate" else ""
+    return float(count) if count.isdecimal() else float(tag == "geom")
 
 
 def _elements(path: Path) -> Iterator[tuple[str, dict[str, str]]]:

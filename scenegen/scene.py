@@ -17,7 +17,7 @@ from scenegen.quiet import quiet_mujoco
 from scenegen.screen import ScreenError, screen
 from scenegen.truth import Solids, solids_of
 from scenegen.truth.shapes import HFIELD, MESH, PLANE
-from scenegen.world import compile_world, one_line
+from scenegen.world import compile_world, least_memory, one_line
 
 MOST_MOVED = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach as much again: what
@@ -91,7 +91,7 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
         skins = len(spec.skins)
         _undress(spec, path)
         return spec.compile(), skins
-    except (ValueError, OSError, MemoryError, mujoco.FatalError) as error:
+    except (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError) as error:
         raise SceneError(f"{path}: not valid MJCF: {one_line(error)}") from None
 
 
@@ -106,7 +106,7 @@ def _undress(spec: mujoco.MjSpec, path: Path) -> None:
         material.textures = [""] * len(material.textures)
     for item in (*spec.skins, *spec.textures):
         spec.delete(item)
-    spec.memory = 1 << 20  # no contact is ever computed
+    spec.memory = least_memory(len(spec.geoms))
 
 
 def _check_kept(path: Path, mjcf: bytes, assets: Mapping[str, bytes]) -> None:
@@ -143,9 +143,9 @@ def _check_same(path: Path, expected: Solids, found: Solids) -> None:
 def _notes(model: mujoco.MjModel, solids: Solids, skins: int) -> Iterator[str]:
     """What a user should know who thinks of all that the file holds."""
     if skins:
-        yield f"{skins} skins are left out: they dress bodies, and rays do not see them"
+        yield f"skins ({skins}) are left out: they dress bodies, and rays do not see them"
     if model.njnt:
-        yield f"{model.njnt} joints stay as the file gives them: nothing moves"
+        yield f"joints ({model.njnt}) stay in their reference position: nothing moves"
     bent = visible_geoms(model) & np.isin(model.geom_type, (MESH, HFIELD))
     # height fields are closed always
     geoms = np.flatnonzero(bent)[~solids.mesh_filled]

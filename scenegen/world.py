@@ -68,8 +68,13 @@ def _written(add_to: Callable[[mujoco.MjSpec], None], flight_bounds: NDArray[np.
     spec.add_numeric(name=FLIGHT_BOUNDS, data=np.asarray(flight_bounds).reshape(-1), size=6)
     spec.worldbody.add_light(pos=[0, 0, 30], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     add_to(spec)
-    spec.memory = max(1 << 20, 256 * len(spec.geoms))  # as little as will do: it is taken anew for every world
+    spec.memory = least_memory(len(spec.geoms))
     return spec.to_xml().encode()
+
+
+def least_memory(geoms: int) -> int:
+    """Bytes for MuJoCo's <size memory>: as little as will do, for they are taken anew for every world."""
+    return max(1 << 20, 256 * geoms)
 
 
 def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name: str) -> World:
