@@ -7,7 +7,7 @@ from pathlib import Path
 from scenegen.errors import DatasetError, SceneError
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_DOCUMENT_BYTES, MOST_GEOMS
-from scenegen.screen import ScreenError, check_numbers
+from scenegen.screen import ScreenError, check_amounts, check_numbers
 
 ELEMENT = re.compile(r"<([A-Za-z]\w*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*/?>")
 ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
@@ -33,10 +33,7 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
             geoms += _geoms(tag, attributes)
             if geoms > MOST_GEOMS:  # over many more, MuJoCo takes hours
                 raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
-            try:
-                check_numbers(tag, attributes, str(path))
-            except ScreenError as error:
-                raise SceneError(str(error)) from None
+            _check(tag, attributes, path)
             if tag in ("include", "model") and "file" in attributes:
                 # MuJoCo looks from the file that includes, or from the main one
                 for folder in (path.parent, main.parent):
@@ -47,6 +44,16 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
                             included.add(other.resolve())
                         break
     return is_world, frozenset(included)
+
+
+def _check(tag: str, attributes: dict[str, str], path: Path) -> None:
+    try:
+        check_numbers(tag, attributes, str(path))
+        check_amounts(tag, attributes, str(path))
+    except ScreenError as error:
+        raise SceneError(str(error)) from None
+    except ValueError:  # no number at all: MuJoCo says so
+        pass
 
 
 def _geoms(tag: str, attributes: dict[str, str]) -> float:

@@ -29,8 +29,9 @@ LENGTHS = {"pos", "size", "fromto", "scale", "refpos", "vertex", "elevation"}
 """Attributes that hold metres, or multiples of them."""
 TURNS = {"quat", "axisangle", "xyaxes", "zaxis", "euler", "refquat", "params", "rgba"}
 """Attributes that hold other numbers on which the solids, or whether they are seen, depend."""
-SUSPECT = re.compile(rb"nan|inf|&|[\d.]e\+?0*[1-9]|(?<![\d.])0*[1-9]\d{6}", re.IGNORECASE)
-"""What stands in every document with a number that is none, or is large: most are spared a closer look."""
+SUSPECT = re.compile(rb"[\d.]e[+\d]|\d{7}|nan|inf|&")
+"""What stands in every document, in small letters, with a number that is none, or is large: most are spared a closer
+look."""
 
 
 class ScreenError(Exception):
@@ -47,7 +48,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
     told; none of that is in a document that scenegen has archived.
     """
     geoms, outline, within = 0, list[str](), [""]
-    suspect = SUSPECT.search(document) is not None
+    suspect = SUSPECT.search(document.lower()) is not None
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal geoms
@@ -92,14 +93,22 @@ def _check_attributes(tag: str, attributes: dict[str, str], assets: Mapping[str,
             raise ScreenError(f"{where}: expected files beside the document")
         if (tag, key) == ("hfield", "file") and not value.lower().endswith(".png"):
             _check_field(assets[value], where)
-        if (tag, key) == ("mesh", "params") and not all(float(part) <= MOST_BUILTIN for part in value.split()):
-            raise ScreenError(f"{where}: expected {MOST_BUILTIN} at most")
         most = 100_000 if (tag, key) == ("numeric", "size") else MOST_ASKED.get(key)
         if most is not None and not -1 <= _amount(value) <= most:
             raise ScreenError(f"{where}: expected {most} at most")
-    for one, other in (("nrow", "ncol"), ("width", "height")):
-        if _amount(attributes.get(one, "0")) * _amount(attributes.get(other, "0")) > MOST_CELLS:
-            raise ScreenError(f"{name}: <{tag}>: {one} times {other} is more than {MOST_CELLS}")
+    if _amount(attributes.get("width", "0")) * _amount(attributes.get("height", "0")) > MOST_CELLS:
+        raise ScreenError(f"{name}: <{tag}>: width times height is more than {MOST_CELLS}")
+    check_amounts(tag, attributes, name)
+
+
+def check_amounts(tag: str, attributes: Mapping[str, str], name: str) -> None:
+    """See that a mesh or height field made of numbers alone is no larger than those from files. Raises ScreenError,
+    naming `name`, or ValueError for no number."""
+    if _amount(attributes.get("nrow", "0")) * _amount(attributes.get("ncol", "0")) > MOST_CELLS:
+        raise ScreenError(f"{name}: <{tag}>: nrow times ncol is more than {MOST_CELLS}")
+    params = attributes.get("params", "") if "builtin" in attributes else ""
+    if not all(float(part) <= MOST_BUILTIN for part in params.split()):
+        raise ScreenError(f"{name}: <{tag} params={short(params)}>: expected {MOST_BUILTIN} at most")
 
 
 def check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:

@@ -208,10 +208,10 @@ def test_numbers_and_files_that_no_world_can_have_are_named(tmp_path: Path, text
     ("text", "said"),
     [
         (MESH.format('vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="nan 1 1"'), "<mesh scale='nan 1 1'>"),
-        (MESH.format('builtin="supersphere" params="30000 1 1"'), ""),
+        (MESH.format('builtin="supersphere" params="30000 1 1"'), "<mesh params='30000 1 1'>: expected 300 at most"),
         (HFIELD.format('file="nan.bin"'), "a height field's heights: expected finite numbers"),
         (HFIELD.format('file="huge.bin"'), ""),
-        (HFIELD.format('nrow="65536" ncol="65536"'), ""),
+        (HFIELD.format('nrow="65536" ncol="65536"'), "<hfield>: nrow times ncol is more than 16777216"),
         (HFIELD.format('nrow="1200" ncol="1200"'), f"expected {MOST_TRIANGLES} at most"),
         (MESH.format('file="pipe.stl"'), "reading it took too long; 1.5 s and 1 GB are allowed"),
     ],
