@@ -156,7 +156,7 @@ def _read_files(files: Sequence[Path]) -> tuple[dict[Path, Scene], list[str]]:
     """The worlds among `files`, and the names of those that are parts of others.
 
     Files are read one after the other in a process of their own, which a file that never ends, or takes all memory,
-    cannot outlive; it takes some 10 ms to start.
+    cannot outlive; it costs about a second, in which kernels are loaded that this process loads again.
     """
     limits: Limits[Path, Reading] = Limits(lambda _: SCENE_SECONDS, SCENE_BYTES, _given_up)
     readings = sorted(run(read_file, files, 1, limits=limits), key=lambda reading: reading.path)
