@@ -16,7 +16,7 @@ import rich_click as click
 from click.shell_completion import CompletionItem, get_completion_class
 
 from scenegen import SPLITS, __version__
-from scenegen.errors import ScenegenError, StoppedError
+from scenegen.errors import ScenegenError, StoppedError, printable
 from scenegen.limits import MOST_WORKERS
 from scenegen.recipes import kind_names
 
@@ -174,7 +174,7 @@ def generate(
     from scenegen.dataset.build import build, check_folder
     from scenegen.workers import cores
 
-    plan = _plan(kind, scene, recipe, counts, options)
+    plan = _plan(kind, scene, recipe, counts, options | {"talk": talk})
     shard_range = options["split_range"]
     if shard_range and shard_range[1] > len(plan.shards):
         raise click.UsageError(f"--split-range {shard_range[0]}:{shard_range[1]}: there are {len(plan.shards)} shards")
@@ -229,6 +229,8 @@ def _plan(kind: str | None, scene: Path | None, recipe_file: Path | None, counts
     source: Source
     if scene is not None:
         source = read_scenes(scene, counts, seed=options["seed"], allow_unseen=options["allow_unseen"])
+        for note in source.notes if options["talk"] else ():
+            click.echo(f"scenegen: {printable(note)}", err=True)
     elif recipe.world is None:
         raise click.UsageError(f'{recipe_file}: kind "scene" needs the worlds, too: give --scene')
     else:

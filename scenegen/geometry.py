@@ -77,6 +77,16 @@ def _ordered(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _mesh_digest(triangles: NDArray[np.float64], filled: bool) -> bytes:
-    """Of a soup of triangles (T, 3, 3), whatever their order and whichever corner is first."""
-    table = (np.rint(_ordered(triangles) / ROUND_M) + 0.0).reshape(-1, 9)
-    return hashlib.sha256(bytes([filled]) + table[np.lexsort(table.T[::-1])].tobytes()).digest()
+    """Of a soup of triangles (T, 3, 3), whatever their order and that of their corners: sums have none."""
+    rounded = (np.rint(triangles / ROUND_M) + 0.0).astype(np.int64).view(np.uint64)
+    corners = _mixed(rounded[..., 0] + _mixed(rounded[..., 1] + _mixed(rounded[..., 2])))
+    total = int(_mixed(corners.sum(axis=1)).sum())
+    return hashlib.sha256(bytes([filled]) + len(triangles).to_bytes(8) + total.to_bytes(8)).digest()
+
+
+def _mixed(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Numbers that look random, one for each (splitmix64: Steele, Lea and Flood 2014)."""
+    z = numbers + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))

@@ -50,6 +50,10 @@ MOST_DEPTH = 200
 """Levels of elements in an MJCF document, or of anything that nests in JSON and TOML."""
 MOST_CELLS = 1 << 24
 """Of a height field, pixels of an image, or numbers of an MJCF attribute."""
+MOST_TRIANGLES = 5_000_000
+"""Of all meshes and height fields of a world, each counted as often as a geom uses it: 360 MB."""
+MOST_BUILTIN = 300
+"""A parameter of a mesh that MuJoCo makes by itself, such as its resolution: some 100,000 vertices then."""
 MOST_LENGTH_M = 1e6
 """Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
 MOST_DOCUMENT_BYTES = 16 << 20
@@ -60,6 +64,9 @@ MOST_ARCHIVE_BYTES = 1 << 30
 """Of all members of a shard's archive, unpacked."""
 MOST_MEMBERS = 65_000
 """Of a shard's archive."""
+
+SCENE_SECONDS, SCENE_BYTES = 60.0, 4 << 30
+"""What reading one MJCF file of a stranger's may take: time, and memory of the process that does it."""
 
 MOST_ASKED: Mapping[str, int] = {
     **{"memory": 1 << 30, "njmax": 1 << 20, "nconmax": 1 << 20, "nstack": 1 << 27, "nkey": 1000},

@@ -13,11 +13,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.errors import RecipeError, SceneError
-from scenegen.geometry import geometry_digest
+from scenegen.errors import RecipeError, SceneError, printable
+from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
-from scenegen.truth import Solids
-from scenegen.world import World, compile_world, load_scene, write_world
+from scenegen.scene import Reading, Scene, named, read_file
+from scenegen.workers import Limits, run
+from scenegen.world import World, compile_world, write_world
 
 SHARES = {"train": 10, "val": 1, "test": 2}
 """How a folder of worlds is dealt out."""
@@ -66,21 +67,14 @@ class DrawnWorlds:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """One MJCF file, made self-contained."""
-
-    name: str
-    mjcf: bytes
-    assets: Mapping[str, bytes]
-
-
-@dataclass(frozen=True)
 class SceneWorlds:
     """Worlds drawn by hand. The units of a split visit its worlds in turn, each time with another flight, so that any
     number of samples spreads evenly over them."""
 
     scenes: Mapping[str, tuple[Scene, ...]]
     """The worlds of each split."""
+    notes: tuple[str, ...] = ()
+    """What was left out of the files or taken otherwise than one might expect: a sentence each."""
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
         """See `Source.number`."""
@@ -125,46 +119,83 @@ def read_scenes(path: Path, counts: Mapping[str, int], *, seed: int, allow_unsee
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path]
     if not files:
         raise SceneError(f"{path}: holds no .xml file; expected MJCF worlds")
-    worlds = [_read_scene(file, allow_unseen) for file in files]
-    _check_twins(files, [solids for _, solids in worlds])
-    scenes = [scene for scene, _ in worlds]
+    scenes, parts = _read_files(files)
+    if not scenes:
+        raise SceneError(f"{path}: holds parts alone, which other files include; expected an MJCF world")
+    _check(scenes, allow_unseen)
+    notes = tuple(note for scene in scenes.values() for note in scene.notes)
+    if parts:
+        notes = (f"{path}: {named(parts)} left out: parts, which other files include", *notes)
     if len(scenes) == 1:
+        (file, only) = next(iter(scenes.items()))
         for split in ("val", "test"):
             if counts[split]:
-                raise SceneError(f"{path}: one world cannot be split; leave --{split} out, or give a folder of worlds")
-        return SceneWorlds({"train": (scenes[0],), "val": (), "test": ()})
+                raise SceneError(
+                    f"{file}: one world cannot be split: give a folder of "
+                    f"{sum(bool(counts[name]) for name in SPLITS)} worlds or more, or leave --{split} out and measure "
+                    "on the training samples (bench --split train)"
+                )
+        return SceneWorlds({"train": (only,), "val": (), "test": ()}, notes)
     wanted = [split for split in SPLITS if counts[split]]
     if len(scenes) < len(wanted):
         raise SceneError(
             f"{path}: {len(scenes)} worlds for {len(wanted)} splits; add worlds, or set --val or --test to 0"
         )
+    dealing = list(scenes.values())
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(scenes))
     whole = sum(SHARES[split] for split in wanted)
     share = {split: max(1, len(scenes) * SHARES[split] // whole) for split in wanted}
     share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])
     dealt = iter(order)
-    return SceneWorlds({split: tuple(scenes[next(dealt)] for _ in range(share.get(split, 0))) for split in SPLITS})
+    return SceneWorlds(
+        {split: tuple(dealing[next(dealt)] for _ in range(share.get(split, 0))) for split in SPLITS}, notes
+    )
 
 
-def _check_twins(files: Sequence[Path], worlds: Sequence[Solids]) -> None:
-    """Raise SceneError where two files hold the same solids: they could come to lie in two splits."""
+def _read_files(files: Sequence[Path]) -> tuple[dict[Path, Scene], list[str]]:
+    """The worlds among `files`, and the names of those that are parts of others.
+
+    Files are read one after the other in a process of their own, which a file that never ends, or takes all memory,
+    cannot outlive; it costs about a second, in which kernels are loaded that this process loads again.
+    """
+    limits: Limits[Path, Reading] = Limits(lambda _: SCENE_SECONDS, SCENE_BYTES, _given_up)
+    readings = sorted(run(read_file, files, 1, limits=limits), key=lambda reading: reading.path)
+    included = {path for reading in readings for path in reading.includes}
+    scenes, parts = dict[Path, Scene](), list[str]()
+    for reading in readings:
+        if reading.path.resolve() in included or reading.outcome is None:
+            parts.append(reading.path.name)
+        elif isinstance(reading.outcome, SceneError):
+            raise reading.outcome
+        else:
+            scenes[reading.path] = reading.outcome
+    return scenes, parts
+
+
+def _given_up(path: Path, reason: str) -> Reading:
+    allowed = f"{SCENE_SECONDS:g} s and {SCENE_BYTES >> 30} GB"
+    return Reading(path, SceneError(f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world"))
+
+
+def _check(scenes: Mapping[Path, Scene], allow_unseen: bool) -> None:
+    """Raise SceneError for geoms that rays cannot see, for two files of the same solids, which could come to lie in two
+    splits, and for more than an archive may hold."""
     owner: dict[bytes, Path] = {}
-    for path, solids in zip(files, worlds, strict=True):
-        first = owner.setdefault(geometry_digest(solids), path)
+    for path, scene in scenes.items():
+        if scene.unseen and not allow_unseen:
+            raise SceneError(
+                f"{path}: rays cannot see geom {printable(named(scene.unseen))} (alpha 0); give it an alpha above 0, "
+                "remove it, or pass --allow-unseen to leave it out of the truth"
+            )
+        first = owner.setdefault(scene.geometry, path)
         if first is not path:
             raise SceneError(
                 f"{path}: the same world as {first.name}, whatever its geoms are called; remove one of the two"
             )
-
-
-def _read_scene(path: Path, allow_unseen: bool) -> tuple[Scene, Solids]:
-    mjcf, assets = load_scene(path)
-    world = compile_world(mjcf, assets, name=str(path))
-    unseen = world.unseen
-    if unseen and not allow_unseen:
-        named = ", ".join(unseen[:3]) + (f" and {len(unseen) - 3} more" if len(unseen) > 3 else "")
+    files = {name: len(content) for scene in scenes.values() for name, content in scene.assets.items()}
+    total = sum(files.values()) + sum(len(scene.mjcf) for scene in scenes.values())
+    if total > MOST_ARCHIVE_BYTES or len(files) + len(scenes) > MOST_MEMBERS:
         raise SceneError(
-            f"{path}: rays cannot see geom {named} (alpha 0); give it an alpha above 0, remove it, or pass "
-            "--allow-unseen to leave it out of the truth"
+            f"{next(iter(scenes)).parent}: worlds of {total} bytes in {len(files) + len(scenes)} files, expected "
+            f"{MOST_ARCHIVE_BYTES} and {MOST_MEMBERS} at most; use coarser meshes, or fewer worlds"
         )
-    return Scene(path.name, mjcf, assets), world.solids

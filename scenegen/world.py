@@ -1,11 +1,8 @@
 """A world: an MJCF document, what it refers to, and the model compiled from exactly these bytes."""
 
-import hashlib
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,14 +11,13 @@ from numpy.typing import NDArray
 from lidarsim import MujocoCaster
 from lidarsim.casters.mujoco import visible_geoms
 from scenegen.clearance import Clearance
-from scenegen.errors import SceneError
+from scenegen.errors import SceneError, printable, short
+from scenegen.limits import MOST_LENGTH_M
+from scenegen.quiet import quiet_mujoco
 from scenegen.truth import Solids, solids_of
 
 FLIGHT_BOUNDS = "flight_bounds"
 """Name of the MJCF <numeric> that holds the box, least corner then greatest, in which the sensor may fly."""
-
-MOST_MOVED_M = 1e-3
-"""How far writing a scene as MJCF may move a geom, metres, or turn its axes, radians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,77 +46,35 @@ class World:
 def compile_world(mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, name: str = "world") -> World:
     """Compile an archived document. Raises SceneError, naming `name`, where it cannot serve as a world."""
     assets = dict(assets or {})
-    try:
-        model = mujoco.MjModel.from_xml_string(mjcf.decode(), assets)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise SceneError(f"{name}: not valid MJCF: {one_line(error)}") from None
-    return _world(model, mjcf, assets, name)
+    with quiet_mujoco():
+        try:
+            model = mujoco.MjModel.from_xml_string(mjcf.decode(), assets)
+        except (ValueError, UnicodeDecodeError, mujoco.FatalError) as error:
+            raise SceneError(f"{name}: not valid MJCF: {one_line(error)}") from None
+        return _world(model, mjcf, assets, name)
 
 
 def write_world(add_to: Callable[[mujoco.MjSpec], None], *, flight_bounds: NDArray[np.float64]) -> World:
     """Build a world by adding to an empty MjSpec, write it as MJCF, and compile what was written."""
+    with quiet_mujoco():
+        mjcf = _written(add_to, flight_bounds)
+    return compile_world(mjcf)
+
+
+def _written(add_to: Callable[[mujoco.MjSpec], None], flight_bounds: NDArray[np.float64]) -> bytes:
     spec = mujoco.MjSpec()
     spec.modelname = "scenegen"
     spec.default.geom.rgba = [0.62, 0.64, 0.68, 1.0]
     spec.add_numeric(name=FLIGHT_BOUNDS, data=np.asarray(flight_bounds).reshape(-1), size=6)
     spec.worldbody.add_light(pos=[0, 0, 30], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     add_to(spec)
-    spec.memory = max(1 << 20, 256 * len(spec.geoms))  # as little as will do: it is taken anew for every world
-    return compile_world(spec.to_xml().encode())
+    spec.memory = least_memory(len(spec.geoms))
+    return spec.to_xml().encode()
 
 
-def load_scene(path: Path) -> tuple[bytes, dict[str, bytes]]:
-    """Read an MJCF file drawn by hand and make it self-contained: (document, files by new names).
-
-    Includes are resolved and every mesh, height field and texture is taken along. Planes become infinite, as they are
-    for collisions and for the truth: rays would pass beside the rectangle that is drawn. Raises SceneError.
-    """
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        drawn = spec.compile()
-        mjcf, assets = _make_self_contained(spec)
-        kept = mujoco.MjModel.from_xml_string(mjcf.decode(), assets)
-    except (ValueError, OSError, MemoryError) as error:
-        raise SceneError(f"{path}: not valid MJCF: {one_line(error)}") from None
-    moved = float(np.abs(_places(drawn) - _places(kept)).max(initial=0.0))
-    if moved > MOST_MOVED_M:
-        raise SceneError(
-            f"{path}: written with MJCF's six digits, a geom moves by {moved:.2g} m; move the scene to the origin"
-        )
-    return mjcf, assets
-
-
-def _make_self_contained(spec: mujoco.MjSpec) -> tuple[bytes, dict[str, bytes]]:
-    """The document of `spec` with infinite planes, and the files it refers to under names of their own."""
-    for geom in spec.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            geom.size = [0.0, 0.0, geom.size[2] or 1.0]
-    assets: dict[str, bytes] = {}
-    meshes = Path(spec.modelfiledir) / (spec.compiler.meshdir or "")
-    textures = Path(spec.modelfiledir) / (spec.compiler.texturedir or "")
-    for folder, items in ((meshes, spec.meshes), (meshes, spec.hfields), (textures, spec.textures)):
-        for item in items:
-            if item.file:
-                item.file = _take_along(folder / item.file, assets)
-    spec.compiler.meshdir = spec.compiler.texturedir = ""
-    spec.assets = assets
-    return spec.to_xml().encode(), assets
-
-
-def _places(model: mujoco.MjModel) -> NDArray[np.float64]:
-    """Where geoms are and how they are turned, (ngeom, 12)."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    return np.concatenate([data.geom_xpos, data.geom_xmat], axis=1)
-
-
-def _take_along(source: Path, assets: dict[str, bytes]) -> str:
-    """Put a file among `assets` under a name made of its content and its own, and return that name."""
-    content = source.read_bytes()
-    safe = re.sub(r"[^A-Za-z0-9._-]", "_", source.name)
-    name = f"{hashlib.sha256(content).hexdigest()[:12]}-{safe}"
-    assets[name] = content
-    return name
+def least_memory(geoms: int) -> int:
+    """Bytes for MuJoCo's <size memory>: as little as will do, for they are taken anew for every world."""
+    return max(1 << 20, 256 * geoms)
 
 
 def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name: str) -> World:
@@ -144,9 +98,10 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> NDArray[
     """The document's own flight_bounds, or the box around all that is bounded in it."""
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
         data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, dtype=np.float64)
-        if data.size != 6 or not (data[:3] < data[3:]).all():
+        if data.size != 6 or not (data[:3] < data[3:]).all() or not (np.abs(data) <= MOST_LENGTH_M).all():
             raise SceneError(
-                f"{name}: <numeric {FLIGHT_BOUNDS}> = {data}, expected xmin ymin zmin xmax ymax zmax, rising"
+                f"{name}: <numeric {FLIGHT_BOUNDS}> = {short(data.tolist())}, expected xmin ymin zmin xmax ymax zmax, "
+                f"rising, up to {MOST_LENGTH_M:g}"
             )
         return data.reshape(2, 3)
     bounded = np.isfinite(solids.lower).all(axis=1)
@@ -158,4 +113,4 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> NDArray[
 
 def one_line(error: BaseException) -> str:
     """An error's message on one line."""
-    return " ".join(str(error).split())
+    return printable(error)

@@ -253,8 +253,8 @@ BAD_SCENES = {
     "only a plane": ('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>', "flight_bounds"),
     "no room to fly": (BOX.format(name="a", x=0, more=""), "no flight fits between the solids"),
     "far away": (
-        "<mujoco><worldbody>" + '<geom size="1" pos="500000.123456 0 0"/>' * 2 + "</worldbody></mujoco>",
-        "move the scene to the origin",
+        "<mujoco><worldbody>" + '<geom size="1" pos="5000000 0 0"/>' * 2 + "</worldbody></mujoco>",
+        "'5000000', expected numbers up to 1e+06",
     ),
     "missing mesh": ('<mujoco><asset><mesh name="m" file="gone.obj"/></asset></mujoco>', "gone.obj"),
 }
@@ -270,6 +270,14 @@ def test_a_bad_scene_ends_in_one_line(what: str, tmp_path: Path, capfd: pytest.C
     assert named in error
     assert error.count("\n") == 1
     assert said == ""
+
+
+def test_what_a_scene_leaves_out_is_said_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    body = '<body><joint name="j"/><geom size="1"/></body><geom size="1" pos="9 9 2"/>'
+    (tmp_path / "s.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    words = ("generate", "--scene", tmp_path / "s.xml", "--n", 5, "--out", tmp_path / "d", "--dry-run")
+    assert run(capfd, *words)[2].count("s.xml: joints (1) stay in their reference position") == 1
+    assert run(capfd, *words, "--quiet")[2] == ""
 
 
 def test_a_scene_recipe_needs_its_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,5 +1,6 @@
 """The solids of a compiled model: one table of primitives and one soup of triangles, in the world frame."""
 
+import functools
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from lidarsim.casters.mujoco import visible_geoms
 from lidarsim.jit import kernel
+from scenegen.limits import MOST_LENGTH_M, MOST_TRIANGLES
 from scenegen.truth.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, MESH, SPHERE
 
 
@@ -37,7 +39,7 @@ class Solids:
     mesh_start: NDArray[np.int64]
     """(m + 1,): mesh q owns triangles mesh_start[q] to mesh_start[q + 1]."""
     mesh_filled: NDArray[np.bool_]
-    """(m,): watertight, so its inside is solid; otherwise it is a surface."""
+    """(m,): closed, so its inside is solid; otherwise it is a surface."""
 
     @cached_property
     def boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -54,16 +56,14 @@ class Solids:
 def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solids:
     """The solids of `model` in its reference configuration, or in that of `data` where given.
 
-    Raises ValueError for a geom whose shape has no closed form here (a signed distance field's).
+    Raises ValueError for a geom whose shape has no closed form here (a signed distance field's), for numbers that are
+    not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
     """
     if data is None:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
     seen = visible_geoms(model)
-    if (model.geom_type[seen] > MESH).any():
-        odd = int(np.flatnonzero(seen & (model.geom_type > MESH))[0])
-        name = model.geom(odd).name or f"number {odd}"
-        raise ValueError(f"geom {name} is neither a primitive, a mesh nor a height field; use one of these")
+    _check(model, data, seen)
     bent = seen & ((model.geom_type == MESH) | (model.geom_type == HFIELD))
     plain = np.flatnonzero(seen & ~bent)
     shape = model.geom_type[plain].astype(np.int64)
@@ -71,11 +71,10 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solid
     position = data.geom_xpos[plain].astype(np.float64)
     rotation = data.geom_xmat[plain].reshape(-1, 3, 3).astype(np.float64)
     lower, upper = _bounds(shape, size, position, rotation)
+    surface = functools.cache(functools.partial(_surface, model))
     soups, filled = [np.empty((0, 3, 3))], []
     for geom in np.flatnonzero(bent):
-        vertices, faces, closed = (_mesh if model.geom_type[geom] == MESH else _height_field)(
-            model, int(model.geom_dataid[geom])
-        )
+        vertices, faces, closed = surface(int(model.geom_type[geom]), int(model.geom_dataid[geom]))
         world = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
         soups.append(world[faces])
         filled.append(closed)
@@ -85,8 +84,47 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solid
     )
 
 
+def _check(model: mujoco.MjModel, data: mujoco.MjData, seen: NDArray[np.bool_]) -> None:
+    """Raise ValueError for what no kernel may see. Kernels index by these numbers, unchecked."""
+    odd = seen & (model.geom_type > MESH)
+    if odd.any():
+        raise ValueError(
+            f"geom {_name(model, odd)} is neither a primitive, a mesh nor a height field; use one of these"
+        )
+    for what, values in (("pos", data.geom_xpos), ("axes", data.geom_xmat), ("size", model.geom_size)):
+        odd = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # a NaN is not
+        if odd.any():
+            value = values[np.argmax(odd)].tolist()
+            raise ValueError(f"geom {_name(model, odd)}: {what} = {value}, expected numbers up to {MOST_LENGTH_M:g}")
+    for what, values in (
+        ("a mesh's vertices", model.mesh_vert),
+        ("a height field's size", model.hfield_size),
+        ("a height field's heights", model.hfield_data),
+    ):
+        if not (np.abs(values) <= MOST_LENGTH_M).all():
+            raise ValueError(f"{what}: expected finite numbers, up to {MOST_LENGTH_M:g}")
+    triangles = int(model.mesh_facenum[model.geom_dataid[seen & (model.geom_type == MESH)]].sum(dtype=np.int64))
+    for field in model.geom_dataid[seen & (model.geom_type == HFIELD)]:
+        triangles += 4 * int(model.hfield_nrow[field]) * int(model.hfield_ncol[field])
+    if triangles > MOST_TRIANGLES:
+        raise ValueError(
+            f"meshes and height fields of {triangles} triangles, expected {MOST_TRIANGLES} at most; use coarser ones"
+        )
+
+
+def _name(model: mujoco.MjModel, chosen: NDArray[np.bool_]) -> str:
+    """The name of the first of the `chosen` geoms, or its number where it has none."""
+    first = int(np.argmax(chosen))
+    return model.geom(first).name or f"number {first}"
+
+
+def _surface(model: mujoco.MjModel, shape: int, number: int) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
+    """Vertices, faces (outward where closed) and whether they are closed, of a mesh or of a height field."""
+    return (_mesh if shape == MESH else _height_field)(model, number)
+
+
 def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
-    """Vertices, faces (outward where closed) and whether the mesh is watertight."""
+    """Vertices, faces (outward where closed) and whether the mesh is closed."""
     import trimesh  # takes a second to load, and few worlds hold a mesh
 
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
@@ -94,10 +132,20 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[np.float64], NDArra
     soup = trimesh.Trimesh(
         model.mesh_vert[first : first + count].astype(np.float64), model.mesh_face[face : face + faces]
     )
-    if soup.is_watertight and not soup.is_winding_consistent:
+    if not _is_closed(soup.faces) and soup.is_watertight:
         trimesh.repair.fix_winding(soup)
-    closed = bool(soup.is_watertight and soup.is_winding_consistent)
-    return np.asarray(soup.vertices), np.asarray(soup.faces, dtype=np.int64), closed
+    return np.asarray(soup.vertices), np.asarray(soup.faces, dtype=np.int64), _is_closed(soup.faces)
+
+
+def _is_closed(faces: NDArray[np.int64]) -> bool:
+    """Whether every edge is walked as often one way as the other by the triangles (T, 3) around it.
+
+    Then each point off the surface has a winding number, also where more than two triangles share an edge, as between
+    two boxes that touch along it.
+    """
+    tail, head = faces.reshape(-1).astype(np.int64), np.roll(faces, -1, axis=1).reshape(-1).astype(np.int64)
+    count = int(faces.max(initial=0)) + 1
+    return bool(np.array_equal(np.sort(tail * count + head), np.sort(head * count + tail)))
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:

@@ -7,7 +7,6 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from lidarsim import Pose, Scan, voxelize
 from scenegen.dataset.shard import DIGEST
 from scenegen.dataset.trust import Entry
 from scenegen.geometry import geometry_digest
+from scenegen.quiet import quiet_mujoco
 from scenegen.sample import SCHEMA, derive_tudf
 from scenegen.truth import Solids, rasterize
 from scenegen.verify.archive import Archive, compile_solids, read_archive
@@ -72,10 +72,10 @@ class Findings:
     rejected: dict[str, Counter[str]] = field(default_factory=dict)
 
 
+@quiet_mujoco()
 def examine(task: Task) -> Findings:
     """Everything that can be said about one shard by itself. Faults go to the findings' ledger; raises nothing for
     what may be wrong with the files."""
-    mujoco.set_mju_user_warning(_ignore)  # MuJoCo would write its warnings to a file in the working directory
     found = Findings(task.number, task.entry.samples)
     archive = _examine_worlds(task, found.ledger)
     solids = _compile(task, archive, found)
@@ -100,10 +100,6 @@ def examine(task: Task) -> Findings:
         with found.ledger.checking("checksums"), open_file(path) as file:
             _check_sum(file, path, task.entry.sha256, found.ledger)
     return found
-
-
-def _ignore(text: str) -> None:
-    pass
 
 
 def _check_sum(file: BufferedReader, path: Path, expected: str, ledger: Ledger) -> None:

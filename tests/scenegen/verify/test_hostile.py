@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from scenegen.dataset import manifest
-from scenegen.verify.archive import MOST_DOCUMENT_BYTES, screen
-from scenegen.verify.report import BrokenError
+from scenegen.limits import MOST_DOCUMENT_BYTES
+from scenegen.screen import ScreenError, screen
 from tests.scenegen.verify import forge
 from tests.scenegen.verify.conftest import failed
 
@@ -288,7 +288,7 @@ def test_screening_takes_plain_worlds_and_knows_them_again() -> None:
     first = b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"2") + b"</worldbody></mujoco>"
     second = b"<mujoco><worldbody>" + box % (b"c", b"2") + box % (b"d", b"1") + b"</worldbody></mujoco>"
     third = b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"3") + b"</worldbody></mujoco>"
-    one, two, three = (screen(document, frozenset(), "w") for document in (first, second, third))
+    one, two, three = (screen(document, {}, "w") for document in (first, second, third))
     assert one == two != three
-    with pytest.raises(BrokenError, match="w: has <replicate>"):
-        screen(b"<mujoco><worldbody><replicate count='9'/></worldbody></mujoco>", frozenset(), "w")
+    with pytest.raises(ScreenError, match="w: has <replicate>"):
+        screen(b"<mujoco><worldbody><replicate count='9'/></worldbody></mujoco>", {}, "w")

@@ -1,0 +1,75 @@
+"""What an MJCF file is made of, before MuJoCo reads it: its elements, and those of the files that it includes."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from scenegen.errors import DatasetError, SceneError
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_DOCUMENT_BYTES, MOST_GEOMS
+from scenegen.screen import ScreenError, check_amounts, check_numbers
+
+ELEMENT = re.compile(r"<([A-Za-z]\w*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*/?>")
+ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+PART = "mujocoinclude"
+"""Root of a file that only others include."""
+
+
+def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
+    """Read an MJCF file and all that it includes or attaches: whether it is a world of its own, and which files it
+    includes, resolved.
+
+    Raises SceneError for a file that is not regular or too large, for numbers that no solid can have, and for more
+    geoms than MuJoCo can cope with.
+    """
+    is_world, included, waiting, seen, geoms = True, set[Path](), [main], set[Path](), 0.0
+    while waiting:
+        path = waiting.pop()
+        if path.resolve() in seen:  # MuJoCo says what it thinks of a circle
+            continue
+        seen.add(path.resolve())
+        for tag, attributes in _elements(path):
+            is_world &= not (tag == PART and path is main)
+            geoms += _geoms(tag, attributes)
+            if geoms > MOST_GEOMS:  # over many more, MuJoCo takes hours
+                raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
+            _check(tag, attributes, path)
+            if tag in ("include", "model") and "file" in attributes:
+                # MuJoCo looks from the file that includes, or from the main one
+                for folder in (path.parent, main.parent):
+                    other = folder / attributes["file"]
+                    if other.exists():
+                        waiting.append(other)
+                        if tag == "include":
+                            included.add(other.resolve())
+                        break
+    return is_world, frozenset(included)
+
+
+def _check(tag: str, attributes: dict[str, str], path: Path) -> None:
+    try:
+        check_numbers(tag, attributes, str(path))
+        check_amounts(tag, attributes, str(path))
+    except ScreenError as error:
+        raise SceneError(str(error)) from None
+    except ValueError:  # no number at all: MuJoCo says so
+        pass
+
+
+def _geoms(tag: str, attributes: dict[str, str]) -> float:
+    """How many geoms an element gives at least."""
+    count = attributes.get("count", "") if tag == "replicate" else ""
+    return float(count) if count.isdecimal() else float(tag == "geom")
+
+
+def _elements(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
+    """Names and attributes of a file's elements, read as forgivingly as MuJoCo does; expat would refuse some."""
+    try:
+        text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
+    except (DatasetError, FileNotFoundError) as error:
+        raise SceneError(str(error)) from None
+    first, *rest = text.split("<!--")
+    for piece in (first, *(after.partition("-->")[2] for after in rest)):
+        for found in ELEMENT.finditer(piece):
+            pairs = (pair.groups(default="") for pair in ATTRIBUTE.finditer(found[2]))
+            yield found[1], {key: double or single for key, double, single in pairs}
