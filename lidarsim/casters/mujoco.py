@@ -37,7 +37,7 @@ class MujocoCaster:
         # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a third of the time
         lower, upper = _boxes(self._model, self._data)
         away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
-        self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m**2
+        self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m * max_range_m
         mujoco.mj_multiRay(
             self._model,
             self._data,
