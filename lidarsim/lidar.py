@@ -69,7 +69,7 @@ class Lidar:
         directions = np.stack(np.broadcast_arrays(cos_e * cos_a, cos_e * sin_a, sin_e), axis=-1)
         if self.mount == "tilt":
             sin_half, cos_half = sin_cos(np.radians(self.pitch_deg) / 2)
-            directions = rotate([cos_half, 0.0, sin_half, 0.0], directions)
+            directions = rotate([float(cos_half), 0.0, float(sin_half), 0.0], directions)
         directions.setflags(write=False)
         return directions
 

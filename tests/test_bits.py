@@ -35,7 +35,7 @@ def here() -> dict[str, str]:
 
 
 def check(*parts: str) -> None:
-    """The digests are the same in a process from which these parts of the processor are hidden, though others are not."""
+    """The digests are the same where these parts of the processor are hidden, though others are not."""
     hidden = {name: value for part in parts for name, value in HIDDEN[part].items()}
     run = subprocess.run(
         [sys.executable, "-W", "ignore", "-m", "tests.bits"],

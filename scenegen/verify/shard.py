@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import ObservedGrid, Pose, Scan, voxelize
+from lidarsim import Pose, Scan, voxelize
 from scenegen.dataset.shard import DIGEST
 from scenegen.dataset.trust import Entry
 from scenegen.geometry import geometry_digest
@@ -23,7 +23,7 @@ from scenegen.verify.layout import ShardFile, most_bytes, open_file, open_shard
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate
 from scenegen.verify.report import BrokenError, Ledger
-from scenegen.verify.rounding import undecided
+from scenegen.verify.rounding import as_rounded
 from scenegen.verify.twins import fold, signature
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
@@ -272,7 +272,7 @@ class _Samples:
             scan = Scan(ranges, pose, contract.lidar)
             seen = voxelize(scan, contract.grid, stored["origin"])
             if contract.generator == 1:
-                seen = self._as_rounded(scan, stored, seen)
+                seen = as_rounded(seen, scan, contract.grid, stored)
             self._same("voxels", row, stored["observed"], seen.observed, "ranges", name="observed")
         if "free" in stored:
             with self._ledger.checking("free"):
@@ -288,16 +288,6 @@ class _Samples:
         if row in self._audited:
             with self._ledger.checking("rays"):
                 self._cast_again(row, stored, solids)
-
-    def _as_rounded(self, scan: Scan, stored: dict[str, NDArray[Any]], seen: ObservedGrid) -> ObservedGrid:
-        """`seen`, with the stored value wherever rounding decides a voxel."""
-        observed, free = stored["observed"], stored.get("free", seen.free)
-        if np.array_equal(observed, seen.observed) and np.array_equal(free, seen.free):
-            return seen
-        open_ = undecided(scan, self._task.contract.grid, stored["origin"])
-        return ObservedGrid(
-            np.where(open_.observed, observed, seen.observed), np.where(open_.free, free, seen.free), seen.origin
-        )
 
     def _same(
         self, check: str, row: int, stored: NDArray[Any], again: NDArray[Any], source: str, *, name: str = ""
