@@ -13,8 +13,8 @@ OBSERVED_IOU = 0.5
 """… their observed voxels this far. The truth alone would not do: over a flat floor with next to nothing on it, maps of
 different worlds are the same; what rays hit of it, from another height at another heading, is not."""
 STANDING_IOU, FLOOR_SHARE = 0.5, 0.95
-"""… and what stands on the floor this far, layers of which both maps fill the second share left out: two empty floors may
-by chance be seen alike, too."""
+"""… and what stands on the floor this far, less the layers of which both maps fill the second share: two empty floors
+may by chance be seen alike, too."""
 MOST_PAIRS = 8_000_000
 """Pairs of maps that are kept in memory while they are sifted."""
 MOST_COMPARED = 5_000
