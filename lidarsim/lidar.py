@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.elementary import sin_cos
 from lidarsim.parameters import check, number
 from lidarsim.pose import rotate
 
@@ -49,16 +50,17 @@ class Lidar:
 
     @cached_property
     def directions_body(self) -> NDArray[np.float64]:
-        """Unit vectors (rows, columns, 3) in the body frame."""
+        """Unit vectors (rows, columns, 3) in the body frame, with the same bits on every processor."""
         elevation = _spread(self.vertical_fov_deg, self.rows, closed=True)
         azimuth = _spread(self.horizontal_fov_deg, self.columns, closed=self.horizontal_fov_deg < 360.0)
         if self.mount == "band":
             elevation = elevation - self.pitch_deg
-        e, a = np.meshgrid(np.radians(elevation), np.radians(azimuth), indexing="ij")
-        directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
+        sin_e, cos_e = sin_cos(np.radians(elevation)[:, None])
+        sin_a, cos_a = sin_cos(np.radians(azimuth))
+        directions = np.stack(np.broadcast_arrays(cos_e * cos_a, cos_e * sin_a, sin_e), axis=-1)
         if self.mount == "tilt":
-            half = np.radians(self.pitch_deg) / 2
-            directions = rotate([np.cos(half), 0.0, np.sin(half), 0.0], directions)
+            sin_half, cos_half = sin_cos(np.radians(self.pitch_deg) / 2)
+            directions = rotate([float(cos_half), 0.0, float(sin_half), 0.0], directions)
         directions.setflags(write=False)
         return directions
 

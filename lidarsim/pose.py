@@ -1,10 +1,12 @@
 """Where a body is and how it is turned."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.elementary import sin_cos
 from lidarsim.jit import kernel
 
 
@@ -35,8 +37,24 @@ class Pose:
     @classmethod
     def level(cls, position: ArrayLike, yaw_rad: float = 0.0) -> "Pose":
         """A body held level, turned by `yaw_rad` about the vertical, counter-clockwise seen from above."""
-        half = 0.5 * yaw_rad
-        return cls(np.asarray(position, dtype=np.float64), np.array([np.cos(half), 0.0, 0.0, np.sin(half)]))
+        sine, cosine = sin_cos(0.5 * yaw_rad)
+        return cls(np.asarray(position, dtype=np.float64), np.array([cosine, 0.0, 0.0, sine]))
+
+    @classmethod
+    def facing(cls, position: ArrayLike, direction: ArrayLike) -> "Pose":
+        """A body held level that looks along `direction` (2,), x and y in the world, of any length.
+
+        The half-angle formulas give the quaternion by square roots, without an angle, so with the same bits on every
+        processor. Raises ValueError for a direction without length.
+        """
+        x, y = (float(part) for part in np.asarray(direction, dtype=np.float64))
+        length = math.sqrt(x * x + y * y)
+        if not 0.0 < length < math.inf:
+            raise ValueError(f"pose: direction = [{x:g}, {y:g}], expected a finite length above 0")
+        large = math.sqrt(0.5 + 0.5 * abs(x) / length)
+        small = 0.5 * y / length / large
+        w, z = (large, small) if x >= 0.0 else (abs(small), math.copysign(large, y))
+        return cls(np.asarray(position, dtype=np.float64), np.array([w, 0.0, 0.0, z]))
 
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
+GENERATOR = 2
+"""Raised whenever the same parameters and seed would give other bits, whatever the kind of worlds. 1 was bound to its
+processor: numpy and the mathematical library choose sines, arctangents and products by what it offers."""
+
 SPLITS = ("train", "val", "test")
 """The parts of a dataset, in order; no world is in two of them."""
 

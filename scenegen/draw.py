@@ -120,7 +120,7 @@ def _sample(
 
 def _apart(position: np.ndarray, kept: list[tuple[float, Scan, np.ndarray]], spacing_m: float) -> bool:
     """Whether a position keeps the least distance from all kept ones."""
-    return all(((position - scan.pose.position) ** 2).sum() >= spacing_m**2 for _, scan, _ in kept)
+    return all(((position - scan.pose.position) ** 2).sum() >= spacing_m * spacing_m for _, scan, _ in kept)
 
 
 def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float:

@@ -134,7 +134,7 @@ def _start_and_goal(
             continue
         if start is None:
             start = point
-        elif ((point - start) ** 2).sum() >= apart**2:
+        elif ((point - start) ** 2).sum() >= apart * apart:
             return start, point
     return None
 
@@ -147,15 +147,15 @@ class Viewpoints:
     """(m,): metres flown from the start."""
     positions: NDArray[np.float64]
     """(m, 3): world metres."""
-    yaws: NDArray[np.float64]
-    """(m,): radians; the body is level and looks along the flight."""
+    headings: NDArray[np.float64]
+    """(m, 2): world x and y, of any length; the body is level and looks along the flight."""
 
     def __len__(self) -> int:
         return len(self.flown_m)
 
     def pose(self, n: int) -> Pose:
         """The body's pose at viewpoint `n`."""
-        return Pose.level(self.positions[n], float(self.yaws[n]))
+        return Pose.facing(self.positions[n], self.headings[n])
 
 
 def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator) -> Viewpoints:
@@ -167,9 +167,9 @@ def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Ge
     legs = np.diff(path, axis=0)
     lengths = np.sqrt((legs**2).sum(axis=1))
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    level = np.hypot(legs[:, 0], legs[:, 1]) > 1e-6
+    level = np.sqrt(legs[:, 0] * legs[:, 0] + legs[:, 1] * legs[:, 1]) > 1e-6
     turned = np.maximum.accumulate(np.where(level, np.arange(len(legs)), 0))
-    heading = np.where(level, np.arctan2(legs[:, 1], legs[:, 0]), 0.0)[turned]
+    heading = np.where(level[:, None], legs[:, :2], (1.0, 0.0))[turned]
     if ends[-1] > MOST_CANDIDATES * spacing_m:
         raise GenerationError(
             f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on a flight of "

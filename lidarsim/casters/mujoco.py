@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 """The geom groups that rays see: in the caster's copy of a model, group 0 holds the geoms within range."""
+SPARE_M = 1e-6
+"""How much larger geoms' boxes are in that copy: what is left out by them does not depend on rounding."""
 
 
 class MujocoCaster:
@@ -23,6 +25,9 @@ class MujocoCaster:
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)  # where the bodies' bounding volumes are
         self._model = copy.copy(model)
+        # mj_multiRay passes over geoms by angles to their boxes, from the system's arctangents: with room to spare,
+        # their last bits decide nothing
+        self._model.geom_aabb[:, 3:] += SPARE_M
         self._data = data
         _search_every_body(self._model)
 
@@ -37,7 +42,7 @@ class MujocoCaster:
         # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a third of the time
         lower, upper = _boxes(self._model, self._data)
         away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
-        self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m**2
+        self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m * max_range_m
         mujoco.mj_multiRay(
             self._model,
             self._data,
@@ -65,10 +70,10 @@ def visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Least and greatest corners (ngeom, 3) of the geoms' boxes, with a micrometre to spare; planes have no bounds."""
+    """Least and greatest corners (ngeom, 3) of the geoms' boxes; planes have no bounds."""
     rotation = data.geom_xmat.reshape(-1, 3, 3)
     centre = data.geom_xpos + np.einsum("gab,gb->ga", rotation, model.geom_aabb[:, :3])
-    half = np.einsum("gab,gb->ga", np.abs(rotation), model.geom_aabb[:, 3:]) + 1e-6
+    half = np.einsum("gab,gb->ga", np.abs(rotation), model.geom_aabb[:, 3:])
     half[model.geom_rbound == 0] = np.inf
     return centre - half, centre + half
 

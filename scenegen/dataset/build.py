@@ -207,7 +207,7 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
             )
         return
     there = manifest.read(folder)
-    differing = manifest.differences({name: there.get(name) for name in plan.parameters}, plan.parameters)
+    differing = manifest.differences(manifest.completed(there), plan.parameters)
     if differing and not force and _shard_files(folder):
         more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
         raise DatasetError(
@@ -227,7 +227,7 @@ def _open_folder(plan: Plan, *, force: bool) -> None:
         raise disk_error(folder, error) from None
     if (folder / manifest.NAME).exists():
         there = manifest.read(folder)
-        same = not manifest.differences({name: there.get(name) for name in plan.parameters}, plan.parameters)
+        same = not manifest.differences(manifest.completed(there), plan.parameters)
     else:
         same = False
     if not same:

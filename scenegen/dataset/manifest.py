@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lidarsim import GridSpec, Lidar
-from scenegen import SPLITS, __version__
+from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.shard import ShardReport, stored_fields
 from scenegen.errors import DatasetError
 from scenegen.files import write_whole
@@ -25,6 +25,12 @@ VERSION = 1
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
 
+PARAMETERS = (
+    *("format", "version", "generator", "kind", "seed", "counts", "recipe", "fields", "grid", "lidar"),
+    *("shard_samples", "software"),
+)
+"""Names of all `parameters`; `generator` is absent from manifests of the first."""
+
 
 def parameters(
     recipe: Recipe, source: Source, *, seed: int, counts: Mapping[str, int], compact: bool, shard_samples: int
@@ -33,6 +39,7 @@ def parameters(
     return {
         "format": FORMAT,
         "version": VERSION,
+        "generator": GENERATOR,
         "kind": recipe.kind,
         "seed": seed,
         "counts": {split: counts[split] for split in SPLITS},
@@ -66,6 +73,16 @@ def installed(package: str) -> str:
 def fingerprint(given: Mapping[str, Any]) -> str:
     """A digest of `parameters`, the same for the same dataset."""
     return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+
+
+def parameters_of(found: Mapping[str, Any]) -> dict[str, Any]:
+    """The `parameters` of a manifest, as they stand in it."""
+    return {name: found[name] for name in PARAMETERS if name in found}
+
+
+def completed(found: Mapping[str, Any]) -> dict[str, Any]:
+    """The `parameters` of a manifest, with the generator, which manifests of the first do not name."""
+    return {"generator": 1} | parameters_of(found)
 
 
 def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str = "") -> list[str]:

@@ -61,6 +61,7 @@ class Manifest(pydantic.BaseModel, strict=True):
     """The types and bounds of what readers rely on."""
 
     complete: bool
+    generator: Annotated[int, pydantic.Field(ge=1)] = 1
     kind: Annotated[str, pydantic.Field(pattern=r"^\w[\w.-]*$", max_length=100)]
     seed: Annotated[int, pydantic.Field(ge=0, le=MOST_SEED)]
     counts: Counts | None = None  # this and `shard_samples` are for making it again, not for reading

@@ -65,7 +65,7 @@ def check_recipe(found: Mapping[str, Any], text: str) -> None:
         compact=list(found["fields"]) == list(stored_fields(compact=True)),
         shard_samples=found["shard_samples"],
     )
-    there = {name: found.get(name) for name in given if name not in _NOT_OURS}
+    there = {name: value for name, value in manifest.completed(found).items() if name not in _NOT_OURS}
     there["recipe"] = {name: value for name, value in found["recipe"].items() if name != "scenes"}
     wrong = manifest.differences(there, {name: value for name, value in given.items() if name not in _NOT_OURS})
     if wrong:

@@ -1,5 +1,6 @@
 """Spheres, boxes and cylinders at any attitude, standing, stacked and floating, with walls and clutter between them."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -7,6 +8,7 @@ import mujoco
 import numpy as np
 
 from lidarsim.parameters import number
+from scenegen.chance import attitudes, log_uniform, normal
 from scenegen.limits import MOST_DRAWN_SOLIDS
 from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
 
@@ -23,7 +25,7 @@ class Geometric(WorldKind):
     calibrated: docs/results/calibration.md.
     """
 
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     crowding: ClassVar[tuple[str, ...]] = ("density", "wall_density", "clutter_density", "clutter_count")
     accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 2.0}
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 4.0)}
@@ -78,7 +80,7 @@ class Geometric(WorldKind):
         self.add_ground(spec)
         area = self.size_m[0] * self.size_m[1]
         scale = rng.uniform(*self.scale)
-        self._add_solids(spec, round(area * np.exp(rng.uniform(*np.log(self.density)))), scale, rng=rng)
+        self._add_solids(spec, round(area * log_uniform(*self.density, rng=rng)), scale, rng=rng)
         self._add_walls(spec, round(area * rng.uniform(*self.wall_density)), rng=rng)
         self._add_clutter(spec, round(area * rng.uniform(*self.clutter_density)), rng=rng)
 
@@ -87,7 +89,7 @@ class Geometric(WorldKind):
         shape = rng.integers(0, len(SHAPES), count)
         size = scale * rng.uniform(*self.half_size_m, (count, 3))
         plan = rng.uniform((0.0, 0.0), self.size_m[:2], (count, 2))
-        tilt = _attitudes(count, self.tilted_share, rng=rng)
+        tilt = attitudes(count, self.tilted_share, rng=rng)
         place = rng.random(count)
         free_height = rng.uniform(0.0, self.size_m[2], count)
         on = rng.integers(0, np.maximum(np.arange(count), 1))
@@ -124,28 +126,20 @@ class Geometric(WorldKind):
             count = int(rng.integers(self.clutter_count[0], self.clutter_count[1] + 1))
             shape = rng.integers(0, len(SHAPES), count)
             size = rng.uniform(*self.clutter_half_size_m, (count, 3))
-            offset = rng.normal(0.0, self.clutter_spread_m, (count, 3))
-            tilt = _attitudes(count, 1.0, rng=rng)
+            offset = self.clutter_spread_m * normal((count, 3), rng=rng)
+            tilt = attitudes(count, 1.0, rng=rng)
             for n in range(count):
                 z = _half_height(shape[n], size[n], tilt[n]) + abs(offset[n, 2])
                 position = (centre[0] + offset[n, 0], centre[1] + offset[n, 1], z)
                 add_geom(spec, SHAPES[shape[n]], size[n], position, quat=tilt[n], rgba=COLOURS[shape[n]])
 
 
-def _attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> np.ndarray:
-    """Quaternions (count, 4): uniform over all attitudes for a share, turned about the vertical alone for the rest."""
-    tilted = rng.random(count) < tilted_share
-    attitude = rng.normal(size=(count, 4))
-    attitude[~tilted, 1:3] = 0.0
-    return attitude / np.sqrt((attitude**2).sum(axis=1, keepdims=True))
-
-
 def _half_height(shape: int, size: np.ndarray, quaternion: np.ndarray) -> float:
     """How far a solid reaches above its centre, metres."""
     if shape == 0:
         return float(size[0])
-    w, x, y, z = quaternion
-    up = np.abs([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    w, x, y, z = quaternion.tolist()
+    u, v, up = abs(2 * (x * z - w * y)), abs(2 * (y * z + w * x)), abs(1 - 2 * (x * x + y * y))
     if shape == 1:
-        return float(up @ size)
-    return float(up[2] * size[1] + np.sqrt(max(1 - up[2] ** 2, 0.0)) * size[0])
+        return float(u * size[0] + v * size[1] + up * size[2])
+    return float(up * size[1] + math.sqrt(max(1 - up * up, 0.0)) * size[0])

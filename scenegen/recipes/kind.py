@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from lidarsim.elementary import sin_cos
 from lidarsim.parameters import Bounds, check, shown
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
 
@@ -84,4 +85,5 @@ def add_geom(spec: mujoco.MjSpec, shape: mujoco.mjtGeom, size: Any, position: An
 
 def yaw_quaternion(yaw_rad: float) -> tuple[float, float, float, float]:
     """A turn about the vertical as a quaternion, w x y z."""
-    return (np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2))
+    sine, cosine = sin_cos(yaw_rad / 2)
+    return (float(cosine), 0.0, 0.0, float(sine))

@@ -6,6 +6,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
 
@@ -18,7 +19,7 @@ class Pillar(WorldKind):
     "Experiments"); it gives no figures, so these are ours.
     """
 
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     crowding: ClassVar[tuple[str, ...]] = ("density",)
     accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 4.0}
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (3.0, 6.0)}
@@ -60,12 +61,13 @@ class Pillar(WorldKind):
         height = rng.uniform(*self.height_m, count)
         plan = rng.uniform((0.0, 0.0), (x_m, y_m), (count, 2))
         yaw = rng.uniform(0.0, np.pi, count)
-        hull = np.where(section < self.round_share, half, np.hypot(half, length))
+        hull = np.where(section < self.round_share, half, np.sqrt(half * half + length * length))
         for n in np.flatnonzero(rng.random(count) < self.passage_share).tolist():
             if n > 0:  # beside one that stays where it is now
                 neighbour, angle = rng.integers(0, n), rng.uniform(0.0, 2 * np.pi)
+                sine, cosine = sin_cos(angle)
                 apart = hull[n] + hull[neighbour] + rng.uniform(*self.passage_m)
-                plan[n] = plan[neighbour] + apart * np.array([np.cos(angle), np.sin(angle)])
+                plan[n] = plan[neighbour] + apart * np.stack([cosine, sine])
         for n in range(count):
             position = (plan[n, 0], plan[n, 1], height[n] / 2)
             if section[n] < self.round_share:

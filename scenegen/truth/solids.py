@@ -75,8 +75,10 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solid
     soups, filled = [np.empty((0, 3, 3))], []
     for geom in np.flatnonzero(bent):
         vertices, faces, closed = surface(int(model.geom_type[geom]), int(model.geom_dataid[geom]))
-        world = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        soups.append(world[faces])
+        # term by term: what a matrix product gives depends on the processor
+        columns = data.geom_xmat[geom].reshape(3, 3).T
+        world = (vertices[:, :1] * columns[0] + vertices[:, 1:2] * columns[1]) + vertices[:, 2:] * columns[2]
+        soups.append((world + data.geom_xpos[geom])[faces])
         filled.append(closed)
     start = np.cumsum([len(soup) for soup in soups])
     return Solids(

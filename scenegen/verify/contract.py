@@ -45,6 +45,8 @@ class Contract:
     """Samples of one flight."""
     scenes: dict[str, list[dict[str, str]]] | None
     """Worlds drawn by hand, by split: {"file", "sha256"}; None where a recipe drew them."""
+    generator: int
+    """The generator that made it, see `scenegen.GENERATOR`."""
     software: dict[str, str]
     shards: tuple[Entry, ...]
     rejected: Mapping[Any, dict[str, int]]
@@ -105,7 +107,6 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
     scenes = None
     if typed.kind == "scene":
         scenes = _scenes(given["recipe"])
-    names = (*("format", "version", "kind", "seed", "counts", "recipe", "fields", "grid", "lidar"), "shard_samples")
     return Contract(
         folder=folder,
         kind=typed.kind,
@@ -117,11 +118,12 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
         drawn=drawn,
         viewpoints=recipe.flight.viewpoints,
         scenes=scenes,
+        generator=typed.generator,
         software=typed.software,
         shards=tuple(typed.shards),
         rejected=typed.rejected,
         digest=typed.digest,
-        fingerprint=manifest.fingerprint({name: given[name] for name in (*names, "software")}),
+        fingerprint=manifest.fingerprint(manifest.parameters_of(given)),
     )
 
 

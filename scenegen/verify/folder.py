@@ -16,7 +16,7 @@ from scenegen.verify.layout import ShardFile, open_file, open_shard
 from scenegen.verify.regenerate import why_not_comparable
 from scenegen.verify.report import CHECKS, Ledger, Report
 from scenegen.verify.shard import Findings, Task, examine
-from scenegen.verify.twins import OBSERVED_IOU, OCCUPIED_IOU, candidates, overlap
+from scenegen.verify.twins import OBSERVED_IOU, OCCUPIED_IOU, STANDING_IOU, candidates, overlap, standing_overlap
 from scenegen.verify.warm import warm_up
 from scenegen.workers import Limits, run
 
@@ -143,8 +143,9 @@ def _check_twins(contract: Contract, findings: list[Findings], ledger: Ledger) -
             observed = overlap(maps.of("observed", *one), maps.of("observed", *other))
             if observed < OBSERVED_IOU:
                 continue
-            occupied = overlap(maps.of("occupancy", *one), maps.of("occupancy", *other))
-            if occupied >= OCCUPIED_IOU:
+            truths = maps.of("occupancy", *one), maps.of("occupancy", *other)
+            occupied = overlap(*truths)
+            if occupied >= OCCUPIED_IOU and standing_overlap(*truths) >= STANDING_IOU:
                 found += 1
                 ledger.fault(
                     "near-twins",

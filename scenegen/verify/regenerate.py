@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences, software
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError, RecipeError, SceneError
@@ -53,6 +54,8 @@ def why_not_comparable(contract: Contract) -> str:
     """Why samples made here need not have the dataset's bits; empty where they must."""
     if not contract.drawn and contract.scenes is None:
         return f"kind {contract.kind!r} is not installed here: its worlds cannot be drawn again"
+    if contract.generator != GENERATOR:
+        return f"made by generator {contract.generator}, here is generator {GENERATOR}"
     differing = differences(contract.software, software())
     named = ", ".join(line.replace(" asked for", " here") for line in differing)
     return f"made with other software: {named}" if differing else ""

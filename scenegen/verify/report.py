@@ -113,6 +113,14 @@ class Ledger:
         """Say that a check cannot be made, and why."""
         self._entries[check].skipped = why
 
+    def excuse(self, check: str, why: str) -> None:
+        """Make the faults of a check reasons to skip it: it stays told how many there are, and what was examined."""
+        entry = self._entries[check]
+        if entry.faults:
+            entry.skipped = why
+            entry.counts["come out otherwise"] += entry.faults
+            entry.faults, entry.told = 0, []
+
     def skip_untouched(self, checks: Iterable[str], why: str) -> None:
         """Say of those `checks` that examined nothing why that is."""
         for name in checks:
@@ -181,7 +189,8 @@ def _detail(entry: _Entry) -> str:
     if entry.faults:
         more = entry.faults - len(entry.told)
         return "; ".join(entry.told) + (f"; and {more} more" if more else "")
-    if entry.skipped:
-        return entry.skipped
     parts = [f"{count} {what}" for what, count in entry.counts.items()]
-    return ", ".join(parts + [f"{what} {value:.2g}" for what, value in entry.notes.items()])
+    examined = ", ".join(parts + [f"{what} {value:.2g}" for what, value in entry.notes.items()])
+    if entry.skipped:
+        return f"{entry.skipped} ({examined})" if examined else entry.skipped
+    return examined

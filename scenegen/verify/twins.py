@@ -12,6 +12,9 @@ OCCUPIED_IOU = 0.9
 OBSERVED_IOU = 0.5
 """… their observed voxels this far. The truth alone would not do: over a flat floor with next to nothing on it, maps of
 different worlds are the same; what rays hit of it, from another height at another heading, is not."""
+STANDING_IOU, FLOOR_SHARE = 0.5, 0.95
+"""… and what stands on the floor this far, less the layers of which both maps fill the second share: two empty floors
+may by chance be seen alike, too."""
 MOST_PAIRS = 8_000_000
 """Pairs of maps that are kept in memory while they are sifted."""
 MOST_COMPARED = 5_000
@@ -123,3 +126,10 @@ def _beyond(a, b, most):
 def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
     """Intersection over union; 0 where both are empty."""
     return float(np.count_nonzero(a & b)) / max(float(np.count_nonzero(a | b)), 1.0)
+
+
+def standing_overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """`overlap` of two maps less the layers that are a floor in both; 1 where nothing else is there."""
+    floor = np.minimum(a.mean(axis=(0, 1)), b.mean(axis=(0, 1))) >= FLOOR_SHARE
+    a, b = a[:, :, ~floor], b[:, :, ~floor]
+    return overlap(a, b) if a.any() or b.any() else 1.0

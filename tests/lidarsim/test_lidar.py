@@ -151,6 +151,19 @@ def test_level_pose_holds_its_position_and_turns_x_to_the_yaw() -> None:
         np.testing.assert_allclose(matrix @ [0, 0, 1], [0, 0, 1], atol=1e-15)
 
 
+def test_facing_a_direction_is_a_turn_by_its_angle() -> None:
+    rng = np.random.default_rng(6)
+    plain = [(1, 0), (0, 1), (-1, 0), (0, -1), (-1, -1e-300), (-1, 1e-9), (1e-9, -1), (3e-5, 4e-5), (-6e80, -8e80)]
+    for x, y in [*plain, *rng.normal(size=(500, 2)).tolist()]:
+        pose = Pose.facing((1.0, -2.0, 3.5), (x, y))
+        expected = Pose.level((1.0, -2.0, 3.5), np.arctan2(y, x))
+        np.testing.assert_array_equal(pose.position, expected.position)
+        np.testing.assert_allclose(pose.quaternion, expected.quaternion, rtol=0, atol=3e-16)
+    for nowhere in ((0.0, 0.0), (np.nan, 1.0), (np.inf, 0.0)):
+        with pytest.raises(ValueError, match="direction"):
+            Pose.facing((0.0, 0.0, 0.0), nowhere)
+
+
 def test_a_quaternion_and_its_negative_are_one_attitude() -> None:
     quaternion = reference.random_quaternion(np.random.default_rng(5))
     one, other = Lidar().directions(quaternion), Lidar().directions(-quaternion)

@@ -190,7 +190,7 @@ def test_viewpoints_lie_on_the_path_a_spacing_apart(spacing: float) -> None:
         np.testing.assert_allclose(np.diff(flown), spacing, rtol=0, atol=1e-9)
         assert 0 <= flown[0] < spacing
         assert ends[-1] - spacing <= flown[-1] < ends[-1]
-        assert len(views) == len(views.positions) == len(views.yaws) == len(flown)
+        assert len(views) == len(views.positions) == len(views.headings) == len(flown)
         for axis in range(3):
             expected = np.interp(views.flown_m, ends, PATH[:, axis])
             np.testing.assert_allclose(views.positions[:, axis], expected, rtol=0, atol=1e-9)
@@ -203,8 +203,9 @@ def test_viewpoints_look_along_their_leg_and_are_level() -> None:
         views = viewpoints(PATH, 0.2, rng=np.random.default_rng(seed))
         for n in range(len(views)):
             legs = leg_of(views.positions[n], PATH)
-            off = [np.abs(np.angle(np.exp(1j * (views.yaws[n] - HEADINGS[leg])))) for leg in legs]
-            assert min(off) < 1e-9, (views.positions[n], views.yaws[n])
+            yaw = np.arctan2(views.headings[n, 1], views.headings[n, 0])
+            off = [np.abs(np.angle(np.exp(1j * (yaw - HEADINGS[leg])))) for leg in legs]
+            assert min(off) < 1e-9, (views.positions[n], yaw)
             seen.update(legs)
             pose = views.pose(n)
             np.testing.assert_array_equal(pose.position, views.positions[n])
@@ -222,12 +223,13 @@ def test_a_straight_climb_keeps_the_last_yaw_leg_by_leg() -> None:
     views = viewpoints(path, 0.1, rng=np.random.default_rng(0))
     climbing = (views.positions[:, :2] == [1, 2]).all(axis=1)
     assert climbing.sum() > 40
-    np.testing.assert_allclose(views.yaws[climbing], np.arctan2(2, 1), rtol=0, atol=1e-12)
+    yaws = np.arctan2(views.headings[climbing, 1], views.headings[climbing, 0])
+    np.testing.assert_allclose(yaws, np.arctan2(2, 1), rtol=0, atol=1e-12)
 
 
 def test_viewpoints_come_in_random_order_that_the_generator_alone_decides() -> None:
     first, again, other = (viewpoints(PATH, 0.5, rng=np.random.default_rng(seed)) for seed in (1, 1, 2))
-    for name in ("flown_m", "positions", "yaws"):
+    for name in ("flown_m", "positions", "headings"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     assert (np.argsort(first.flown_m) != np.arange(len(first))).any()
     assert (np.argsort(first.flown_m) != np.argsort(other.flown_m)[: len(first)]).any()

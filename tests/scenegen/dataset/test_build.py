@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from scenegen import SPLITS
+from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.build import Plan, Summary, build, plan_dataset
 from scenegen.dataset.read import Dataset
@@ -187,6 +187,17 @@ def test_other_versions_of_what_numbers_depend_on_are_refused(tmp_path: Path, mo
     monkeypatch.setattr(manifest, "software", lambda: {"mujoco": "9.9"})
     with pytest.raises(DatasetError, match=r"software\.mujoco"):
         make(tmp_path / "d")
+
+
+def test_a_dataset_of_another_generator_is_never_gone_on_with(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    given = manifest.read(tmp_path / "d")
+    assert given.pop("generator") == GENERATOR
+    manifest.write(tmp_path / "d", given)
+    before = content(tmp_path / "d")
+    with pytest.raises(DatasetError, match=f"holds another dataset: generator is 1 there, {GENERATOR} asked for; "):
+        make(tmp_path / "d")
+    assert content(tmp_path / "d") == before
 
 
 def test_force_replaces_a_dataset_and_nothing_else(tmp_path: Path) -> None:

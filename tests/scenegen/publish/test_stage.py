@@ -153,6 +153,17 @@ def test_a_recipe_that_this_version_reads_differently_is_refused(dataset: Path, 
     assert not asked.out.exists()
 
 
+def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made_again(
+    dataset: Path, asked: Request
+) -> None:
+    found = manifest.read(dataset)
+    del found["generator"]
+    manifest.write(dataset, found)
+    with pytest.raises(PublishError, match=r"would not make the same dataset again.*generator is 1 there"):
+        stage(asked, CHECKS)
+    assert not asked.out.exists()
+
+
 def test_compact_datasets_and_absent_splits_publish_as_well(tmp_path: Path) -> None:
     recipe = small_recipe("geometric")
     counts = {"train": 4, "val": 0, "test": 1}

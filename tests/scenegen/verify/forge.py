@@ -69,20 +69,7 @@ def sign(folder: Path, **changes: Any) -> None:
     """Make the manifest's checksums and digest, and what shards say of themselves, those of the files."""
     given = {**manifest.read(folder), **changes}
     total = hashlib.sha256()
-    parts = (
-        "format",
-        "version",
-        "kind",
-        "seed",
-        "counts",
-        "recipe",
-        "fields",
-        "grid",
-        "lidar",
-        "shard_samples",
-        "software",
-    )
-    fingerprint = manifest.fingerprint({name: given[name] for name in parts})
+    fingerprint = manifest.fingerprint(manifest.parameters_of(given))
     for entry in given["shards"]:
         entry["worlds_sha256"] = hashlib.sha256((folder / entry["worlds"]).read_bytes()).hexdigest()
         with h5py.File(folder / entry["file"], "r+") as shard:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenegen.verify.twins import OBSERVED_IOU, OCCUPIED_IOU, candidates, fold, overlap, signature
+from scenegen.verify.twins import OBSERVED_IOU, OCCUPIED_IOU, candidates, fold, overlap, signature, standing_overlap
 
 
 @pytest.mark.parametrize("shape", [(24, 24, 16), (80, 80, 40), (7, 9, 3), (1, 1, 1)])
@@ -39,6 +39,19 @@ def test_no_near_twin_is_missed() -> None:
     assert expected <= pairs
     assert len(pairs) < 2 * len(expected)  # of 3000 and more
     assert all(splits[a] != splits[b] for a, b in found)
+
+
+def test_a_floor_alone_makes_no_twins() -> None:
+    floor = np.zeros((20, 20, 10), np.bool_)
+    floor[:, :, :4] = True
+    one, other = floor.copy(), floor.copy()
+    one[3:6, 3:6, 4:8] = True
+    other[12:15, 9:13, 4:8] = True
+    assert overlap(one, other) > OCCUPIED_IOU
+    assert standing_overlap(one, other) == 0.0
+    assert standing_overlap(one, one) == standing_overlap(floor, floor) == 1.0
+    other[:, :, 3] = False  # no floor in one of the two: it stands for itself
+    assert standing_overlap(one, other) < 0.1
 
 
 def test_empty_maps_are_no_twins() -> None:

@@ -1,0 +1,68 @@
+"""No stored bit depends on what the processor offers: the same digests where its features are hidden."""
+
+import json
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.bits import of_datasets, of_processor
+
+ROOT = Path(__file__).parent.parent
+HIDDEN = {
+    "numpy": {
+        "NPY_DISABLE_CPU_FEATURES": " ".join(
+            name
+            for name in np._core._multiarray_umath.__cpu_dispatch__
+            if np._core._multiarray_umath.__cpu_features__.get(name)
+        )
+    },
+    # glibc before 2.33 calls them *_Usable
+    "libm": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA_Usable,-AVX2,-AVX2_Usable,-FMA4,-FMA4_Usable"},
+    "blas": {"OPENBLAS_CORETYPE": "Nehalem"},
+    "numba": {"NUMBA_CPU_NAME": "generic"},
+}
+"""What hides a processor's features, part by part."""
+
+
+@cache
+def here() -> dict[str, str]:
+    return of_datasets()
+
+
+def check(*parts: str) -> None:
+    """The digests are the same where these parts of the processor are hidden, though others are not."""
+    hidden = {name: value for part in parts for name, value in HIDDEN[part].items()}
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", "-m", "tests.bits"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **hidden},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert run.returncode == 0, run.stderr[-2000:]
+    there = json.loads(run.stdout)
+    assert there["datasets"] == here()
+    differing = [name for name, value in of_processor().items() if there["processor"][name] != value]
+    if parts != ("numba",) and not differing:
+        pytest.skip(f"here, sines, arctangents and products are the same without {', '.join(parts)}: nothing is shown")
+
+
+def test_without_what_numpy_libm_and_blas_find_in_the_processor() -> None:
+    check("numpy", "libm", "blas")
+
+
+@pytest.mark.slow  # kernels are compiled anew
+def test_without_any_of_it() -> None:
+    check(*HIDDEN)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", HIDDEN)
+def test_without_one_part_of_it(part: str) -> None:
+    check(part)
