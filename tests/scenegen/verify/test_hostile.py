@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from scenegen.dataset import manifest
-from scenegen.verify.archive import MOST_DOCUMENT_BYTES, screen
+from scenegen.limits import MOST_DOCUMENT_BYTES
+from scenegen.verify.archive import screen
 from scenegen.verify.report import BrokenError
 from tests.scenegen.verify import forge
 from tests.scenegen.verify.conftest import failed
