@@ -161,8 +161,10 @@ class Split(Sequence[Sample]):
         with self.dataset._advice():
             stored = {name: shard.value(name, row) for name in self.dataset.manifest["fields"]}
             if "free" not in stored:
+                pose = {name: stored[name] for name in ("ranges", "position", "quaternion", "origin")}
                 try:
-                    pose = {name: stored[name] for name in ("ranges", "position", "quaternion", "origin")}
+                    if not np.isfinite(pose["origin"]).all() or not (pose["ranges"] >= 0).all():
+                        raise ValueError("origin or ranges are no lengths")
                     stored["free"] = derive_free(**pose, lidar=lidar, grid=grid)
                 except ValueError as error:
                     raise BrokenError(f"{shard.name}: sample {row}: {error}") from None

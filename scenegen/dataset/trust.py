@@ -87,8 +87,9 @@ def typed(found: Mapping[str, Any]) -> Manifest:
     if tuple(checked.fields) not in (stored_fields(compact=False), stored_fields(compact=True)):
         raise BrokenError(f"fields = {short(checked.fields)}: expected all, or all but the derived ones")
     listed = Counter(name for entry in checked.shards for name in (entry.file, entry.worlds))
-    if listed and listed.most_common(1)[0][1] > 1:
-        raise BrokenError(f"shards: {listed.most_common(1)[0][0]} is listed twice")
+    for name, count in listed.most_common(1):
+        if count > 1:
+            raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
     return checked
 
 
