@@ -199,11 +199,11 @@ def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -
     if odd := sorted(set(index.objects) ^ set(layout)):
         named = ", ".join(short(name)[1:-1] for name in odd)
         raise BrokenError(f"{path.name}: {named}: there or missing, expected just {', '.join(layout)}")
-    columns = {
-        name: _column(f"{path.name}: {name}", name, stored, samples, *layout[name], size)
-        for name, stored in index.objects.items()
-        if isinstance(stored, Stored)
-    }
+    columns = {}
+    for name, (dtype, shape) in layout.items():
+        stored = index.objects[name]
+        assert isinstance(stored, Stored)
+        columns[name] = _column(f"{path.name}: {name}", name, stored, samples, dtype, shape, size)
     return ShardFile(file, path.name, columns, index.attributes)
 
 
@@ -211,10 +211,10 @@ def _column(
     where: str, name: str, stored: Stored, samples: int, dtype: np.dtype, shape: tuple[int, ...], size: int
 ) -> Column:
     """The dataset `name`, checked. Raises BrokenError."""
-    if stored.dtype != dtype or stored.shape != (samples, *shape):
+    if stored.dtype is None or stored.dtype != dtype or stored.shape != (samples, *shape):
         raise BrokenError(
-            f"{where} is {stored.dtype or 'of another type,'} {stored.shape}, expected {dtype} {(samples, *shape)}: as "
-            "many samples as the manifest lists, of the grid's or the sensor's shape"
+            f"{where} is {stored.dtype or 'of another type,'} {stored.shape[:4]}, expected {dtype} {(samples, *shape)}: "
+            "as many samples as the manifest lists, of the grid's or the sensor's shape"
         )
     if stored.chunk != (1, *shape):
         raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")

@@ -167,11 +167,11 @@ def read_report(
 
 
 def _digests_hold(shard: ShardFile) -> bool:
-    """Whether every sample of an open shard has the digest that stands beside it."""
+    """Whether every sample of an open shard can be read, and has the digest that stands beside it."""
     nothing: dict[str, Any] = {"free": np.empty(0, np.bool_), "tudf": np.empty(0, np.float32)}
-    stored = [name for name, meta in SCHEMA.items() if not meta["derived"]]
+    stored = [name for name in shard.columns if name != DIGEST]
     for row, digest in enumerate(shard.column(DIGEST)):
-        sample = Sample(**nothing, **{name: shard.value(name, row) for name in stored})
+        sample = Sample(**nothing | {name: shard.value(name, row, read_only=True) for name in stored})
         if sample.sha256() != digest.tobytes():
             return False
     return True

@@ -110,6 +110,10 @@ def _zeros(size: int) -> bytes:
         lambda file: file["tudf"].id.write_direct_chunk((0, 0, 0, 0), b"few", filter_mask=2),
         lambda file: _replace(file, "ranges", chunks=(1, 8, 24), compression="gzip"),  # of which nothing is stored
         lambda file: _replace(file, "world", chunks=(1,)),
+        lambda file: _replace(file, "position", dtype=">f8", chunks=(1, 3)),
+        lambda file: _replace(file, "position", dtype="f2", chunks=(1, 3)),
+        lambda file: _replace(file, "position", dtype="S8", chunks=(1, 3)),
+        lambda file: _replace(file, "position", dtype=h5py.string_dtype(), chunks=(1, 3)),
         lambda file: file["occupancy"].id.write_direct_chunk((0, 0, 0, 0), zlib.compress(b"\2" * 24 * 24 * 16)),
         _bomb,
         lambda file: (_replace(file, "tudf", chunks=(1, 24, 24, 16), compression="gzip", shuffle=True), _bomb(file)),
