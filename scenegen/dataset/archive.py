@@ -53,7 +53,7 @@ class Members:
 
 def referred(document: bytes, names: Iterable[str]) -> list[str]:
     """Those of the files `names`, but for documents, that an MJCF document has among its attributes' values."""
-    values = {value for pair in re.findall(rb"""=\s*(?:"([^"<]*)"|'([^'<]*)')""", document) for value in pair}
+    values = {match[1] or match[2] for match in re.finditer(rb"""=\s*(?:"([^"<]*)"|'([^'<]*)')""", document)}
     return [name for name in names if not name.endswith(".xml") and name.encode() in values]
 
 

@@ -213,7 +213,7 @@ def _column(
     """The dataset `name`, checked. Raises BrokenError."""
     if stored.dtype is None or stored.dtype != dtype or stored.shape != (samples, *shape):
         raise BrokenError(
-            f"{where} is {stored.dtype or 'of another type,'} {stored.shape[:4]}, expected {dtype} {(samples, *shape)}: "
+            f"{where} is {stored.dtype or 'another type'} {stored.shape[:4]}, expected {dtype} {(samples, *shape)}: "
             "as many samples as the manifest lists, of the grid's or the sensor's shape"
         )
     if stored.chunk != (1, *shape):

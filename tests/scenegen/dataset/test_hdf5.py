@@ -188,3 +188,24 @@ def test_no_pointer_is_followed_in_a_circle(made: Path, tmp_path: Path) -> None:
     os.truncate(tmp_path / "x.h5", 50)
     with open(tmp_path / "x.h5", "rb") as file, pytest.raises(Hdf5Error):
         walk(file.fileno(), 10)
+
+
+def hang(task: object) -> None:
+    time.sleep(600)
+
+
+def swell(task: object) -> None:
+    bytearray(2 << 30)
+
+
+@pytest.mark.parametrize(("does", "said"), [(hang, "took too long"), (swell, "MemoryError")])
+def test_a_library_that_hangs_or_swells_does_so_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, does: object, said: str
+) -> None:
+    path = tmp_path / "x.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        file["x"] = 1
+    monkeypatch.setattr("scenegen.dataset.foreign._index", does)
+    monkeypatch.setattr("scenegen.dataset.foreign.SECONDS", 5.0 if does is swell else 0.5)
+    with pytest.raises(Hdf5Error, match=rf"its superblock has version \d, and the HDF5 library .*{said}"):
+        by_walk(path, foreign=True)
