@@ -365,5 +365,5 @@ def test_only_a_folder_without_a_dataset_raises(tmp_path: Path) -> None:
         verify(tmp_path)
     (tmp_path / NAME).unlink()
     os.mkfifo(tmp_path / NAME)
-    with pytest.raises(DatasetError, match="is no file"):
+    with pytest.raises(DatasetError, match="is not a regular file"):
         verify(tmp_path)
