@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.dataset.hdf5 import MOST_HEAP_BYTES, MOST_OBJECTS, walk
+from scenegen.dataset.hdf5 import walk
 from scenegen.dataset.messages import (
     ELSEWHERE,
     LINK,
@@ -22,6 +22,7 @@ from scenegen.dataset.messages import (
     Stored,
 )
 from scenegen.errors import GuardError, printable
+from scenegen.limits import MOST_HEAP_BYTES, MOST_OBJECTS
 from scenegen.workers import guarded
 
 SECONDS = 20.0

@@ -32,16 +32,11 @@ from scenegen.dataset.messages import (
     shape_in,
     type_in,
 )
+from scenegen.limits import MOST_BLOCK_BYTES, MOST_BLOCKS, MOST_HEAP_BYTES, MOST_OBJECTS
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 UNDEFINED = 2**64 - 1
 """The address of what is not there."""
-MOST_OBJECTS = 64
-"""In a file, and attributes of it."""
-MOST_BLOCKS, MOST_BLOCK_BYTES = 64, 1 << 16
-"""Of an object's header."""
-MOST_HEAP_BYTES = 1 << 20
-"""Of the heaps that hold names and texts."""
 
 
 def walk(handle: int, most_chunks: int) -> Index:
@@ -53,7 +48,7 @@ def walk(handle: int, most_chunks: int) -> Index:
         return _Walk(handle, most_chunks).index()
     except Hdf5Error:
         raise
-    except (struct.error, IndexError, ValueError, OverflowError) as error:
+    except (struct.error, IndexError, ValueError, OverflowError, OSError) as error:
         raise Hdf5Error(f"a structure of it cannot be ({error})") from None
 
 
