@@ -24,6 +24,10 @@ class DatasetError(ScenegenError):
     """A folder does not hold the dataset that it should, or cannot take it."""
 
 
+class BrokenError(DatasetError):
+    """A file of a dataset is not as the format says, and cannot be looked at any further; the message is the fault."""
+
+
 class PublishError(ScenegenError):
     """A dataset cannot be published as asked, or not to that place."""
 

@@ -27,6 +27,12 @@ MOST_WORKERS = 1024
 """Processes."""
 MOST_SAMPLES_IN_SHARD = 10**5
 """A shard is made in memory: some eight gigabytes of maps of the default size."""
+MOST_OBJECTS = 64
+"""In a shard's HDF5, and attributes of it."""
+MOST_BLOCKS, MOST_BLOCK_BYTES = 64, 1 << 16
+"""Of an HDF5 object's header."""
+MOST_HEAP_BYTES = 1 << 20
+"""Of the heaps that hold names and texts in HDF5."""
 MOST_SHARDS = 99_999
 """In a split: what five digits can number."""
 MOST_MANIFEST_BYTES = 64 << 20

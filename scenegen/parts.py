@@ -4,10 +4,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from scenegen.errors import DatasetError, SceneError
+from scenegen.errors import BrokenError, DatasetError, SceneError
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_DOCUMENT_BYTES, MOST_GEOMS
-from scenegen.screen import ScreenError, check_amounts, check_numbers
+from scenegen.screen import check_amounts, check_numbers
 
 ELEMENT = re.compile(r"<([A-Za-z]\w*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*/?>")
 ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
@@ -50,7 +50,7 @@ def _check(tag: str, attributes: dict[str, str], path: Path) -> None:
     try:
         check_numbers(tag, attributes, str(path))
         check_amounts(tag, attributes, str(path))
-    except ScreenError as error:
+    except BrokenError as error:
         raise SceneError(str(error)) from None
     except ValueError:  # no number at all: MuJoCo says so
         pass

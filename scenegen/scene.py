@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 
 from lidarsim.casters.mujoco import visible_geoms
-from scenegen.errors import SceneError
+from scenegen.errors import BrokenError, SceneError
 from scenegen.flatten import flatten
 from scenegen.geometry import geometry_digest
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.parts import look_over
 from scenegen.quiet import quiet_mujoco
-from scenegen.screen import ScreenError, screen
+from scenegen.screen import screen
 from scenegen.truth import Solids, solids_of
 from scenegen.truth.shapes import HFIELD, MESH, PLANE
 from scenegen.world import compile_world, least_memory, one_line
@@ -113,7 +113,7 @@ def _check_kept(path: Path, mjcf: bytes, assets: Mapping[str, bytes]) -> None:
     """Raise SceneError for what whoever reads the dataset would refuse."""
     try:
         screen(mjcf, assets, str(path))
-    except ScreenError as error:
+    except BrokenError as error:
         raise SceneError(str(error)) from None
     largest = max(map(len, assets.values()), default=0)
     if len(mjcf) > MOST_DOCUMENT_BYTES or largest > MOST_ASSET_BYTES:

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Mapping
 from xml.parsers import expat
 
-from scenegen.errors import short
+from scenegen.errors import BrokenError, short
 from scenegen.limits import (
     MOST_ASKED,
     MOST_BUILTIN,
@@ -34,12 +34,8 @@ SUSPECT = re.compile(rb"[\d.]e[+\d]|\d{7}|nan|inf|&")
 look."""
 
 
-class ScreenError(Exception):
-    """A document cannot be taken: what stands where, and what was expected."""
-
-
 def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
-    """See that an MJCF document is self-contained and of bounded size. Raises ScreenError, naming `name`.
+    """See that an MJCF document is self-contained and of bounded size. Raises BrokenError, naming `name`.
 
     Returns a digest of its elements but for names and colours, whatever their order: equal for documents of the same
     solids that were renamed or reordered, though not for every way to write the same solids (`geometry_digest`).
@@ -54,9 +50,9 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         nonlocal geoms
         geoms += tag == "geom"
         if tag in FORBIDDEN:
-            raise ScreenError(f"{name}: has <{tag}>, expected a self-contained world of solids")
+            raise BrokenError(f"{name}: has <{tag}>, expected a self-contained world of solids")
         if len(within) > MOST_DEPTH or len(outline) >= MOST_ELEMENTS or geoms > MOST_GEOMS:
-            raise ScreenError(
+            raise BrokenError(
                 f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} levels of them"
             )
         if tag == "numeric" or not WATCHED.isdisjoint(attributes):
@@ -71,7 +67,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         within.pop()
 
     def refuse(*_: object) -> None:
-        raise ScreenError(f"{name}: declares a document type or entities, expected plain MJCF")
+        raise BrokenError(f"{name}: declares a document type or entities, expected plain MJCF")
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = start, end
@@ -79,40 +75,40 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
     try:
         parser.Parse(document, True)
     except (expat.ExpatError, ValueError) as error:
-        raise ScreenError(f"{name}: is not plain XML ({error})") from None
+        raise BrokenError(f"{name}: is not plain XML ({error})") from None
     return hashlib.sha256("\n".join(sorted(outline)).encode()).digest()
 
 
 def _check_attributes(tag: str, attributes: dict[str, str], assets: Mapping[str, bytes], name: str) -> None:
-    """Files and amounts that an element asks for. Raises ScreenError, or ValueError for no number."""
+    """Files and amounts that an element asks for. Raises BrokenError, or ValueError for no number."""
     for key, value in attributes.items():
         where = f"{name}: <{tag} {key}={short(value)}>"
         if key in FILES and value not in assets:
-            raise ScreenError(f"{where}: expected a file of the archive")
+            raise BrokenError(f"{where}: expected a file of the archive")
         if key in FOLDERS and value:
-            raise ScreenError(f"{where}: expected files beside the document")
+            raise BrokenError(f"{where}: expected files beside the document")
         if (tag, key) == ("hfield", "file") and not value.lower().endswith(".png"):
             _check_field(assets[value], where)
         most = 100_000 if (tag, key) == ("numeric", "size") else MOST_ASKED.get(key)
         if most is not None and not -1 <= _amount(value) <= most:
-            raise ScreenError(f"{where}: expected {most} at most")
+            raise BrokenError(f"{where}: expected {most} at most")
     if _amount(attributes.get("width", "0")) * _amount(attributes.get("height", "0")) > MOST_CELLS:
-        raise ScreenError(f"{name}: <{tag}>: width times height is more than {MOST_CELLS}")
+        raise BrokenError(f"{name}: <{tag}>: width times height is more than {MOST_CELLS}")
     check_amounts(tag, attributes, name)
 
 
 def check_amounts(tag: str, attributes: Mapping[str, str], name: str) -> None:
-    """See that a mesh or height field made of numbers alone is no larger than those from files. Raises ScreenError,
+    """See that a mesh or height field made of numbers alone is no larger than those from files. Raises BrokenError,
     naming `name`, or ValueError for no number."""
     if _amount(attributes.get("nrow", "0")) * _amount(attributes.get("ncol", "0")) > MOST_CELLS:
-        raise ScreenError(f"{name}: <{tag}>: nrow times ncol is more than {MOST_CELLS}")
+        raise BrokenError(f"{name}: <{tag}>: nrow times ncol is more than {MOST_CELLS}")
     params = attributes.get("params", "") if "builtin" in attributes else ""
     if not all(float(part) <= MOST_BUILTIN for part in params.split()):
-        raise ScreenError(f"{name}: <{tag} params={short(params)}>: expected {MOST_BUILTIN} at most")
+        raise BrokenError(f"{name}: <{tag} params={short(params)}>: expected {MOST_BUILTIN} at most")
 
 
 def check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
-    """See that what places, turns and sizes things is made of finite numbers. Raises ScreenError, naming `name`.
+    """See that what places, turns and sizes things is made of finite numbers. Raises BrokenError, naming `name`.
 
     MuJoCo takes a NaN for a number that was not given, so that things stand elsewhere without a word.
     """
@@ -125,14 +121,14 @@ def check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
                 continue
             if not (math.isfinite(number) and abs(number) <= most):
                 expected = f"numbers up to {most:g}" if math.isfinite(most) else "finite numbers"
-                raise ScreenError(f"{name}: <{tag} {key}={short(attributes[key])}>: {short(part)}, expected {expected}")
+                raise BrokenError(f"{name}: <{tag} {key}={short(attributes[key])}>: {short(part)}, expected {expected}")
 
 
 def _check_field(content: bytes, where: str) -> None:
     """A height field's file begins with its rows and columns, and MuJoCo takes as much memory as they say."""
     rows, columns = struct.unpack("<ii", content[:8]) if len(content) >= 8 else (0, 0)
     if not (0 < rows * columns <= MOST_CELLS and len(content) == 8 + 4 * rows * columns):
-        raise ScreenError(
+        raise BrokenError(
             f"{where}: {rows} rows and {columns} columns in {len(content)} bytes, expected a height field"
         )
 

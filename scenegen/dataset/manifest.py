@@ -13,9 +13,9 @@ from typing import Any
 from lidarsim import GridSpec, Lidar
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.shard import ShardReport, stored_fields
-from scenegen.errors import DatasetError
-from scenegen.files import write_whole
-from scenegen.limits import MOST_MANIFEST_BYTES
+from scenegen.errors import DatasetError, printable, short
+from scenegen.files import read_bounded, write_whole
+from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.recipe import Recipe
 from scenegen.source import Source
 
@@ -24,12 +24,8 @@ FORMAT = "scenegen-dataset"
 VERSION = 1
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
-
-PARAMETERS = (
-    *("format", "version", "generator", "kind", "seed", "counts", "recipe", "fields", "grid", "lidar"),
-    *("shard_samples", "software"),
-)
-"""Names of all `parameters`; `generator` is absent from manifests of the first."""
+OF_SHARDS = ("complete", "shards", "rejected", "digest")
+"""What a manifest says besides the dataset's parameters."""
 
 
 def parameters(
@@ -76,13 +72,18 @@ def fingerprint(given: Mapping[str, Any]) -> str:
 
 
 def parameters_of(found: Mapping[str, Any]) -> dict[str, Any]:
-    """The `parameters` of a manifest, as they stand in it."""
-    return {name: found[name] for name in PARAMETERS if name in found}
+    """The `parameters` of a manifest, as they stand in it: all that it does not say of its shards."""
+    return {name: value for name, value in found.items() if name not in OF_SHARDS}
 
 
 def completed(found: Mapping[str, Any]) -> dict[str, Any]:
     """The `parameters` of a manifest, with the generator, which manifests of the first do not name."""
     return {"generator": 1} | parameters_of(found)
+
+
+def fingerprint_of(found: Mapping[str, Any]) -> str:
+    """The fingerprint that the shards of a manifest bear."""
+    return fingerprint(parameters_of(found))
 
 
 def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str = "") -> list[str]:
@@ -124,30 +125,32 @@ def read(folder: Path) -> dict[str, Any]:
     """The manifest of `folder`. Raises DatasetError where it has none that this version can read."""
     path = folder / NAME
     try:
-        if path.exists() and not path.is_file():
-            raise DatasetError(f"{path}: is no file, expected a manifest; choose another folder")
-        with open(path, "rb") as file:  # however large it grows meanwhile
-            content = file.read(MOST_MANIFEST_BYTES + 1)
-        if len(content) > MOST_MANIFEST_BYTES:
-            raise DatasetError(
-                f"{path}: larger than {MOST_MANIFEST_BYTES >> 20} MB, which no manifest is; choose another folder"
-            )
-        manifest = json.loads(content.decode())
-    except (FileNotFoundError, NotADirectoryError):
+        manifest = json.loads(read_bounded(path, MOST_MANIFEST_BYTES).decode())
+        _check_depth(manifest)
+    except FileNotFoundError:
         raise DatasetError(f"{folder}: not a dataset, it has no {NAME}; make one with `scenegen generate`") from None
-    except RecursionError:
-        raise DatasetError(f"{path}: nested without end, which no manifest is; choose another folder") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(
-            f"{path}: cannot be read ({error}); copy the dataset again, or generate it in another folder"
+            f"{path}: cannot be read ({printable(error)[:200]}); copy the dataset again, or generate it in another "
+            "folder"
         ) from None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "shards" not in manifest:
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
     if manifest.get("version") != VERSION:
-        raise DatasetError(
-            f"{path}: format version {manifest.get('version')}, this scenegen reads {VERSION}; install one that matches"
-        )
+        there = short(manifest.get("version"))
+        raise DatasetError(f"{path}: format version {there}, this scenegen reads {VERSION}; install one that matches")
     return manifest
+
+
+def _check_depth(found: Any) -> None:
+    """Raise ValueError where a JSON value nests without end."""
+    level = [found]
+    for _ in range(MOST_DEPTH):
+        holders = [value for value in level if isinstance(value, dict | list)]
+        level = [inner for value in holders for inner in (value.values() if isinstance(value, dict) else value)]
+        if not level:
+            return
+    raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
 
 
 def grid_of(manifest: Mapping[str, Any]) -> GridSpec:

@@ -1,21 +1,21 @@
 """Read a dataset: samples by split and number, with what was left out derived, and the worlds they come from."""
 
 import os
-import zipfile
-import zlib
+import weakref
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
-import h5py
-import isal.isal_zlib
 import numpy as np
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.trust import check_manifest, check_shard, read_member
-from scenegen.errors import DatasetError
+from scenegen.dataset.archive import open_archive
+from scenegen.dataset.layout import ShardFile, layout_of, open_file, open_shard
+from scenegen.dataset.trust import Entry, check_manifest
+from scenegen.errors import BrokenError, DatasetError, short
 from scenegen.sample import Sample, derive_free, derive_tudf, describe_fields
 
 MOST_OPEN = 64
@@ -32,14 +32,16 @@ class Dataset:
     def __init__(self, folder: Path | str, *, partial: bool = False):
         self.folder = Path(folder)
         self.manifest = manifest.read(self.folder)
-        self.grid, self.lidar = check_manifest(self.manifest, str(self.folder))
-        if not (self.manifest["complete"] or partial):
+        checked, self.grid, self.lidar = check_manifest(self.manifest, str(self.folder))
+        self._entries = checked.shards
+        self._fingerprint = manifest.fingerprint_of(self.manifest)
+        if not (checked.complete or partial):
             raise DatasetError(f"{self.folder}: incomplete; give the command that made it again to go on where it was")
 
     def split(self, name: str) -> "Split":
         """The samples of a split: train, val or test. Raises DatasetError for another name."""
         if name not in SPLITS:
-            raise DatasetError(f"{self.folder}: has no split {name!r}; expected one of {', '.join(SPLITS)}")
+            raise DatasetError(f"{self.folder}: has no split {short(name)}; expected one of {', '.join(SPLITS)}")
         return Split(self, name)
 
     def world(self, split: str, number: int) -> dict[str, bytes]:
@@ -48,28 +50,46 @@ class Dataset:
         Raises DatasetError where there is no such world.
         """
         member = f"{number:06d}.xml"
-        for shard in self.manifest["shards"]:
-            if shard["split"] != split or shard["first_world"] > number:
+        for shard in self._entries:
+            if shard.split != split or shard.first_world > number:
                 continue
-            path = self._file(shard["worlds"])
-            try:
-                with zipfile.ZipFile(path) as archive:
-                    names = archive.namelist()
-                    if member in names:
-                        document = read_member(archive, member)
-                        others = [name for name in names if not name.endswith(".xml") and name.encode() in document]
-                        return {"world.xml": document} | {name: read_member(archive, name) for name in others}
-            except (zipfile.BadZipFile, zlib.error, OSError, ValueError, RuntimeError, EOFError) as error:
-                raise DatasetError(f"{path}: is damaged ({error}); copy the dataset again, or generate it") from None
+            with (
+                self._advice(),
+                open_file(self.folder / shard.worlds) as file,
+                open_archive(file, shard.worlds) as members,
+            ):
+                if member in members:
+                    document, others = members.world(member)
+                    return {"world.xml": document} | others
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
-    def _file(self, name: str) -> Path:
-        path = self.folder / name
-        if Path(name).name != name or not path.is_file():
-            raise DatasetError(
-                f"{path}: is missing, though {manifest.NAME} lists it; copy the dataset again, or generate it"
-            )
-        return path
+    def _shard(self, entry: Entry) -> ShardFile:
+        """An open shard, of this dataset by its own word; its file is closed once nobody holds it any more."""
+        with self._advice():
+            path = self.folder / entry.file
+            file = open_file(path)
+            try:
+                layout = layout_of(self.manifest["fields"], self.grid, self.lidar)
+                shard = open_shard(file, path, entry.samples, layout)
+                shard.check_origin(
+                    split=entry.split,
+                    first_world=entry.first_world,
+                    worlds_sha256=entry.worlds_sha256,
+                    parameters=self._fingerprint,
+                )
+            except BaseException:
+                file.close()
+                raise
+        weakref.finalize(shard, file.close)
+        return shard
+
+    @contextmanager
+    def _advice(self) -> Iterator[None]:
+        """Say of a broken file where it is, and what to do about it."""
+        try:
+            yield
+        except BrokenError as error:
+            raise DatasetError(f"{self.folder}/{error}; copy the dataset again, or generate it") from None
 
 
 class Split(Sequence[Sample]):
@@ -78,9 +98,9 @@ class Split(Sequence[Sample]):
     def __init__(self, dataset: Dataset, name: str):
         self.dataset = dataset
         self.name = name
-        self._shards = [shard for shard in dataset.manifest["shards"] if shard["split"] == name]
-        self._start = np.cumsum([0, *(shard["samples"] for shard in self._shards)])
-        self._open: dict[int, h5py.File] = {}
+        self._shards = [shard for shard in dataset._entries if shard.split == name]
+        self._start = np.cumsum([0, *(shard.samples for shard in self._shards)])
+        self._open: dict[int, ShardFile] = {}
         self._process = os.getpid()
 
     def __len__(self) -> int:
@@ -113,9 +133,10 @@ class Split(Sequence[Sample]):
         absent = [name for name in names if name not in self.dataset.manifest["fields"]]
         if absent:
             raise DatasetError(f"{self.dataset.folder}: stores no {', '.join(absent)}")
-        shard, row = self._place(index)
-        file = self._shard(shard)
-        return tuple(self._value(file, name, row) for name in names)
+        number, row = self._place(index)
+        shard = self._shard(number)
+        with self.dataset._advice():
+            return tuple(shard.value(name, row) for name in names)
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
@@ -125,48 +146,30 @@ class Split(Sequence[Sample]):
         shard = int(np.searchsorted(self._start, index, side="right")) - 1
         return shard, index - int(self._start[shard])
 
-    def _shard(self, number: int) -> h5py.File:
-        if self._process != os.getpid():  # a fork shares its parent's handles, and their positions in the file
+    def _shard(self, number: int) -> ShardFile:
+        if self._process != os.getpid():  # a forked process has handles of its own to close, and opens its own files
             self._open, self._process = {}, os.getpid()
-        file = self._open.pop(number, None)
-        if file is None:
-            path = self.dataset._file(self._shards[number]["file"])
-            try:
-                file = h5py.File(path, "r")
-                here = self.dataset
-                check_shard(file, here.manifest["fields"], self._shards[number]["samples"], here.grid, here.lidar)
-            except (OSError, RuntimeError, KeyError, TypeError) as error:
-                raise DatasetError(f"{path}: is damaged ({error}); copy the dataset again, or generate it") from None
-        self._open[number] = file  # last in line: the one used longest ago stands first
+        shard = self._open.pop(number, None) or self.dataset._shard(self._shards[number])
+        self._open[number] = shard  # last in line: the one used longest ago stands first
         for old in list(self._open)[:-MOST_OPEN]:
             self._open.pop(old, None)  # closed once no other thread reads from it
-        return file
+        return shard
 
-    def _value(self, file: h5py.File, name: str, row: int) -> Any:
-        """One row of a field. A chunk that is gzip alone is unpacked by isal, at several times HDF5's speed."""
-        dataset = file[name]
-        try:
-            if dataset.chunks == (1, *dataset.shape[1:]) and dataset.id.get_create_plist().get_nfilters() == 1:
-                mask, chunk = dataset.id.read_direct_chunk((row,) + (0,) * (dataset.ndim - 1))
-                if dataset.compression == "gzip" and mask == 0:
-                    size = dataset.dtype.itemsize * int(np.prod(dataset.chunks))
-                    values = isal.isal_zlib.decompressobj().decompress(chunk, size + 1)  # no more, whatever is in it
-                    return np.frombuffer(values, dtype=dataset.dtype).reshape(dataset.shape[1:]).copy()
-            return dataset[row]
-        except (OSError, ValueError, RuntimeError, isal.isal_zlib.error) as error:
-            raise DatasetError(
-                f"{file.filename}: {name}[{row}] is damaged ({error}); copy the dataset again, or generate it"
-            ) from None
-
-    def _sample(self, shard: int, row: int) -> Sample:
-        file = self._shard(shard)
-        stored = {name: self._value(file, name, row) for name in self.dataset.manifest["fields"]}
+    def _sample(self, number: int, row: int) -> Sample:
+        shard = self._shard(number)
         grid, lidar = self.dataset.grid, self.dataset.lidar
-        if "free" not in stored:
-            pose = {name: stored[name] for name in ("ranges", "position", "quaternion", "origin")}
-            stored["free"] = derive_free(**pose, lidar=lidar, grid=grid)
-        if "tudf" not in stored:
-            stored["tudf"] = derive_tudf(stored["occupancy"], grid=grid)
+        with self.dataset._advice():
+            stored = {name: shard.value(name, row) for name in self.dataset.manifest["fields"]}
+            if "free" not in stored:
+                pose = {name: stored[name] for name in ("ranges", "position", "quaternion", "origin")}
+                try:
+                    if not np.isfinite(pose["origin"]).all() or not (pose["ranges"] >= 0).all():
+                        raise ValueError("origin or ranges are no lengths")
+                    stored["free"] = derive_free(**pose, lidar=lidar, grid=grid)
+                except ValueError as error:
+                    raise BrokenError(f"{shard.name}: sample {row}: {error}") from None
+            if "tudf" not in stored:
+                stored["tudf"] = derive_tudf(stored["occupancy"], grid=grid)
         return Sample(**stored)
 
     @cached_property
@@ -174,6 +177,8 @@ class Split(Sequence[Sample]):
         """Who is who: (split, world, viewpoint) of every sample."""
         found = []
         for number in range(len(self._shards)):
-            file = self._shard(number)
-            found += [(self.name, int(w), int(v)) for w, v in zip(file["world"][:], file["viewpoint"][:], strict=True)]
+            shard = self._shard(number)
+            with self.dataset._advice():
+                worlds, viewpoints = shard.column("world").tolist(), shard.column("viewpoint").tolist()
+            found += [(self.name, world, viewpoint) for world, viewpoint in zip(worlds, viewpoints, strict=True)]
         return found

@@ -3,8 +3,8 @@
 import hashlib
 import io
 import json
+import os
 import zipfile
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,14 +15,14 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
+from scenegen.dataset.layout import DIGEST, ShardFile, layout_of, open_file, open_shard
 from scenegen.draw import Rejections, Unit, draw_unit
+from scenegen.errors import BrokenError
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA, Sample, shape_of
 from scenegen.source import Source
 
-DIGEST = "sha256"
-"""Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
 _LEVEL = 1
 """Of compression: the next one saves a hundredth, the one after takes four times as long (docs/log.md)."""
 
@@ -135,41 +135,43 @@ def read_report(
     written with it, is damaged, and counts as absent. `verify` also holds samples against their own digests where there
     is no such entry.
     """
+    layout = layout_of(stored_fields(spec.compact), spec.recipe.grid, spec.recipe.lidar)
     try:
-        samples, worlds = spec.file.read_bytes(), spec.worlds_file.read_bytes()
-        with h5py.File(io.BytesIO(samples), "r") as file:
-            if file.attrs["parameters"] != spec.parameters or len(file["world"]) != spec.samples:
-                return None
-            digests = file_digest(samples), file_digest(worlds)
-            if file.attrs["worlds_sha256"] != digests[1]:
-                return None
+        with open_file(spec.file) as file, open_file(spec.worlds_file) as worlds:
+            shard = open_shard(file, spec.file, spec.samples, layout)
+            size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
+            digests = hashlib.file_digest(file, "sha256").hexdigest(), hashlib.file_digest(worlds, "sha256").hexdigest()
+            first = min(spec.source.number(spec.split, spec.first_unit + n)[0] for n in range(spec.units))
+            shard.check_origin(
+                split=spec.split, first_world=first, worlds_sha256=digests[1], parameters=spec.parameters
+            )
             if listed is not None and (listed["sha256"], listed["worlds_sha256"]) != digests:
                 return None
-            if listed is None and verify and not _digests_hold(file):
+            if listed is None and verify and not _digests_hold(shard):
                 return None
-            rejected = json.loads(file.attrs["rejected"])
+            rejected = shard.rejected()
             return ShardReport(
                 file=spec.file.name,
                 worlds=spec.worlds_file.name,
                 split=spec.split,
                 samples=spec.samples,
-                first_world=int(file.attrs["first_world"]),
+                first_world=first,
                 sha256=digests[0],
                 worlds_sha256=digests[1],
-                size=len(samples) + len(worlds),
-                rejected=Rejections(Counter(rejected["worlds"]), Counter(rejected["viewpoints"])),
-                digests=file[DIGEST][()].tobytes(),
+                size=size,
+                rejected=Rejections(rejected["worlds"], rejected["viewpoints"]),
+                digests=shard.column(DIGEST).tobytes(),
             )
-    except (OSError, KeyError, ValueError):
+    except (BrokenError, OSError, KeyError, ValueError):
         return None
 
 
-def _digests_hold(file: h5py.File) -> bool:
-    """Whether every sample of an open shard has the digest that stands beside it."""
-    stored = {name: file[name][()] for name, meta in SCHEMA.items() if not meta["derived"]}
-    for row, digest in enumerate(file[DIGEST][()]):
-        fields = {name: values[row] for name, values in stored.items()}
-        sample = Sample(free=np.empty(0, np.bool_), tudf=np.empty(0, np.float32), **fields)
+def _digests_hold(shard: ShardFile) -> bool:
+    """Whether every sample of an open shard can be read, and has the digest that stands beside it."""
+    nothing: dict[str, Any] = {"free": np.empty(0, np.bool_), "tudf": np.empty(0, np.float32)}
+    stored = [name for name in shard.columns if name != DIGEST]
+    for row, digest in enumerate(shard.column(DIGEST)):
+        sample = Sample(**nothing | {name: shard.value(name, row, read_only=True) for name in stored})
         if sample.sha256() != digest.tobytes():
             return False
     return True

@@ -1,20 +1,19 @@
-"""What readers rely on in a manifest and in a shard, checked before they do: either may come from a stranger."""
+"""What readers rely on in a manifest, checked before they do: it may come from a stranger."""
 
 import math
-import zipfile
+from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import h5py
-import numpy as np
 import pydantic
 
 from lidarsim import GridSpec, Lidar
+from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.errors import DatasetError
-from scenegen.limits import MOST_ASSET_BYTES, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
-from scenegen.sample import SCHEMA, shape_of
+from scenegen.dataset.shard import stored_fields
+from scenegen.errors import MOST_TOLD, BrokenError, DatasetError, printable, short
+from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
+from scenegen.sample import SCHEMA
 
 SHARD_FILE = r"^(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)$"
 """What a file of a dataset may be called, besides the manifest."""
@@ -42,7 +41,7 @@ class _Grid(pydantic.BaseModel, strict=True):
     truncation: float
 
 
-class Counts(pydantic.BaseModel, strict=True):
+class _Counts(pydantic.BaseModel, strict=True):
     """Samples of each split."""
 
     train: _Count
@@ -64,72 +63,50 @@ class Manifest(pydantic.BaseModel, strict=True):
     generator: Annotated[int, pydantic.Field(ge=1)] = 1
     kind: Annotated[str, pydantic.Field(pattern=r"^\w[\w.-]*$", max_length=100)]
     seed: Annotated[int, pydantic.Field(ge=0, le=MOST_SEED)]
-    counts: Counts | None = None  # this and `shard_samples` are for making it again, not for reading
+    counts: _Counts
     recipe: _Recipe
     fields: Annotated[list[str], pydantic.Field(max_length=len(SCHEMA))]
     grid: _Grid
     lidar: dict[str, str | int | float]
-    shard_samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)] | None = None
+    shard_samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)]
     shards: list[Entry]
     rejected: dict[Literal["worlds", "viewpoints"], dict[str, _Count]]
     digest: _Digest | None
     software: dict[str, str]
 
 
-def check_manifest(found: Mapping[str, Any], name: str) -> tuple[GridSpec, Lidar]:
-    """The grid and the sensor of a manifest, if it is one by which samples can be read; `name` stands in errors.
-
-    Raises DatasetError for a value of a wrong type or beyond reason, and for shards that are no dataset's files.
-    """
-    where = f"{name}: {manifest.NAME}"
+def typed(found: Mapping[str, Any]) -> Manifest:
+    """A manifest whose values have the types and bounds that readers rely on. Raises BrokenError."""
     try:
-        Manifest.model_validate(found)
-        if math.prod(found["grid"]["shape"]) > MOST_VOXELS:
-            raise ValueError(f"grid.shape = {found['grid']['shape']}: expected {MOST_VOXELS} voxels at most")
-        for field, meta in SCHEMA.items():
-            if field not in found["fields"] and not meta["derived"]:
-                raise ValueError(f"fields: {field} is missing")
-        if unknown := set(found["fields"]) - set(SCHEMA):
-            raise ValueError(f"fields: {_short(min(unknown))} is not known")
-        return manifest.grid_of(found), manifest.lidar_of(found)
+        checked = Manifest.model_validate(found)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
-        at = ".".join(str(step) for step in first["loc"])
-        wrong = f"{at} = {_short(first['input'])}: {first['msg']}"
-    except (ValueError, TypeError) as error:
-        wrong = " ".join(str(error).split())
-    raise DatasetError(f"{where} is damaged: {wrong}; copy the dataset again, or generate it")
+        at = printable(".".join(str(step) for step in first["loc"]))
+        raise BrokenError(f"{at[:MOST_TOLD]} = {short(first['input'])}: {first['msg']}") from None
+    if math.prod(checked.grid.shape) > MOST_VOXELS:
+        raise BrokenError(f"grid.shape = {short(checked.grid.shape)}: expected {MOST_VOXELS} voxels at most")
+    if tuple(checked.fields) not in (stored_fields(compact=False), stored_fields(compact=True)):
+        raise BrokenError(f"fields = {short(checked.fields)}: expected all, or all but the derived ones")
+    listed = Counter(name for entry in checked.shards for name in (entry.file, entry.worlds))
+    for name, count in listed.most_common(1):
+        if count > 1:
+            raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
+    return checked
 
 
-def check_shard(file: h5py.File, fields: list[str], samples: int, grid: GridSpec, lidar: Lidar) -> None:
-    """Raise DatasetError where an open shard does not hold `samples` samples of `fields`, in itself, as it should."""
-    for name in fields:
-        wrong = ""
-        link = file.get(name, getlink=True)
-        stored = file[name] if isinstance(link, h5py.HardLink) else None
-        expected = (samples, *shape_of(name, grid, lidar))
-        if not isinstance(stored, h5py.Dataset) or stored.is_virtual or stored.external:
-            wrong = "is not stored in it"
-        elif stored.shape != expected or stored.dtype != np.dtype(SCHEMA[name]["dtype"]):
-            wrong = f"is {stored.dtype} {stored.shape}, expected {np.dtype(SCHEMA[name]['dtype'])} {expected}"
-        elif stored.chunks is not None and math.prod(stored.chunks) > math.prod(expected):
-            wrong = f"has chunks of {stored.chunks}"
-        if wrong:
-            raise DatasetError(f"{Path(file.filename)}: {name} {wrong}; copy the dataset again, or generate it")
+def check_manifest(found: Mapping[str, Any], name: str) -> tuple[Manifest, GridSpec, Lidar]:
+    """A manifest by which samples can be read, its grid and its sensor; `name` stands in errors.
 
-
-def read_member(archive: zipfile.ZipFile, name: str) -> bytes:
-    """A file of a world's archive. Raises ValueError for one that is huge, or whose name is more than a name, since it
-    will be written beside the world under it."""
-    if not name.isprintable() or set(name) & set("/\\:") or name.startswith("."):
-        raise ValueError(f"holds {_short(name)}, expected plain names")
-    size = archive.getinfo(name).file_size
-    if size > MOST_ASSET_BYTES:
-        raise ValueError(f"{_short(name)} has {size} bytes, expected {MOST_ASSET_BYTES} at most")
-    return archive.read(name)
-
-
-def _short(value: object) -> str:
-    """A value for an error's line, cut where it is long."""
-    said = ascii(value)
-    return said if len(said) <= 60 else f"{said[:57]}..."
+    Raises DatasetError for a value of a wrong type or beyond reason, and for shards that are no dataset's files, or
+    not as many samples as the counts say.
+    """
+    try:
+        checked = typed(found)
+        for split in SPLITS:
+            total, asked = sum(e.samples for e in checked.shards if e.split == split), getattr(checked.counts, split)
+            if total > asked or (checked.complete and total < asked):
+                raise BrokenError(f"counts.{split} = {asked}, but its shards hold {total} samples")
+        return checked, manifest.grid_of(found), manifest.lidar_of(found)
+    except (BrokenError, ValueError, TypeError, OverflowError) as error:
+        wrong = printable(error)[:300]
+    raise DatasetError(f"{name}: {manifest.NAME} is damaged: {wrong}; copy the dataset again, or generate it")

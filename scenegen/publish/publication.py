@@ -6,7 +6,7 @@ from typing import Any
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.shard import DIGEST
+from scenegen.dataset.layout import DIGEST
 from scenegen.publish.licence import Licence
 from scenegen.sample import describe_fields
 

@@ -1,31 +1,22 @@
 """The manifest, taken at its word only after every value in it has been checked."""
 
-import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import pydantic
 
 from lidarsim import GridSpec, Lidar
 from scenegen import SPLITS
-from scenegen.dataset import manifest
-from scenegen.dataset.shard import stored_fields
-from scenegen.dataset.trust import Counts, Entry, Manifest
-from scenegen.errors import RecipeError
-from scenegen.limits import MOST_SAMPLES_IN_SHARD, MOST_VOXELS
+from scenegen.dataset import manifest, trust
+from scenegen.dataset.layout import Layout, layout_of
+from scenegen.dataset.trust import Entry, Manifest
+from scenegen.errors import RecipeError, printable, short
 from scenegen.recipe import Recipe, make_recipe
 from scenegen.recipes import kind_names
 from scenegen.verify.report import BrokenError, Ledger
-
-
-class _Whole(Manifest, strict=True):
-    """A manifest that also says how to make its dataset again."""
-
-    counts: Counts
-    shard_samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +55,19 @@ class Contract:
             total[entry.split] += entry.samples
         return tuple(found)
 
+    @property
+    def layout(self) -> Layout:
+        """What every shard has to hold."""
+        return layout_of(self.fields, self.grid, self.lidar)
+
+    def worlds(self, split: str, start: int, samples: int) -> Sequence[int]:
+        """Numbers of the worlds that so many samples of a split are of, from the one at `start` on, rising."""
+        units = range(start // self.viewpoints, (start + samples - 1) // self.viewpoints + 1)
+        if self.scenes is None:
+            return units
+        count = len(self.scenes[split])
+        return sorted({unit % count for unit in units[:count]})
+
     def name(self, split: str, place: int) -> tuple[int, int]:
         """(world, viewpoint) of the sample at `place` in its split, as docs/format.md numbers them."""
         unit, view = divmod(place, self.viewpoints)
@@ -91,17 +95,9 @@ def read_contract(folder: Path, ledger: Ledger) -> Contract | None:
 def _contract(folder: Path, given: dict[str, Any]) -> Contract:
     """The manifest with every type checked. Raises BrokenError."""
     try:
-        typed = _Whole.model_validate(given)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        at = ".".join(str(step) for step in first["loc"])
-        raise BrokenError(f"{manifest.NAME}: {at} = {_short(first['input'])}: {first['msg']}") from None
-    if math.prod(max(n, 0) for n in typed.grid.shape) > MOST_VOXELS:
-        raise BrokenError(f"{manifest.NAME}: grid.shape = {typed.grid.shape}: expected {MOST_VOXELS} voxels at most")
-    if tuple(typed.fields) not in (stored_fields(False), stored_fields(True)):
-        raise BrokenError(
-            f"{manifest.NAME}: fields = {_short(typed.fields)}: expected all, or all but the derived ones"
-        )
+        typed = trust.typed(given)
+    except BrokenError as error:
+        raise BrokenError(f"{manifest.NAME}: {error}") from None
     drawn = typed.kind in kind_names()
     recipe = _recipe(typed, given["recipe"], drawn)
     scenes = None
@@ -123,11 +119,11 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
         shards=tuple(typed.shards),
         rejected=typed.rejected,
         digest=typed.digest,
-        fingerprint=manifest.fingerprint(manifest.parameters_of(given)),
+        fingerprint=manifest.fingerprint_of(given),
     )
 
 
-def _recipe(typed: _Whole, given: dict[str, Any], drawn: bool) -> Recipe:
+def _recipe(typed: Manifest, given: dict[str, Any], drawn: bool) -> Recipe:
     """The recipe that the manifest spells out; that of an unknown kind is taken without its world."""
     tables = {name: table for name, table in given.items() if name not in ("version", "scenes")}
     tables |= {
@@ -153,7 +149,7 @@ def _scenes(recipe: dict[str, Any]) -> dict[str, list[dict[str, str]]]:
         return {str(split): worlds for split, worlds in kind.validate_python(found, strict=True).items()}
     except pydantic.ValidationError:
         raise BrokenError(
-            f"{manifest.NAME}: recipe.scenes = {_short(found)}: expected the worlds of each split"
+            f"{manifest.NAME}: recipe.scenes = {short(found)}: expected the worlds of each split"
         ) from None
 
 
@@ -185,9 +181,12 @@ def _check_shards(contract: Contract, given: dict[str, Any], ledger: Ledger) -> 
             full = number == len(entries) - 1 or entry.samples % contract.viewpoints == 0
             ledger.expect("manifest", full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut")
     listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
-    others = [p.name for p in contract.folder.iterdir() if p.suffix in (".h5", ".zip") and p.name not in listed]
+    files = {path.name for path in contract.folder.iterdir() if path.suffix in (".h5", ".zip")}
+    others = printable(", ".join(sorted(files - listed)[:3]))
     ledger.expect(
-        "manifest", not others, f"{', '.join(sorted(others)[:3])}: in the folder, but {where} does not list it"
+        "manifest",
+        not others,
+        f"{others}: in the folder, but {where} does not list it",
     )
 
 
@@ -196,7 +195,7 @@ def _check_name(entry: Entry, number: int | None, ledger: Ledger) -> None:
     match = re.fullmatch(rf"{entry.split}-(\d{{5}})", entry.file.removesuffix(".h5"))
     if not match or entry.file != f"{match[0]}.h5" or entry.worlds != f"{match[0]}.worlds.zip":
         raise BrokenError(
-            f"{manifest.NAME}: shard files {_short(entry.file)}, {_short(entry.worlds)}: expected "
+            f"{manifest.NAME}: shard files {short(entry.file)}, {short(entry.worlds)}: expected "
             f"{entry.split}-00000.h5, {entry.split}-00000.worlds.zip and so on"
         )
     if number is not None:
@@ -205,8 +204,3 @@ def _check_name(entry: Entry, number: int | None, ledger: Ledger) -> None:
             int(match[1]) == number,
             f"{manifest.NAME}: {entry.file} stands where {entry.split}-{number:05d}.h5 is expected",
         )
-
-
-def _short(value: Any) -> str:
-    text = " ".join(repr(value)[:200].split())
-    return text if len(text) < 80 else text[:77] + "…"

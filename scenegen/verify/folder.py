@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.verify.contract import Contract, read_contract
-from scenegen.verify.layout import ShardFile, open_file, open_shard
 from scenegen.verify.regenerate import why_not_comparable
 from scenegen.verify.report import CHECKS, Ledger, Report
 from scenegen.verify.shard import Findings, Task, examine
@@ -20,8 +20,8 @@ from scenegen.verify.twins import OBSERVED_IOU, OCCUPIED_IOU, STANDING_IOU, cand
 from scenegen.verify.warm import warm_up
 from scenegen.workers import Limits, run
 
-SECONDS, SECONDS_A_SAMPLE = 120.0, 0.5
-"""A shard whose examination takes longer than this and as much for every sample is given up."""
+SECONDS, SECONDS_A_SAMPLE, MOST_SECONDS = 120.0, 0.5, 24 * 3600.0
+"""A shard whose examination takes longer than this and as much for every sample, or than a day, is given up."""
 MEMORY_BYTES = 6 << 30
 """Address space that examining one shard may take beyond what the process has."""
 
@@ -52,7 +52,7 @@ def verify(
         for number, start in enumerate(contract.starts)
     ]
     samples = sum(entry.samples for entry in contract.shards)
-    limits = Limits(lambda task: SECONDS + SECONDS_A_SAMPLE * task.entry.samples, MEMORY_BYTES, _given_up)
+    limits = Limits(_seconds, MEMORY_BYTES, _given_up)
     findings: list[Findings] = []
     if tasks and not quick:
         warm_up()
@@ -72,6 +72,10 @@ def verify(
     derived_later = {"tudf", "free"} - set(contract.fields)
     ledger.skip_untouched(set(CHECKS) - derived_later, "nothing that could be examined: see what failed")
     return Report(folder=str(folder), quick=quick, seed=seed, samples=samples, checks=ledger.checks(quick=quick))
+
+
+def _seconds(task: Task) -> float:
+    return min(SECONDS + SECONDS_A_SAMPLE * task.entry.samples, MOST_SECONDS)
 
 
 def _given_up(task: Task, reason: str) -> Findings:
@@ -178,6 +182,7 @@ class _Maps:
                 self._files.close()
                 self._shards.clear()
             entry = self._contract.shards[number]
-            file = self._files.enter_context(open_file(self._contract.folder / entry.file))
-            self._shards[number] = open_shard(file, entry, self._contract)
+            path = self._contract.folder / entry.file
+            file = self._files.enter_context(open_file(path))
+            self._shards[number] = open_shard(file, path, entry.samples, self._contract.layout)
         return self._shards[number].value(field, row)

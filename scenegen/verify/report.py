@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from scenegen.errors import BrokenError as BrokenError
+
 CHECKS = {
     "manifest": True,
     "examined": True,
@@ -30,10 +32,6 @@ CHECKS = {
 
 TOLD = 3
 """Faults of one check that are written out; the others are counted."""
-
-
-class BrokenError(Exception):
-    """Something cannot be examined any further; the message is the fault, one line."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Pose, Scan, voxelize
-from scenegen.dataset.shard import DIGEST
+from scenegen.dataset.layout import DIGEST, ShardFile, most_bytes, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.geometry import geometry_digest
 from scenegen.quiet import quiet_mujoco
@@ -19,7 +20,6 @@ from scenegen.sample import SCHEMA, derive_tudf
 from scenegen.truth import Solids, rasterize
 from scenegen.verify.archive import Archive, compile_solids, read_archive
 from scenegen.verify.contract import Contract
-from scenegen.verify.layout import ShardFile, most_bytes, open_file, open_shard
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate
 from scenegen.verify.report import BrokenError, Ledger
@@ -82,7 +82,11 @@ def examine(task: Task) -> Findings:
     solids = _compile(task, archive, found)
     path = task.contract.folder / task.entry.file
     with found.ledger.checking("layout"), open_file(path) as file:
-        shard = open_shard(file, task.entry, task.contract)
+        shard = open_shard(file, path, task.entry.samples, task.contract.layout)
+        if shard.stray_bytes:
+            raise BrokenError(f"{shard.name}: {shard.stray_bytes} of its bytes belong to no sample")
+        entry = task.entry
+        shard.check_origin(split=entry.split, first_world=entry.first_world, worlds_sha256=entry.worlds_sha256)
         found.ledger.count("layout", files=1)
         with found.ledger.checking("checksums"):
             _check_sum(file, path, task.entry.sha256, found.ledger)
@@ -92,12 +96,12 @@ def examine(task: Task) -> Findings:
             f"{task.entry.file}: was written for other parameters than the manifest's: one of the two was edited, or "
             "the shard is another dataset's",
         )
-        found.rejected = shard.attributes["rejected"]
+        found.rejected = shard.rejected()
         _Samples(task, shard, solids, found).examine()
         if archive is not None and not task.quick:
             _make_again(task, shard, archive, found.ledger)
         return found
-    if path.is_file() and path.stat().st_size <= most_bytes(task.entry, task.contract):
+    if path.is_file() and path.stat().st_size <= most_bytes(task.contract.layout, task.entry.samples):
         with found.ledger.checking("checksums"), open_file(path) as file:
             _check_sum(file, path, task.entry.sha256, found.ledger)
     return found
@@ -120,20 +124,17 @@ def _examine_worlds(task: Task, ledger: Ledger) -> Archive | None:
         archive = read_archive(file, path.name)
         with ledger.checking("checksums"):
             _check_sum(file, path, task.entry.worlds_sha256, ledger)
-        expected = {
-            task.contract.name(task.entry.split, place)[0]
-            for place in range(task.start, task.start + task.entry.samples)
-        }
+        expected = task.contract.worlds(task.entry.split, task.start, task.entry.samples)
         there = sorted(archive.documents)
         ledger.expect(
             "archives",
-            set(there) == expected,
-            f"{path.name}: holds worlds {_spans(there)}, its samples are of {_spans(sorted(expected))}",
+            len(there) == len(expected) and there == list(expected),
+            f"{path.name}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}",
         )
         ledger.expect(
             "archives",
-            task.entry.first_world == min(expected),
-            f"{task.entry.file}: first_world = {task.entry.first_world}, its samples begin with {min(expected)}",
+            task.entry.first_world == expected[0],
+            f"{task.entry.file}: first_world = {task.entry.first_world}, its samples begin with {expected[0]}",
         )
         if task.contract.scenes is not None:
             _check_scenes(task, archive, ledger)
@@ -156,7 +157,7 @@ def _check_scenes(task: Task, archive: Archive, ledger: Ledger) -> None:
         )
 
 
-def _spans(numbers: list[int]) -> str:
+def _spans(numbers: Sequence[int]) -> str:
     return f"{numbers[0]} to {numbers[-1]} ({len(numbers)})" if numbers else "none"
 
 

@@ -10,11 +10,11 @@ import pytest
 import trimesh
 
 import scenegen.source
-from scenegen.errors import SceneError
+from scenegen.errors import BrokenError, SceneError
 from scenegen.limits import MOST_TRIANGLES
 from scenegen.quiet import quiet_mujoco
 from scenegen.scene import Scene, load_scene
-from scenegen.screen import ScreenError, screen
+from scenegen.screen import screen
 from scenegen.source import read_scenes
 from scenegen.truth import solids_of
 from scenegen.world import compile_world
@@ -280,7 +280,7 @@ def test_the_truth_takes_no_numbers_that_a_kernel_cannot() -> None:
 )
 def test_the_screen_refuses_what_generate_refuses(element: str, said: str) -> None:
     assets = {"f.bin": np.array([65536, 65536, 0], np.int32).tobytes()}
-    with pytest.raises(ScreenError) as caught:
+    with pytest.raises(BrokenError) as caught:
         screen(f"<mujoco>{element}</mujoco>".encode(), assets, "w")
     assert said in str(caught.value)
 

@@ -1,9 +1,13 @@
 """Datasets from strangers: whatever stands in a manifest, a shard or an archive ends in one line, and soon."""
 
 import copy
+import functools
 import json
 import math
+import resource
 import shutil
+import time
+import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -16,9 +20,12 @@ import pytest
 
 import scenegen
 from scenegen.dataset import manifest
+from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.inspect import inspect
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
 
 BAD = (None, 3, -1, 1e308, 10**12, "x", "../x", [], [[1]], {}, {"a": 1}, True)
 
@@ -77,10 +84,14 @@ def _replace(file: h5py.File, name: str, **options: Any) -> None:
 
 def _bomb(file: h5py.File) -> None:
     stored = file["tudf"]
-    pack = zlib.compressobj(9)
-    block = bytes(1 << 20)
-    packed = b"".join(pack.compress(block) for _ in range(512)) + pack.flush()
-    stored.id.write_direct_chunk((0,) * stored.ndim, packed)
+    stored.id.write_direct_chunk((0,) * stored.ndim, _zeros(160 << 20))
+
+
+@functools.cache
+def _zeros(size: int) -> bytes:
+    """So many, packed."""
+    pack, block = zlib.compressobj(9), bytes(1 << 20)
+    return b"".join(pack.compress(block) for _ in range(size >> 20)) + pack.flush()
 
 
 @pytest.mark.parametrize(
@@ -95,13 +106,25 @@ def _bomb(file: h5py.File) -> None:
         lambda file: (file.pop("tudf"), file.__setitem__("tudf", h5py.SoftLink("/observed"))),
         lambda file: (file.pop("tudf"), file.__setitem__("tudf", h5py.ExternalLink("/etc/passwd", "/tudf"))),
         lambda file: file["tudf"].id.write_direct_chunk((0, 0, 0, 0), b"not gzip at all"),
+        lambda file: file["ranges"].id.write_direct_chunk((0, 0, 0), b"few", filter_mask=1),
+        lambda file: file["tudf"].id.write_direct_chunk((0, 0, 0, 0), b"few", filter_mask=2),
+        lambda file: _replace(file, "ranges", chunks=(1, 8, 24), compression="gzip"),  # of which nothing is stored
+        lambda file: _replace(file, "world", chunks=(1,)),
+        lambda file: _replace(file, "position", dtype=">f8", chunks=(1, 3)),
+        lambda file: _replace(file, "position", dtype="f2", chunks=(1, 3)),
+        lambda file: _replace(file, "position", dtype="S8", chunks=(1, 3)),
+        lambda file: _replace(file, "position", dtype=h5py.string_dtype(), chunks=(1, 3)),
+        lambda file: file["occupancy"].id.write_direct_chunk((0, 0, 0, 0), zlib.compress(b"\2" * 24 * 24 * 16)),
         _bomb,
+        lambda file: (_replace(file, "tudf", chunks=(1, 24, 24, 16), compression="gzip", shuffle=True), _bomb(file)),
     ],
 )
 def test_no_shard_ends_in_a_traceback_or_takes_the_memory(dataset: Path, damage: Callable[[h5py.File], Any]) -> None:
     with h5py.File(dataset / "train-00000.h5", "r+") as file:
         damage(file)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert "train-00000.h5" in refused(lambda: scenegen.load(dataset)[0])
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + (100 << 10)  # KB
     assert np.isfinite(scenegen.load(dataset)[3].tudf).all()  # the next shard
 
 
@@ -121,11 +144,118 @@ def test_an_archive_writes_nowhere_else_and_takes_no_memory(
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("000000.xml", f'<mujoco file="{name}"/>')
             archive.writestr(name, "up")
-        assert "expected plain names" in refused(lambda: Dataset(dataset).world("train", 0))
+        assert "expected a plain file name" in refused(lambda: Dataset(dataset).world("train", 0))
     path.write_bytes(whole[: len(whole) // 2])
-    assert "is damaged" in refused(lambda: Dataset(dataset).world("train", 0))
+    assert "not a whole zip file" in refused(lambda: Dataset(dataset).world("train", 0))
     path.write_bytes(whole)
-    monkeypatch.setattr("scenegen.dataset.trust.MOST_ASSET_BYTES", 10)
+    monkeypatch.setattr("scenegen.dataset.archive.MOST_DOCUMENT_BYTES", 10)
     assert "expected 10 at most" in refused(lambda: Dataset(dataset).world("train", 0))
     shutil.rmtree(dataset)
     assert "not a dataset" in refused(lambda: scenegen.load(dataset))
+
+
+def edit(folder: Path, **changes: Any) -> None:
+    manifest.write(folder, {**manifest.read(folder), **changes})
+
+
+def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = dataset / "train-00000.worlds.zip"
+    document = b'<mujoco><asset><mesh file="mesh.obj"/></asset></mujoco>'
+
+    def put(members: dict[str, bytes]) -> None:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in members.items():
+                archive.writestr(name, content)
+
+    put({"000000.xml": document, "mesh.obj": b"v", "unused.obj": b"v", "esh.obj": b"v"})
+    assert Dataset(dataset).world("train", 0) == {"world.xml": document, "mesh.obj": b"v"}
+    monkeypatch.setattr("scenegen.dataset.archive.MOST_ARCHIVE_BYTES", 50 << 20)
+    put({"000000.xml": document, **{f"{n}.obj": bytes(20 << 20) for n in range(3)}})
+    assert "bytes unpacked, expected 52428800 at most" in refused(lambda: Dataset(dataset).world("train", 0))
+    put({"000000.xml": document, "mesh.obj": bytes(40 << 20)})
+    content = bytearray(path.read_bytes())
+    for place in (content.index(b"PK\3\4", 10) + 22, content.index(b"PK\1\2", content.index(b"PK\1\2") + 4) + 24):
+        content[place : place + 4] = (1000).to_bytes(4, "little")  # says 1000 bytes, holds 40 MB
+    path.write_bytes(content)
+    opened = Dataset(dataset)
+    tracemalloc.start()
+    assert "is damaged (Bad CRC-32" in refused(lambda: opened.world("train", 0))
+    assert tracemalloc.get_traced_memory()[1] < 10 << 20
+    tracemalloc.stop()
+    content[-42:-38] = b"PK\6\7"  # another directory
+    path.write_bytes(content)
+    assert "not a whole zip file" in refused(lambda: Dataset(dataset).world("train", 0))
+
+
+def test_a_shard_belongs_to_the_manifest_that_it_was_written_for(dataset: Path) -> None:
+    """What a compact dataset leaves out is derived by the manifest's sensor and grid."""
+    good = manifest.read(dataset)
+    for name, changed in (
+        ("lidar", {**good["lidar"], "pitch_deg": 20.0}),
+        ("lidar", {**good["lidar"], "max_range_m": 9.0}),
+        ("grid", {**good["grid"], "voxel": 0.25}),
+        ("recipe", {**good["recipe"], "version": 99}),
+        ("seed", 4),
+    ):
+        edit(dataset, **{**good, name: changed})
+        assert "was written with parameters" in refused(lambda: scenegen.load(dataset)[0])
+    (dataset / "train-00000.h5").write_bytes((dataset / "train-00001.h5").read_bytes())
+    edit(dataset, **good)
+    assert "was written with" in refused(lambda: scenegen.load(dataset)[0])
+
+
+def test_shards_are_as_many_as_the_counts_say_and_none_is_there_twice(dataset: Path) -> None:
+    shards = manifest.read(dataset)["shards"]
+    edit(dataset, shards=shards[1:])
+    assert "counts.train = 11, but its shards hold 8 samples" in refused(lambda: scenegen.load(dataset))
+    edit(dataset, shards=shards[:1] * 10_000, complete=False)
+    begin = time.process_time()
+    assert "'train-00000.h5' is listed 10000 times" in refused(lambda: inspect(dataset))
+    assert time.process_time() - begin < 5
+    edit(dataset, shards=[{**shards[0], "samples": 10**7}], counts={"train": 10**7, "val": 0, "test": 0})
+    assert "train-00000.h5" in refused(lambda: inspect(dataset))
+
+
+def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset: Path) -> None:
+    line = "\nverify: all 17 checks passed\x1b[2J"
+    good = manifest.read(dataset)
+    for changed in (
+        {"rejected": {"worlds": {line: "x"}, "viewpoints": {}}},
+        {"rejected": {line: {}}},
+        {"fields": [line]},
+        {"version": line},
+        {"lidar": {line: 1}},
+        {"kind": line},
+    ):
+        manifest.write(dataset, {**good, **changed})
+        assert "\x1b" not in refused(lambda: Dataset(dataset))
+    deep: Any = 1
+    for _ in range(300):
+        deep = {"a": deep}
+    manifest.write(dataset, {**good, "recipe": {**good["recipe"], "world": deep}})
+    assert "nests deeper than 200" in refused(lambda: Dataset(dataset))
+    (dataset / manifest.NAME).unlink()
+    (dataset / manifest.NAME).symlink_to(dataset / manifest.NAME)
+    refused(lambda: Dataset(dataset))
+    refused(lambda: inspect(dataset))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [("position", np.nan, "position = "), ("quaternion", 2.0, "quaternion has length"), ("origin", np.inf, "origin")],
+)
+def test_a_compact_dataset_derives_nothing_from_a_broken_pose(
+    tmp_path: Path, field: str, value: float, said: str
+) -> None:
+    recipe = small_recipe()
+    counts = {"train": 3, "val": 0, "test": 0}
+    build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=3, counts=counts, compact=True), workers=1)
+    with h5py.File(tmp_path / "d" / "train-00000.h5", "r+") as file:
+        file[field][1] = value
+    samples = scenegen.load(tmp_path / "d")
+    assert samples[0].free.any()
+    line = refused(lambda: samples[1])
+    assert "train-00000.h5: sample 1" in line
+    assert said in line

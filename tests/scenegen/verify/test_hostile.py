@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from scenegen.dataset import manifest
+from scenegen.errors import BrokenError
 from scenegen.limits import MOST_DOCUMENT_BYTES
-from scenegen.screen import ScreenError, screen
+from scenegen.screen import screen
 from tests.scenegen.verify import forge
 from tests.scenegen.verify.conftest import failed
 
@@ -185,6 +186,19 @@ def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder: Path) -> Non
     assert "belong to no sample" in failed(folder, quick=True)["layout"]
 
 
+def test_a_shard_said_to_hold_millions_is_refused_by_its_size(folder: Path) -> None:
+    given = manifest.read(folder)
+    entries = given["shards"]
+    forge.edit_manifest(
+        folder,
+        shards=[entries[0] | {"samples": 10**7}, *entries[1:]],
+        counts=given["counts"] | {"train": 10**7},
+    )
+    found = failed(folder, quick=True)
+    assert "expected bool (10000000, 24, 24, 16)" in found["layout"]
+    assert "its samples are of 0 to 3333333" in found["archives"]
+
+
 @pytest.mark.parametrize("name", ["../train-00000.h5", "/etc/passwd", "train-0.h5", "val-00000.h5"])
 def test_files_outside_the_folder_are_not_opened(folder: Path, name: str) -> None:
     entries = manifest.read(folder)["shards"]
@@ -290,5 +304,5 @@ def test_screening_takes_plain_worlds_and_knows_them_again() -> None:
     third = b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"3") + b"</worldbody></mujoco>"
     one, two, three = (screen(document, {}, "w") for document in (first, second, third))
     assert one == two != three
-    with pytest.raises(ScreenError, match="w: has <replicate>"):
+    with pytest.raises(BrokenError, match="w: has <replicate>"):
         screen(b"<mujoco><worldbody><replicate count='9'/></worldbody></mujoco>", {}, "w")

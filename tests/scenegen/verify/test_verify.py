@@ -361,9 +361,9 @@ def test_only_a_folder_without_a_dataset_raises(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
     with open(tmp_path / NAME, "wb") as file:
         os.truncate(file.fileno(), 3 << 30)
-    with pytest.raises(DatasetError, match="larger than 64 MB"):
+    with pytest.raises(DatasetError, match="expected 67108864 at most"):
         verify(tmp_path)
     (tmp_path / NAME).unlink()
     os.mkfifo(tmp_path / NAME)
-    with pytest.raises(DatasetError, match="is no file"):
+    with pytest.raises(DatasetError, match="is not a regular file"):
         verify(tmp_path)

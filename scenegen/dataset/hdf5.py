@@ -1,0 +1,228 @@
+"""HDF5 as a shard uses it, read without the HDF5 library: on hostile bytes that one hangs, crashes or takes all memory.
+
+`walk` finds where every sample of every dataset lies. It knows the structures that h5py writes by default: superblock
+0, groups by symbol table, object headers 1, chunks by a version 1 B-tree (HDF5 File Format Specification 3.0, sections
+II to IV). Nothing is read beyond the file's end, nothing twice, and no loop runs longer than the file is large.
+"""
+
+import os
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen.dataset.messages import (
+    ATTRIBUTE,
+    CONTINUATION,
+    ELSEWHERE,
+    EXTERNAL,
+    FILTERS,
+    LAYOUT,
+    LINK,
+    NO_DATASET,
+    SPACE,
+    SYMBOLS,
+    TYPE,
+    ForeignError,
+    Hdf5Error,
+    Index,
+    Stored,
+    filters_in,
+    shape_in,
+    type_in,
+)
+from scenegen.limits import MOST_BLOCK_BYTES, MOST_BLOCKS, MOST_HEAP_BYTES, MOST_OBJECTS
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+UNDEFINED = 2**64 - 1
+"""The address of what is not there."""
+
+
+def walk(handle: int, most_chunks: int) -> Index:
+    """The index of the open file `handle`, whose datasets have at most `most_chunks` chunks each.
+
+    Raises ForeignError for a file that the HDF5 library may be able to read, Hdf5Error for a damaged one.
+    """
+    try:
+        return _Walk(handle, most_chunks).index()
+    except Hdf5Error:
+        raise
+    except (struct.error, IndexError, ValueError, OverflowError, OSError) as error:
+        raise Hdf5Error(f"a structure of it cannot be ({error})") from None
+
+
+class _Walk:
+    """One walk through a file."""
+
+    def __init__(self, handle: int, most_chunks: int):
+        self._handle, self._most = handle, most_chunks
+        self._size = os.fstat(handle).st_size
+        self._seen: set[int] = set()
+        self._heaps: dict[int, bytes] = {}
+
+    def _at(self, begin: int, length: int) -> bytes:
+        """`length` bytes from `begin`, if the file has them."""
+        if begin + length > self._size:
+            raise Hdf5Error(f"it ends at byte {self._size}, within a structure at byte {begin}")
+        return os.pread(self._handle, length, begin)
+
+    def _once(self, begin: int) -> None:
+        """Nothing in a sound file is pointed at twice; so loops end."""
+        if begin in self._seen:
+            raise Hdf5Error(f"two pointers lead to byte {begin}")
+        self._seen.add(begin)
+
+    def index(self) -> Index:
+        head = self._at(0, min(96, self._size))
+        if head[:8] != SIGNATURE:
+            raise Hdf5Error("it is no HDF5 file")
+        if head[8] != 0:
+            raise ForeignError(f"its superblock has version {head[8]}")
+        offsets, lengths, base, end, driver, root = struct.unpack("<13xBB9xQ8xQQ8xQ24x", head)
+        if (offsets, lengths, base, driver) != (8, 8, 0, UNDEFINED):
+            raise ForeignError("its superblock is unusual")
+        if end > self._size:
+            raise Hdf5Error(f"it has {self._size} bytes of {end}")
+        found, attributes = self._header(root)
+        if SYMBOLS not in found:
+            raise ForeignError("its root group has no symbol table")
+        if len(attributes) > MOST_OBJECTS:
+            raise Hdf5Error(f"it has more than {MOST_OBJECTS} attributes")
+        objects: dict[str, Stored | str] = {}
+        for name, header, soft in self._names(*struct.unpack_from("<QQ", found[SYMBOLS])):
+            objects[name] = LINK if soft else self._dataset(header)
+        return Index(objects, dict(map(self._attribute, attributes)))
+
+    def _header(self, address: int) -> tuple[dict[int, bytes], list[bytes]]:
+        """An object's messages by their numbers, the first of each kind, and all its attributes."""
+        start = self._at(address, 16)
+        if start[:4] == b"OHDR":
+            raise ForeignError("its object headers have version 2")
+        version, length = struct.unpack("<B7xI4x", start)
+        if version != 1:
+            raise Hdf5Error(f"no object begins at byte {address}")
+        found: dict[int, bytes] = {}
+        attributes = []
+        blocks = [(address + 16, length)]
+        for begin, length in blocks:  # which grow meanwhile
+            if len(blocks) > MOST_BLOCKS or length > MOST_BLOCK_BYTES:
+                raise Hdf5Error(f"the object at byte {address} has too long a header")
+            self._once(begin)
+            block, place = self._at(begin, length), 0
+            while place + 8 <= length:
+                kind, size, flags = struct.unpack_from("<HHB", block, place)
+                body = block[place + 8 : place + 8 + size]
+                place += 8 + size
+                if len(body) < size:
+                    raise Hdf5Error(f"a message in the block at byte {begin} is longer than that")
+                if kind == CONTINUATION:
+                    blocks.append(struct.unpack_from("<QQ", body))
+                elif kind and flags & 2:
+                    raise ForeignError("its headers share messages")
+                elif kind == ATTRIBUTE:
+                    attributes.append(body)
+                else:
+                    found.setdefault(kind, body)
+        return found, attributes
+
+    def _leaves(self, root: int, kind: int, entry: np.dtype, most: int) -> NDArray[Any]:
+        """All entries of the lowest nodes of a version 1 B-tree, in order."""
+        nodes, level = [root], None
+        while True:
+            found, total = [np.empty(0, entry)], 0
+            for address in nodes:
+                self._once(address)
+                mark, what, here, count = struct.unpack("<4sBBH16x", self._at(address, 24))
+                if mark != b"TREE" or what != kind or here != (here if level is None else level):
+                    raise Hdf5Error(f"no node of a B-tree begins at byte {address}")
+                level, total = here, total + count
+                if total > min(most, self._size // entry.itemsize):
+                    raise Hdf5Error(f"its index lists more than {most} of what is there once a sample")
+                found.append(np.frombuffer(self._at(address + 24, count * entry.itemsize), entry))
+            entries = np.concatenate(found)
+            if not level:
+                return entries
+            nodes, level = entries["child"].tolist(), level - 1
+
+    def _names(self, tree: int, heap: int) -> list[tuple[str, int, bool]]:
+        """(name, address of the object's header, whether it is a soft link) of all that the root group holds."""
+        mark, length, _, place = struct.unpack("<4s4xQQQ", self._at(heap, 32))
+        if mark != b"HEAP" or length > MOST_HEAP_BYTES:
+            raise Hdf5Error(f"no heap of names begins at byte {heap}")
+        texts = self._at(place, length)
+        entry = np.dtype([("key", "<u8"), ("child", "<u8")])
+        found: list[tuple[str, int, bool]] = []
+        for node in self._leaves(tree, 0, entry, MOST_OBJECTS)["child"].tolist():
+            self._once(node)
+            mark, count = struct.unpack("<4s2xH", self._at(node, 8))
+            if mark != b"SNOD" or len(found) + count > MOST_OBJECTS:
+                raise Hdf5Error(f"no table of at most {MOST_OBJECTS} names begins at byte {node}")
+            for name, header, cache in struct.iter_unpack("<QQI20x", self._at(node + 8, 40 * count)):
+                found.append((texts[name : texts.index(b"\0", name)].decode(), header, cache == 2))
+        if len({name for name, _, _ in found}) < len(found):
+            raise Hdf5Error("it holds two objects of one name")
+        return found
+
+    def _dataset(self, address: int) -> Stored | str:
+        found, _ = self._header(address)
+        if not {SPACE, TYPE, LAYOUT} <= set(found):
+            return NO_DATASET
+        if EXTERNAL in found:
+            return ELSEWHERE
+        shape, layout, filters = shape_in(found[SPACE]) or (), found[LAYOUT], filters_in(found.get(FILTERS))
+        if layout[0] != 3:
+            raise ForeignError(f"its layouts have version {layout[0]}")
+        chunk, places = None, np.empty((0, 4), np.int64)
+        if layout[1] == 2:
+            tree, *sizes = struct.unpack_from(f"<Q{layout[2]}I", layout, 3)
+            chunk = tuple(sizes[:-1])
+            if shape and chunk == (1, *shape[1:]) and tree != UNDEFINED:
+                places = self._places(tree, len(shape))
+        return Stored(type_in(found[TYPE]), shape, chunk, filters, places)
+
+    def _places(self, tree: int, rank: int) -> NDArray[np.int64]:
+        entry = np.dtype([("bytes", "<u4"), ("mask", "<u4"), ("first", "<u8", (rank + 1,)), ("child", "<u8")])
+        found = self._leaves(tree, 1, entry, self._most)
+        begin, length, size = found["child"], found["bytes"].astype(np.uint64), np.uint64(self._size)
+        outside = (begin > size) | (length > size - np.minimum(begin, size))
+        if outside.any() or found["first"][:, 1:].any() or (found["first"][:, 0] >= np.uint64(self._most)).any():
+            raise Hdf5Error("its index names places outside of it")
+        return np.stack([found["first"][:, 0], begin, length, found["mask"]], axis=1).astype(np.int64)
+
+    def _attribute(self, body: bytes) -> tuple[str, int | str | None]:
+        version, flags, *sizes = struct.unpack_from("<BBHHH", body)
+        if version not in (1, 2, 3) or (version > 1 and flags):
+            raise ForeignError(f"an attribute has version {version}")
+        place, parts = 8 + (version == 3), []
+        for size in sizes:
+            parts.append(body[place : place + size])
+            place += -(-size // 8) * 8 if version == 1 else size
+        name, kind, space = parts[0].rstrip(b"\0").decode(), parts[1], parts[2]
+        return name, None if shape_in(space) != () else self._scalar(kind, body[place:])
+
+    def _scalar(self, kind: bytes, data: bytes) -> int | str | None:
+        """A whole number or a text; None for anything else."""
+        what, bits, size = struct.unpack_from("<BB2xI", kind)
+        if what & 15 == 0 and not bits & 1 and size <= 8:
+            return int.from_bytes(data[:size], "little", signed=bool(bits & 8))
+        if what & 15 == 3:
+            return data[:size].split(b"\0")[0].decode()
+        if what & 15 == 9 and bits & 15 == 1:
+            return self._text(*struct.unpack_from("<IQI", data))
+        return None
+
+    def _text(self, length: int, heap: int, number: int) -> str:
+        """Object `number` of a global heap."""
+        if heap not in self._heaps:
+            mark, size = struct.unpack("<4s4xQ", self._at(heap, 16))
+            if mark != b"GCOL" or size > MOST_HEAP_BYTES:
+                raise Hdf5Error(f"no heap of texts begins at byte {heap}")
+            self._heaps[heap] = self._at(heap, size)
+        content, place = self._heaps[heap], 16
+        while place + 16 <= len(content):
+            here, size = struct.unpack_from("<H6xQ", content, place)
+            if here == number and number and length <= size:
+                return content[place + 16 : place + 16 + length].decode()
+            place += 16 + -(-size // 8) * 8 if here else len(content)
+        raise Hdf5Error(f"the heap of texts at byte {heap} has no number {number}")

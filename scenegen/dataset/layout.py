@@ -1,0 +1,235 @@
+"""A shard's HDF5 file, held against the format before any sample is read; then read chunk by chunk, each into no more
+bytes than it may have. Reading, resuming, verifying and training all go through here."""
+
+import json
+import math
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from io import BufferedReader
+from pathlib import Path
+from typing import Any
+
+import isal.isal_zlib
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Lidar
+from scenegen.dataset.foreign import read_index
+from scenegen.dataset.messages import Hdf5Error, Stored
+from scenegen.errors import BrokenError, DatasetError, printable, short
+from scenegen.files import open_bounded
+from scenegen.sample import SCHEMA, shape_of
+
+DIGEST = "sha256"
+"""Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
+DEFLATE, SHUFFLE, FLETCHER32 = 1, 2, 3
+"""HDF5's numbers of the filters that a shard may use."""
+SMALL_BYTES = 4096
+"""Fields that take no more a sample, and that no filter has changed, are read for all samples at once."""
+
+Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
+"""Every dataset that a shard has to hold: its type, and the shape of one sample."""
+
+
+def layout_of(fields: Iterable[str], grid: GridSpec, lidar: Lidar) -> Layout:
+    """The layout of a shard that stores `fields`."""
+    found = {name: (np.dtype(SCHEMA[name]["dtype"]), shape_of(name, grid, lidar)) for name in fields}
+    return {**found, DIGEST: (np.dtype(np.uint8), (32,))}
+
+
+def most_bytes(layout: Layout, samples: int) -> int:
+    """What a shard of `samples` may take on disk, however badly it is packed."""
+    each = sum(dtype.itemsize * math.prod(shape) + 2000 for dtype, shape in layout.values())
+    return samples * (each + each // 100) + (1 << 20)
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One dataset of a shard: N chunks, one a sample."""
+
+    name: str
+    dtype: np.dtype
+    shape: tuple[int, ...]
+    """Of one sample."""
+    filters: tuple[int, ...]
+    """In the order of writing."""
+    places: NDArray[np.int64]
+    """(N, 4): a sample's row, where its chunk begins in the file, bytes, and which filters were left out (a bit each).
+    """
+
+    @property
+    def bytes(self) -> int:
+        """Of one sample, unpacked."""
+        return int(self.dtype.itemsize * math.prod(self.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class ShardFile:
+    """An open shard whose layout is as the format says. Any number of threads may read from it."""
+
+    file: BufferedReader
+    name: str
+    columns: Mapping[str, Column]
+    attributes: Mapping[str, int | str | None]
+    _read: dict[str, NDArray[Any]] = field(default_factory=dict)
+    """Whole columns, as far as they have been read."""
+
+    def value(self, name: str, row: int, *, read_only: bool = False) -> Any:
+        """A sample's field. `read_only` saves a copy, but kernels are compiled for arrays that can be written.
+
+        Raises BrokenError for a chunk that does not unpack to just what it should.
+        """
+        column = self.columns[name]
+        if column.filters or column.bytes > SMALL_BYTES:
+            return self._chunk(column, row, read_only)
+        return self.column(name)[row].copy()
+
+    def column(self, name: str) -> NDArray[Any]:
+        """A field of all samples, (N, ...); where the chunks lie in a row, they are read as one. Raises BrokenError."""
+        column = self.columns[name]
+        if name not in self._read:
+            count, size, (_, first, *_) = len(column.places), column.bytes, column.places[0].tolist()
+            in_a_row = np.array_equal(column.places[:, 1:3], [(first + n * size, size) for n in range(count)])
+            if in_a_row and not column.filters:
+                raw = os.pread(self.file.fileno(), count * size, first)
+                if len(raw) != count * size:
+                    raise BrokenError(f"{self.name}: {name}: the file ends within it")
+                self._read[name] = _array(bytearray(raw), column, (count, *column.shape), f"{self.name}: {name}")
+            else:
+                self._read[name] = np.stack([self._chunk(column, row, True) for row in range(count)])
+        return self._read[name]
+
+    def _chunk(self, column: Column, row: int, read_only: bool) -> NDArray[Any]:
+        where = f"{self.name}: sample {row}: {column.name}"
+        _, begin, size, left_out = column.places[row].tolist()
+        try:
+            raw = _unpack(os.pread(self.file.fileno(), size, begin), column, left_out)
+        except (isal.isal_zlib.error, EOFError, ValueError, OSError) as error:
+            raise BrokenError(f"{where} cannot be unpacked ({error})") from None
+        return _array(raw if read_only else bytearray(raw), column, column.shape, where)
+
+    @property
+    def stray_bytes(self) -> int:
+        """Bytes of the file beyond those of samples and what the format needs at most: an index entry a chunk, and some
+        kilobytes."""
+        stored = sum(int(column.places[:, 2].sum()) for column in self.columns.values())
+        entries = sum(len(column.places) for column in self.columns.values())
+        return max(os.fstat(self.file.fileno()).st_size - stored - 200 * entries - (1 << 20), 0)
+
+    def check_origin(self, **expected: int | str) -> None:
+        """Raise BrokenError where an attribute of the shard is not as `expected`."""
+        for name, value in expected.items():
+            if self.attributes.get(name) != value:
+                raise BrokenError(
+                    f"{self.name}: was written with {name} {short(self.attributes.get(name))}, the manifest's is "
+                    f"{value!r}: one of the two was edited, or the shard is another dataset's"
+                )
+
+    def rejected(self) -> dict[str, Counter[str]]:
+        """Rejections by reason, of worlds and of viewpoints. Raises BrokenError."""
+        text = self.attributes.get("rejected")
+        try:
+            given = json.loads(text)  # type: ignore[arg-type]
+            found = {what: Counter(dict(given[what])) for what in ("worlds", "viewpoints")}
+            if all(type(n) is int and 0 <= n <= 10**9 for counts in found.values() for n in counts.values()):
+                return found
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            pass
+        raise BrokenError(f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON")
+
+
+def _array(raw: bytes | bytearray, column: Column, shape: tuple[int, ...], where: str) -> NDArray[Any]:
+    """Bytes as an array of a column's type."""
+    values = np.frombuffer(raw, dtype=np.uint8 if column.dtype == np.bool_ else column.dtype)
+    if column.dtype == np.bool_:
+        if values.max(initial=0) > 1:
+            raise BrokenError(f"{where} holds bytes other than 0 and 1")
+        values = values.view(np.bool_)
+    return values.reshape(shape)
+
+
+def _unpack(packed: bytes, column: Column, left_out: int) -> bytes:
+    """A chunk's bytes with the filters undone, last first. Raises ValueError unless as many come out as there must."""
+    data = packed
+    if left_out >> len(column.filters):
+        raise ValueError(f"it leaves out filters that it does not have: {left_out:#b}")
+    for place in reversed(range(len(column.filters))):
+        if left_out >> place & 1:
+            continue
+        number = column.filters[place]
+        if number == FLETCHER32:
+            data = data[:-4]  # its checksum is not looked at: the samples' digests are better ones
+        elif number == SHUFFLE:
+            if len(data) != column.bytes:
+                raise ValueError(f"{len(data)} bytes, expected {column.bytes}")
+            data = np.frombuffer(data, np.uint8).reshape(column.dtype.itemsize, -1).T.tobytes()
+        elif number == DEFLATE:
+            unpacking = isal.isal_zlib.decompressobj()
+            data = unpacking.decompress(data, column.bytes + 8)
+            if not unpacking.eof:
+                raise ValueError("more or fewer bytes than it should")
+    if len(data) != column.bytes:
+        raise ValueError(f"{len(data)} bytes, expected {column.bytes}")
+    return data
+
+
+def open_file(path: Path) -> BufferedReader:
+    """A regular file, and no pipe that would never end. Raises BrokenError."""
+    try:
+        return open_bounded(path, sys.maxsize)
+    except (FileNotFoundError, DatasetError):
+        raise BrokenError(f"{path.name}: is missing, or no file that can be read, though it is listed") from None
+
+
+def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -> ShardFile:
+    """The shard in `file`, which `path` was opened as, its layout checked. Raises BrokenError with what is wrong."""
+    size, most = os.fstat(file.fileno()).st_size, most_bytes(layout, samples)
+    if size > most:
+        raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {most} at most")
+    try:
+        index = read_index(file.fileno(), path, samples)
+    except Hdf5Error as error:
+        raise BrokenError(f"{path.name}: is damaged: {printable(error)}") from None
+    for name, stored in index.objects.items():
+        if isinstance(stored, str):
+            raise BrokenError(f"{path.name}: {short(name)[1:-1]} {stored}; only data of its own may be in a shard")
+    if odd := sorted(set(index.objects) ^ set(layout)):
+        named = ", ".join(short(name)[1:-1] for name in odd)
+        raise BrokenError(f"{path.name}: {named}: there or missing, expected just {', '.join(layout)}")
+    columns = {}
+    for name, (dtype, shape) in layout.items():
+        stored = index.objects[name]
+        assert isinstance(stored, Stored)
+        columns[name] = _column(f"{path.name}: {name}", name, stored, samples, dtype, shape, size)
+    return ShardFile(file, path.name, columns, index.attributes)
+
+
+def _column(
+    where: str, name: str, stored: Stored, samples: int, dtype: np.dtype, shape: tuple[int, ...], size: int
+) -> Column:
+    """The dataset `name`, checked. Raises BrokenError."""
+    if stored.dtype is None or stored.dtype != dtype or stored.shape != (samples, *shape):
+        raise BrokenError(
+            f"{where} is {stored.dtype or 'another type'} {stored.shape[:4]}, expected {dtype} {(samples, *shape)}: "
+            "as many samples as the manifest lists, of the grid's or the sensor's shape"
+        )
+    if stored.chunk != (1, *shape):
+        raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")
+    odd = set(stored.filters) - {DEFLATE, SHUFFLE, FLETCHER32}
+    if odd or len(set(stored.filters)) < len(stored.filters):
+        raise BrokenError(
+            f"{where} has filters {stored.filters}, expected only gzip (1), shuffle (2) and fletcher32 (3)"
+        )
+    places = stored.places[np.argsort(stored.places[:, 0], kind="stable")]
+    if not np.array_equal(places[:, 0], np.arange(len(places))) or len(places) != samples:
+        raise BrokenError(f"{where}: {len(np.unique(places[:, 0]))} of {samples} samples are stored")
+    raw = int(dtype.itemsize * math.prod(shape))
+    most = raw + raw // 100 + 1000
+    wrong = (places[:, 1:3] < 0).any(axis=1) | (places[:, 2] > np.minimum(most, size - places[:, 1]))
+    if wrong.any():
+        row, begin, length, _ = places[wrong][0].tolist()
+        raise BrokenError(f"{where}: sample {row}: {length} bytes at byte {begin} cannot be its own")
+    return Column(name, dtype, shape, stored.filters, places)
