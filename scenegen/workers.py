@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from scenegen.errors import GenerationError, GuardError, ScenegenError
+from scenegen.stopping import undone_if_stopped
 
 MOST_REPLACED = 5
 """Workers that may die in a run with limits before the rest is given up."""
@@ -67,34 +68,35 @@ def run(
     waiting = iter(tasks)
     busy: list[_Worker] = []
     replaced = 0
-    try:
-        for task in itertools.islice(waiting, workers):
-            busy.append(_Worker(function, start, limits))
-            busy[-1].give(task)
-        on_start()
-        while busy:
-            for worker in _ready(busy):
-                result = worker.take(workers)
-                if not worker.alive:
-                    busy.remove(worker)
-                    worker.end()
-                    if replaced < MOST_REPLACED:  # by now there may be threads, so this one is not forked
-                        worker = _Worker(function, "spawn", limits)
-                        busy.append(worker)
-                        replaced += 1
-                following = next(waiting, None) if worker.alive else None
-                if following is not None:
-                    worker.give(following)
-                elif worker in busy:
-                    busy.remove(worker)
-                    worker.end()
-                yield result
-        for task in waiting:
-            assert limits is not None
-            yield limits.given_up(task, "was not begun: too many before it ended badly")
-    finally:
-        for worker in busy:
-            worker.end()
+    with undone_if_stopped(lambda: _kill(busy)):
+        try:
+            for task in itertools.islice(waiting, workers):
+                busy.append(_Worker(function, start, limits))
+                busy[-1].give(task)
+            on_start()
+            while busy:
+                for worker in _ready(busy):
+                    result = worker.take(workers)
+                    if not worker.alive:
+                        busy.remove(worker)
+                        worker.end()
+                        if replaced < MOST_REPLACED:  # by now there may be threads, so this one is not forked
+                            worker = _Worker(function, "spawn", limits)
+                            busy.append(worker)
+                            replaced += 1
+                    following = next(waiting, None) if worker.alive else None
+                    if following is not None:
+                        worker.give(following)
+                    elif worker in busy:
+                        busy.remove(worker)
+                        worker.end()
+                    yield result
+            for task in waiting:
+                assert limits is not None
+                yield limits.given_up(task, "was not begun: too many before it ended badly")
+        finally:
+            for worker in busy:
+                worker.end()
 
 
 def guarded(function: Callable[[Task], Result], task: Task, *, seconds: float, memory_bytes: int) -> Result:
@@ -131,8 +133,8 @@ class _Worker:
         context: Any = multiprocessing.get_context(start)
         self.pipe, theirs = context.Pipe()
         memory = limits.memory_bytes if limits else None
-        self._process = context.Process(target=_serve, args=(function, theirs, os.getpid(), memory), daemon=True)
-        self._process.start()
+        self.process = context.Process(target=_serve, args=(function, theirs, os.getpid(), memory), daemon=True)
+        self.process.start()
         theirs.close()
         self._limits = limits
         self.alive = True
@@ -173,11 +175,19 @@ class _Worker:
 
     def end(self) -> None:
         """Whatever it is doing."""
-        self._process.terminate()
-        self._process.join(5)
-        self._process.kill()
-        self._process.join()
+        self.process.terminate()
+        self.process.join(5)
+        self.process.kill()
+        self.process.join()
         self.pipe.close()
+
+
+def _kill(busy: list[_Worker]) -> None:
+    """End all at once, for a process that ends itself next."""
+    for worker in busy:
+        worker.process.kill()
+    for worker in busy:
+        worker.process.join(1)
 
 
 def _ready(busy: list[_Worker]) -> list[_Worker]:
