@@ -3,6 +3,7 @@
 No threads, queues or locks of the parent's are involved, so that a signal may end it at any point without a deadlock.
 """
 
+import contextlib
 import itertools
 import math
 import multiprocessing
@@ -20,6 +21,8 @@ from typing import Any, Generic, TypeVar
 from scenegen.errors import GenerationError, GuardError, ScenegenError
 from scenegen.stopping import undone_if_stopped
 
+PR_SET_PDEATHSIG = 1
+"""Linux's name for it."""
 MOST_REPLACED = 5
 """Workers that may die in a run with limits before the rest is given up."""
 
@@ -216,6 +219,7 @@ def _serve(function: Callable[[Any], Any], parent: Any, parent_id: int, memory_b
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
+    _die_with_parent()
     threading.Thread(target=_watch, args=(parent_id,), daemon=True).start()
     while True:
         try:
@@ -225,6 +229,14 @@ def _serve(function: Callable[[Any], Any], parent: Any, parent_id: int, memory_b
         except Exception as error:
             answer = False, error
         parent.send(answer)
+
+
+def _die_with_parent() -> None:
+    """Have the kernel end this process when the thread that began it ends, even if it hangs in a library then."""
+    import ctypes
+
+    with contextlib.suppress(AttributeError, OSError):  # elsewhere than on Linux, `_watch` must do
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
 
 
 def _watch(parent_id: int) -> None:

@@ -24,7 +24,7 @@ def announce_compilation() -> None:
 
     trouble = cache_trouble("scenegen")
     if trouble:
-        note(f"compiling kernels, about 20 seconds, at every start: {trouble}, so they are not kept …")
+        note(f"compiling kernels, about 20 seconds; they cannot be kept: {trouble} …")
     elif not any(cache_folder("scenegen").rglob("*.nbc")):
         note("compiling kernels: once on this machine, about 20 seconds …")
 

@@ -9,7 +9,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
 
 from scenegen.stopping import undo_all
 
@@ -64,7 +63,7 @@ def noted() -> Iterator[Callable[[], bool]]:
         _noted.remove(asked)
 
 
-def _stop(number: int, frame: Any) -> None:
+def _stop(number: int, frame: object) -> None:
     if os.getpid() != _owner:  # a child that has no handlers of its own yet, or a library's: Ctrl-C is ours to answer
         if number != signal.SIGINT:
             os._exit(CODE)
