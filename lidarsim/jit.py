@@ -18,6 +18,8 @@ from typing import Any, TypeVar
 
 import numba
 
+ROOT = 0
+"""The system's own user."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -51,7 +53,7 @@ def cache_trouble(package: str) -> str:
     The cache's root and every folder from there on must be this user's or root's. Nobody else may write to them, but
     to a root such as /tmp, where each may move only what is his.
     """
-    folder, root, ours = cache_folder(package), _root(), (os.geteuid(), 0)
+    folder, root, ours = cache_folder(package), _root(), (os.geteuid(), ROOT)
     try:
         for level in reversed([folder, *folder.parents]):
             if not level.exists():

@@ -247,10 +247,10 @@ def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
         return
     needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
     there = next(place for place in (plan.folder, *plan.folder.absolute().parents) if place.exists())
-    free = shutil.disk_usage(there).free
-    if needed / 2 > free:
+    disk = shutil.disk_usage(there)
+    if needed / 2 > disk.free and disk.total:  # the system's own folders have no size; they refuse by themselves
         raise DatasetError(
-            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free; free some space, or "
+            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; free some space, or "
             "choose another disk with --out"
         )
     if plan.folder.exists() and not os.access(plan.folder, os.W_OK):
