@@ -295,11 +295,13 @@ def complete(source: Path | str, weights: str, output: Path | None, quiet: bool,
     from model.device import choose_device
     from model.predict import predict_scan, predict_split
     from scenegen.dataset.locate import locate
+    from scenegen.files import make_parent
 
     completer = Completer.from_pretrained(weights, device=choose_device(options["device"]), batch=options["batch"])
     found = locate(source, shown=not quiet)
     if found.is_dir():
         output = output or Path("predictions.h5")
+        make_parent(output)
         with Progress("complete", shown=not quiet) as progress:
             predict_split(
                 completer,
@@ -312,6 +314,7 @@ def complete(source: Path | str, weights: str, output: Path | None, quiet: bool,
             )
     else:
         output = output or found.with_suffix(".completed.h5")
+        make_parent(output)
         predict_scan(completer, found, output, sensor=options["sensor"], thresholds=Thresholds())
     if not quiet:
         say(f"written: {output}")
@@ -325,10 +328,12 @@ def export(weights: str, output: Path | None) -> None:
     from model.checkpoint import load_network
     from model.completer import locate
     from model.export import export_onnx
+    from scenegen.files import make_parent
 
     path = locate(weights)
     network, grid, about = load_network(path)
     output = output or Path(f"{Path(weights).stem}.onnx")
+    make_parent(output)
     export_onnx(network, grid, output, about=about)
     say(f"written: {output}")
 
