@@ -127,15 +127,15 @@ def file_sha256(path: Path) -> str:
 def reason(error: BaseException) -> str:
     """The first paragraph of what the Hub's client says, and who says it, in one line and without any token: a server
     may repeat what it was sent."""
-    said = printable(without_tokens(str(error).split("\n\n")[0]))
+    said = without_tokens(str(error).split("\n\n")[0])
     return f"{type(error).__name__}: {said[:300]}" if said else type(error).__name__
 
 
-def without_tokens(text: str) -> str:
-    """`text` with the user's token for the Hub, and with whatever looks like one, struck out."""
+def without_tokens(said: object) -> str:
+    """What was said, as one printable line, with the user's token for the Hub and whatever looks like one struck out."""
     from huggingface_hub import get_token
 
-    return TOKEN.sub("…", text.replace(get_token() or "\0", "…"))
+    return TOKEN.sub("…", printable(said).replace(get_token() or "\0", "…"))
 
 
 def _check_listing(repository: str, revision: str | None) -> None:
