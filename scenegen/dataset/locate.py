@@ -132,7 +132,7 @@ def reason(error: BaseException) -> str:
 
 
 def without_tokens(said: object) -> str:
-    """What was said, as one printable line, with the user's token for the Hub and whatever looks like one struck out."""
+    """What was said, as one printable line, without the user's token for the Hub and whatever else looks like one."""
     from huggingface_hub import get_token
 
     return TOKEN.sub("…", printable(said).replace(get_token() or "\0", "…"))
