@@ -3,11 +3,13 @@
 Numba keys a cached kernel on its own file alone, so a kernel that calls one in another file would go on running the
 old callee after an update. Here the cache lies in a folder named after numba's version and the content of every file
 with kernels; a constant that a kernel uses must therefore stand in such a file. The folder is made under the
-environment's SCENEGEN_CACHE, XDG_CACHE_HOME or ~/.cache, in that order.
+environment's SCENEGEN_CACHE, XDG_CACHE_HOME or ~/.cache, in that order, and used only where nobody but this user may
+write: numba unpickles what lies there.
 """
 
 import hashlib
 import os
+import stat
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -16,18 +18,16 @@ from typing import Any, TypeVar
 
 import numba
 
+ROOT = 0
+"""The system's own user."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def kernel(function: F) -> F:
     """Compile `function` on first use; keep the machine code for later processes."""
-    folder = cache_folder(function.__module__.split(".")[0])
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        kept = os.access(folder, os.W_OK)
-    except OSError:
-        kept = False  # compiled anew by every process: slower to start, but right
-    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+    package = function.__module__.split(".")[0]
+    kept = not cache_trouble(package)  # else compiled anew by every process: slower to start, but right
+    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder(package))
     try:
         return numba.njit(cache=kept, nogil=True, error_model="numpy")(function)
     finally:
@@ -43,5 +43,43 @@ def cache_folder(package: str) -> Path:
         content = path.read_bytes()
         if b"lidarsim.jit" in content:
             digest.update(content)
-    base = os.environ.get("SCENEGEN_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "scenegen" / "kernels" / f"{package}-{digest.hexdigest()[:16]}"
+    return _root() / "scenegen" / "kernels" / f"{package}-{digest.hexdigest()[:16]}"
+
+
+@cache
+def cache_trouble(package: str) -> str:
+    """Why the kernels of `package` cannot be kept; empty where they can, and the folder for them is made.
+
+    The cache's root and every folder from there on must be this user's or root's. Nobody else may write to them, but
+    to a root such as /tmp, where each may move only what is his.
+    """
+    folder, root, ours = cache_folder(package), _root(), (os.geteuid(), ROOT)
+    try:
+        for level in reversed([folder, *folder.parents]):
+            if not level.exists():
+                level.mkdir(mode=0o700, exist_ok=True)
+            if not level.is_relative_to(root):
+                continue
+            found = level.lstat()
+            if not stat.S_ISDIR(found.st_mode):
+                return f"{level} is no folder"
+            if found.st_uid not in ours:
+                return f"{level} belongs to another user"
+            if found.st_mode & 0o022 and not (level == root and found.st_mode & stat.S_ISVTX):
+                return f"others may write to {level} (chmod go-w)"
+        foreign = next((item for item in folder.rglob("*") if item.lstat().st_uid not in ours), None)
+        if foreign is not None:
+            return f"{foreign} belongs to another user"
+        return "" if os.access(folder, os.W_OK) else f"no permission to write to {folder}"
+    except OSError as error:
+        return f"{error.filename}: {error.strerror}"
+
+
+def _root() -> Path:
+    own, users = os.environ.get("SCENEGEN_CACHE"), os.environ.get("XDG_CACHE_HOME", "")
+    if own:
+        return Path(own).resolve()
+    if Path(users).is_absolute():  # a relative one is void, as its specification has it
+        return Path(users).resolve()
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111 (Path's raises where there is no home)
+    return Path(home if home.is_absolute() else os.devnull, ".cache").resolve()

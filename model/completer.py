@@ -20,7 +20,7 @@ from model.checkpoint import CheckpointError, load_network
 from model.complete import Prediction
 from model.export import load_onnx
 from model.network import Output
-from scenegen.world import one_line
+from scenegen.dataset.locate import without_tokens
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
@@ -156,4 +156,4 @@ def _fetch(name: str) -> Path:
     try:
         return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
     except Exception as error:  # its errors share no base
-        raise CheckpointError(f"{name}: cannot be fetched: {one_line(error)}") from None
+        raise CheckpointError(f"{name}: cannot be fetched: {without_tokens(error)}") from None

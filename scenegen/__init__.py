@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+TYPE_CHECKING = False  # as typing has it, which takes time to import: a command answers stops from here on
 if TYPE_CHECKING:
     from pathlib import Path
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim.jit import cache_folder
+from lidarsim.jit import cache_folder, cache_trouble
 from scenegen.dataset.manifest import installed, software
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
@@ -28,7 +28,7 @@ def examine(folder: Path = Path()) -> dict[str, Any]:
         "gpu": _gpu(),
         "cores": cores(),
         "disk_free_gb": round(usage.free / 1e9, 1),
-        "kernel_cache": str(cache_folder("scenegen").parent),
+        "kernel_cache": cache_trouble("scenegen") or str(cache_folder("scenegen").parent),
         "self_test": test,
     }
 

@@ -40,13 +40,17 @@ class StoppedError(ScenegenError):
     """The run was stopped from outside; what is finished stays."""
 
 
+def escaped(text: object) -> str:
+    """`text` with every character that is not printable, line ends included, as its escape."""
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in str(text))
+
+
 def printable(text: object) -> str:
     """`text` as one line that a terminal shows as it is: line ends become spaces, control characters become escapes.
 
     Names, keys and messages may come from a stranger's file; raw, they could print lines of their own.
     """
-    line = " ".join(str(text).split())
-    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line)
+    return escaped(" ".join(str(text).split()))
 
 
 def short(value: object) -> str:

@@ -1,20 +1,32 @@
 """Files: read only where they are regular and no larger than expected, written whole or not at all."""
 
 import errno
+import hashlib
 import os
+import re
+import secrets
 import shutil
 import socket
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from io import BufferedReader
 from pathlib import Path
+from typing import BinaryIO
 
 from scenegen.errors import DatasetError
+from scenegen.stopping import undone_if_stopped
 
 STALE_S = 24 * 3600.0
-"""Age after which a temporary file of an unknown machine counts as left behind, seconds."""
+"""Age after which a draft of another machine counts as left behind, seconds."""
+DRAFT = re.compile(
+    r"\.scenegen-(?P<said>(?P<target>\w{12})-(?P<machine>\w{12})-(?P<pid>\d{1,10})-(?P<start>\d{1,20})-\w{16})"
+    r"-(?P<digest>\w{12})\.tmp",
+    re.ASCII,
+)
+"""What drafts are called: for which name, where and by which process, a secret, and a digest of it all."""
 
 
 def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
@@ -50,28 +62,65 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
     return content
 
 
+def check_target(path: Path) -> None:
+    """Raise DatasetError unless `path` is free or a regular file: no device, pipe, folder or link is ever replaced."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise disk_error(path, error) from None
+    if stat.S_ISLNK(mode):
+        raise DatasetError(f"{path}: is a symbolic link, which would be lost; give the name of the file it leads to")
+    if not stat.S_ISREG(mode):
+        raise DatasetError(f"{path}: is not a regular file, and only such a file is replaced; give another name")
+
+
+def make_parent(path: Path) -> None:
+    """Make the folder that `path` is to stand in. Raises DatasetError where that cannot be."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise disk_error(path.parent, error) from None
+
+
 def write_whole(path: Path, content: bytes) -> None:
-    """Put `content` at `path`: complete and on disk, or not at all. Raises DatasetError where the disk refuses."""
-    with whole(path) as draft, open(draft, "wb") as file:
+    """Put `content` at `path`: complete and on disk, or not at all. Raises as `whole`."""
+    with _draft(path) as (_, file):
         file.write(content)
 
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A temporary file to write: when the block ends, it stands at `path`, complete and on disk; if it fails, nowhere.
+    """A file to write to, empty and there: when the block ends, it stands at `path`, complete and on disk; if it
+    fails, nowhere.
 
-    Raises DatasetError where the disk refuses.
+    Raises DatasetError where the disk refuses, or where `path` is neither free nor a regular file.
     """
-    draft = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}.tmp")
+    with _draft(path) as (draft, _):
+        yield draft
+
+
+@contextmanager
+def _draft(path: Path) -> Iterator[tuple[Path, BinaryIO]]:
+    """What `whole` gives, and the same file opened for writing."""
+    check_target(path)
+    draft = draft_of(path)
     try:
-        try:
-            yield draft
-            with open(draft, "rb") as file:
-                os.fsync(file.fileno())
-            draft.replace(path)
-        except BaseException:
-            draft.unlink(missing_ok=True)
-            raise
+        with undone_if_stopped(lambda: draft.unlink(missing_ok=True)):
+            handle = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+            try:
+                with open(handle, "wb") as file:
+                    yield draft, file
+                    file.flush()
+                    os.fsync(file.fileno())
+                    if not os.path.samestat(draft.lstat(), os.fstat(file.fileno())):
+                        raise DatasetError(f"{path}: somebody exchanged the file while it was written; write elsewhere")
+                check_target(path)
+                draft.replace(path)
+            except BaseException:
+                draft.unlink(missing_ok=True)
+                raise
         sync_folder(path.parent)
     except OSError as error:
         raise disk_error(path, error) from None
@@ -97,26 +146,57 @@ def disk_error(path: Path, error: OSError) -> DatasetError:
     return DatasetError(f"{path}: {advice}")
 
 
-def remove_drafts(folder: Path) -> None:
-    """Delete temporary files and folders whose writer is gone."""
-    for draft in folder.glob(".*.tmp"):
-        owner = draft.name.removesuffix(".tmp").removesuffix(".former")
-        host, _, pid = owner.rpartition(".")[2].rpartition("-")
-        if host == socket.gethostname():
-            gone = not (pid.isdigit() and _is_alive(int(pid)))
-        else:
-            gone = time.time() - draft.stat().st_mtime > STALE_S
-        if gone and draft.is_dir():
-            shutil.rmtree(draft, ignore_errors=True)
-        elif gone:
-            draft.unlink(missing_ok=True)
+def draft_of(path: Path) -> Path:
+    """A new name beside `path` that nobody can guess. It says for which name and by which process it is, so that
+    `remove_drafts` finds what this program left behind, and nothing else."""
+    pid = os.getpid()
+    said = f"{_digest(path.name)}-{_machine()}-{pid}-{_start_of(pid)}-{secrets.token_hex(8)}"
+    return path.with_name(f".scenegen-{said}-{_digest(said)}.tmp")
 
 
-def _is_alive(pid: int) -> bool:
+def remove_drafts(folder: Path, target: str | None = None) -> None:
+    """Delete drafts in `folder` that this user's scenegen made, of `target` alone if that is given, and whose writer
+    is gone: an ended process of this machine, or one of another machine that wrote nothing for `STALE_S`."""
+    for draft in folder.glob(".scenegen-*.tmp"):
+        said = DRAFT.fullmatch(draft.name)
+        if not said or said["digest"] != _digest(said["said"]) or (target and said["target"] != _digest(target)):
+            continue
+        with suppress(OSError):  # another process may be removing it
+            status = draft.lstat()
+            if status.st_uid != os.geteuid() or not _is_gone(said, status.st_mtime):
+                continue
+            if stat.S_ISDIR(status.st_mode):
+                shutil.rmtree(draft, ignore_errors=True)
+            elif stat.S_ISREG(status.st_mode):
+                draft.unlink()
+
+
+def _is_gone(said: re.Match[str], modified_s: float) -> bool:
+    """Whether the process that a draft's name tells of has ended."""
+    if said["machine"] == _machine() and _start_of(os.getpid()):
+        return _start_of(int(said["pid"])) != int(said["start"])
+    return time.time() - modified_s > STALE_S
+
+
+def _start_of(pid: int) -> int:
+    """When a process began, in clock ticks since the machine did: numbers of processes are used again. 0 for one that
+    is not there, and where nothing tells."""
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0
+    return 0 if fields[0] in "ZX" else int(fields[19])
+
+
+@cache
+def _machine() -> str:
+    """This machine, or container: where a process's number means that process."""
+    try:
+        space = str(Path("/proc/self/ns/pid").readlink())
+    except OSError:
+        space = ""
+    return _digest(f"{socket.gethostname()} {space}")
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(os.fsencode(text)).hexdigest()[:12]

@@ -3,6 +3,7 @@
 No threads, queues or locks of the parent's are involved, so that a signal may end it at any point without a deadlock.
 """
 
+import contextlib
 import itertools
 import math
 import multiprocessing
@@ -18,7 +19,10 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from scenegen.errors import GenerationError, GuardError, ScenegenError
+from scenegen.stopping import undone_if_stopped
 
+PR_SET_PDEATHSIG = 1
+"""Linux's name for it."""
 MOST_REPLACED = 5
 """Workers that may die in a run with limits before the rest is given up."""
 
@@ -67,34 +71,35 @@ def run(
     waiting = iter(tasks)
     busy: list[_Worker] = []
     replaced = 0
-    try:
-        for task in itertools.islice(waiting, workers):
-            busy.append(_Worker(function, start, limits))
-            busy[-1].give(task)
-        on_start()
-        while busy:
-            for worker in _ready(busy):
-                result = worker.take(workers)
-                if not worker.alive:
-                    busy.remove(worker)
-                    worker.end()
-                    if replaced < MOST_REPLACED:  # by now there may be threads, so this one is not forked
-                        worker = _Worker(function, "spawn", limits)
-                        busy.append(worker)
-                        replaced += 1
-                following = next(waiting, None) if worker.alive else None
-                if following is not None:
-                    worker.give(following)
-                elif worker in busy:
-                    busy.remove(worker)
-                    worker.end()
-                yield result
-        for task in waiting:
-            assert limits is not None
-            yield limits.given_up(task, "was not begun: too many before it ended badly")
-    finally:
-        for worker in busy:
-            worker.end()
+    with undone_if_stopped(lambda: _kill(busy)):
+        try:
+            for task in itertools.islice(waiting, workers):
+                busy.append(_Worker(function, start, limits))
+                busy[-1].give(task)
+            on_start()
+            while busy:
+                for worker in _ready(busy):
+                    result = worker.take(workers)
+                    if not worker.alive:
+                        busy.remove(worker)
+                        worker.end()
+                        if replaced < MOST_REPLACED:  # by now there may be threads, so this one is not forked
+                            worker = _Worker(function, "spawn", limits)
+                            busy.append(worker)
+                            replaced += 1
+                    following = next(waiting, None) if worker.alive else None
+                    if following is not None:
+                        worker.give(following)
+                    elif worker in busy:
+                        busy.remove(worker)
+                        worker.end()
+                    yield result
+            for task in waiting:
+                assert limits is not None
+                yield limits.given_up(task, "was not begun: too many before it ended badly")
+        finally:
+            for worker in busy:
+                worker.end()
 
 
 def guarded(function: Callable[[Task], Result], task: Task, *, seconds: float, memory_bytes: int) -> Result:
@@ -131,8 +136,8 @@ class _Worker:
         context: Any = multiprocessing.get_context(start)
         self.pipe, theirs = context.Pipe()
         memory = limits.memory_bytes if limits else None
-        self._process = context.Process(target=_serve, args=(function, theirs, os.getpid(), memory), daemon=True)
-        self._process.start()
+        self.process = context.Process(target=_serve, args=(function, theirs, os.getpid(), memory), daemon=True)
+        self.process.start()
         theirs.close()
         self._limits = limits
         self.alive = True
@@ -173,11 +178,19 @@ class _Worker:
 
     def end(self) -> None:
         """Whatever it is doing."""
-        self._process.terminate()
-        self._process.join(5)
-        self._process.kill()
-        self._process.join()
+        self.process.terminate()
+        self.process.join(5)
+        self.process.kill()
+        self.process.join()
         self.pipe.close()
+
+
+def _kill(busy: list[_Worker]) -> None:
+    """End all at once, for a process that ends itself next."""
+    for worker in busy:
+        worker.process.kill()
+    for worker in busy:
+        worker.process.join(1)
 
 
 def _ready(busy: list[_Worker]) -> list[_Worker]:
@@ -206,6 +219,7 @@ def _serve(function: Callable[[Any], Any], parent: Any, parent_id: int, memory_b
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
+    _die_with_parent()
     threading.Thread(target=_watch, args=(parent_id,), daemon=True).start()
     while True:
         try:
@@ -215,6 +229,14 @@ def _serve(function: Callable[[Any], Any], parent: Any, parent_id: int, memory_b
         except Exception as error:
             answer = False, error
         parent.send(answer)
+
+
+def _die_with_parent() -> None:
+    """Have the kernel end this process when the thread that began it ends, even if it hangs in a library then."""
+    import ctypes
+
+    with contextlib.suppress(AttributeError, OSError):  # elsewhere than on Linux, `_watch` must do
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
 
 
 def _watch(parent_id: int) -> None:

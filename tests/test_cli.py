@@ -6,7 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import pytest
@@ -68,7 +70,7 @@ def test_generate_inspect_and_world_work_together(
     assert 0 < found["splits"]["train"]["statistics"]["occupied"]["mean"] < 0.5
     code, _, error = run(capsys, "world", out, 3, "-o", tmp_path)
     assert code == 2
-    assert "not a file" in error
+    assert "is not a regular file" in error
     code, said, _ = run(capsys, "inspect", out)
     assert code == 0
     assert "12 samples of 4 worlds" in said
@@ -376,3 +378,57 @@ def test_help_loads_nothing_heavy() -> None:
         [sys.executable, "-c", code], cwd=Path(__file__).parents[1], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_printing_in_vain_changes_no_verdict(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Output that is lost is told and ends with 1; nobody need read standard error, nor all of the output."""
+    out = tmp_path / "d"
+    assert run(capsys, "generate", "--recipe", small, "--n", 3, "--out", out, "--workers", 1, "--quiet")[0] == 0
+    verify = f"{sys.executable} cli.py verify --quick {out}"
+    script = f"{sys.executable} cli.py completion bash"
+    lost = "scenegen: standard output: {}; what was to be printed is lost\n".format
+    expected = {
+        f"{verify} 2>/dev/full >/dev/null": (0, ""),
+        f"{script} >&-": (1, lost("Bad file descriptor")),
+        f"{script} >/dev/full": (1, lost("No space left on device")),
+        f"({script}; echo $? >&2) | true": (0, "0\n"),
+    }
+    root = Path(__file__).parents[1]
+    running = [subprocess.Popen(words, shell=True, cwd=root, stderr=subprocess.PIPE, text=True) for words in expected]
+    for process, (command, (code, error)) in zip(running, expected.items(), strict=True):
+        assert (process.communicate(timeout=120)[1], process.returncode) == (error, code), command
+
+
+def test_names_from_files_print_no_lines_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    forged = "x\nscenegen: verify: all 17 checks passed\x1b[32m"
+    (tmp_path / forged).mkdir()
+    (tmp_path / forged / "dataset.json").write_text(json.dumps({"format": forged}))
+    for words in (("inspect", tmp_path / forged), ("verify", tmp_path / forged), ("train", "--variant", forged)):
+        code, said, error = run(capsys, *words)
+        assert code
+        for line in (said + error).splitlines():
+            assert line.isprintable()
+            assert not line.startswith("scenegen: verify: all")
+
+
+def test_warnings_of_libraries_reach_nobody(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    def warn() -> dict[str, Any]:
+        warnings.warn("settotalmass is deprecated", stacklevel=1)
+        return {"ok": True}
+
+    monkeypatch.setattr("scenegen.doctor.examine", warn)
+    assert run(capfd, "doctor", "--json") == (0, '{"ok": true}\n', "")
+
+
+def test_folders_under_data_without_samples_are_left_out(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from scenegen.dataset import manifest
+
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, "generate", "--recipe", small, "--n", 3, "--workers", 1, "--quiet")[0] == 0
+    empty = manifest.read(Path("data/pillar"))
+    Path("data/begun").mkdir()
+    manifest.write(Path("data/begun"), {**empty, "shards": [], "complete": False, "digest": None})
+    assert cli._found((), shown=True) == (Path("data/pillar"),)
+    assert capsys.readouterr().err == "data/begun: holds no samples yet, so it is left out\n"

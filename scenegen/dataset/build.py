@@ -20,6 +20,7 @@ from scenegen.files import disk_error, remove_drafts
 from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS
 from scenegen.recipe import Recipe
 from scenegen.source import Source
+from scenegen.stopping import undone_if_stopped
 from scenegen.workers import run
 
 FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
@@ -136,25 +137,28 @@ def build(
     Raises DatasetError for a folder that holds something else, and what writing shards raises.
     """
     first, stop = shard_range or (0, len(plan.shards))
-    _open_folder(plan, force=force)
-    known = {entry["file"]: entry for entry in manifest.read(plan.folder)["shards"]}
-    reports = _look(plan, known, {}, verify=True)
-    for report in reports.values():
-        on_shard(report, False)
+    check_folder(plan, force=force)
+    begun = _is_begun(plan)
+    known = {entry["file"]: entry for entry in manifest.read(plan.folder)["shards"]} if begun else {}
+    reports = _look(plan, known, {}, verify=True) if begun else {}
     missing = [shard for shard in plan.shards[first:stop] if shard.file not in reports]
     _check_space(plan, missing)
-    written = 0
-    # kernels compile here, once, and hopeless parameters end here, before workers start
-    if len(missing) > 1 and workers > 1:
+    # kernels compile here, once, before workers start, and hopeless parameters end here, before anything is written
+    if missing and (not begun or (len(missing) > 1 and workers > 1)):
         _first_unit(missing[0])
-    try:
-        with closing(run(write_shard, missing, workers, on_start)) as results:
-            for report in results:
-                reports[plan.folder / report.file] = report
-                written += report.samples
-                on_shard(report, True)
-    finally:
-        remove_drafts(plan.folder)
+    _open_folder(plan, force=force)
+    for report in reports.values():
+        on_shard(report, False)
+    written = 0
+    with undone_if_stopped(lambda: remove_drafts(plan.folder)):
+        try:
+            with closing(run(write_shard, missing, workers, on_start)) as results:
+                for report in results:
+                    reports[plan.folder / report.file] = report
+                    written += report.samples
+                    on_shard(report, True)
+        finally:
+            remove_drafts(plan.folder)
     late = _look(plan, known, reports)
     while True:  # other runs may write shards meanwhile, and manifests: look again after every one of ours
         reports |= late
@@ -216,6 +220,14 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
         )
 
 
+def _is_begun(plan: Plan) -> bool:
+    """Whether the plan's folder holds a manifest of this dataset."""
+    if not (plan.folder / manifest.NAME).exists():
+        return False
+    there = manifest.read(plan.folder)
+    return not manifest.differences(manifest.completed(there), plan.parameters)
+
+
 def _open_folder(plan: Plan, *, force: bool) -> None:
     """Make the folder ready for the plan's shards. Nothing in it is touched unless it is this dataset's or `force`."""
     check_folder(plan, force=force)
@@ -225,11 +237,7 @@ def _open_folder(plan: Plan, *, force: bool) -> None:
         remove_drafts(folder)
     except OSError as error:
         raise disk_error(folder, error) from None
-    if (folder / manifest.NAME).exists():
-        there = manifest.read(folder)
-        same = not manifest.differences(manifest.completed(there), plan.parameters)
-    else:
-        same = False
+    same = _is_begun(plan)  # anew: another job may have begun it meanwhile
     if not same:
         # the new manifest comes first: shards that carry another fingerprint are not taken for its own
         manifest.write(folder, manifest.assemble(plan.parameters, [], complete=False))
@@ -250,13 +258,14 @@ def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
     if not missing:
         return
     needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
-    free = shutil.disk_usage(plan.folder).free
-    if needed / 2 > free:
+    there = next(place for place in (plan.folder, *plan.folder.absolute().parents) if place.exists())
+    disk = shutil.disk_usage(there)
+    if needed / 2 > disk.free and disk.total:  # the system's own folders have no size; they refuse by themselves
         raise DatasetError(
-            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free; free some space, or "
+            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; free some space, or "
             "choose another disk with --out"
         )
-    if not os.access(plan.folder, os.W_OK):
+    if plan.folder.exists() and not os.access(plan.folder, os.W_OK):
         raise DatasetError(f"{plan.folder}: no permission to write there; choose another folder with --out")
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import os
 import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -9,12 +10,16 @@ from pathlib import Path
 
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import check_manifest
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, printable
 from scenegen.limits import MOST_MANIFEST_BYTES
+
+os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # read when the Hub's client is imported, which is later
 
 SCHEME = "hf://"
 REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
 REVISION = re.compile(r"[A-Za-z0-9][\w./-]{0,249}", re.ASCII)
+TOKEN = re.compile(r"hf_(?:jwt_|oauth_)?[A-Za-z0-9][A-Za-z0-9.~+/=-]{7,}")
+"""What a token for the Hub looks like."""
 TIMEOUT_S = 20.0
 """After which a silent Hub counts as out of reach, seconds."""
 
@@ -120,9 +125,17 @@ def file_sha256(path: Path) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """The first line of what the Hub's client says, and who says it, in one line."""
-    said = " ".join(str(error).split("\n\n")[0].split())
+    """The first paragraph of what the Hub's client says, and who says it, in one line and without any token: a server
+    may repeat what it was sent."""
+    said = without_tokens(str(error).split("\n\n")[0])
     return f"{type(error).__name__}: {said[:300]}" if said else type(error).__name__
+
+
+def without_tokens(said: object) -> str:
+    """What was said, as one printable line, without the user's token for the Hub and whatever else looks like one."""
+    from huggingface_hub import get_token
+
+    return TOKEN.sub("…", printable(said).replace(get_token() or "\0", "…"))
 
 
 def _check_listing(repository: str, revision: str | None) -> None:

@@ -4,15 +4,15 @@ import contextlib
 import json
 import os
 import shutil
-import socket
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from scenegen.dataset import manifest
 from scenegen.dataset.locate import file_sha256
-from scenegen.errors import PublishError
-from scenegen.files import disk_error, remove_drafts, sync_folder, write_whole
+from scenegen.errors import DatasetError, PublishError
+from scenegen.files import disk_error, draft_of, remove_drafts, sync_folder, write_whole
+from scenegen.stopping import undone_if_stopped
 
 SUMS = "SHA256SUMS"
 """Digest and name of every other file, as sha256sum writes and checks them."""
@@ -25,17 +25,23 @@ def check_out(dataset: Path, out: Path) -> None:
     there, here = out.resolve(), dataset.resolve()
     if there == here or there.is_relative_to(here) or here.is_relative_to(there):
         raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
+    _check_foreign(out)
+
+
+def _check_foreign(out: Path) -> None:
     foreign = sorted(foreign_files(out))
     if foreign:
         raise PublishError(f"--out {out}: holds {foreign[0]}, which publish did not put there; choose another folder")
 
 
 def foreign_files(out: Path) -> set[str]:
-    """What is in `out`, a folder of a former run or none, that its own list does not name."""
+    """What is in `out`, a folder of a former run or none, that its own list does not name; all of it where no former
+    run made the folder."""
     if not out.is_dir():
         return set()
-    there = {str(path.relative_to(out)) for path in out.rglob("*") if not path.is_dir()}
-    with contextlib.suppress(OSError, UnicodeDecodeError):
+    there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_symlink() or not path.is_dir()}
+    with contextlib.suppress(DatasetError, OSError, UnicodeDecodeError):
+        manifest.read(out)
         there -= {line.partition("  ")[2] for line in (out / SUMS).read_text(encoding="utf-8").splitlines()}
         there.discard(SUMS)
     return there
@@ -45,29 +51,32 @@ def foreign_files(out: Path) -> set[str]:
 def drafted(out: Path) -> Iterator[Path]:
     """A folder to fill, which takes the place of `out` once all went well, and vanishes otherwise.
 
-    Raises DatasetError where the disk refuses.
+    Raises DatasetError where the disk refuses, PublishError where something foreign came into `out` meanwhile.
     """
-    draft = out.with_name(f".{out.name}.{socket.gethostname()}-{os.getpid()}.tmp")
-    former = draft.with_name(draft.name.removesuffix(".tmp") + ".former.tmp")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        remove_drafts(out.parent)
-        for stale in (draft, former):
-            shutil.rmtree(stale, ignore_errors=True)
-        draft.mkdir()
-        yield draft
-        sync_folder(draft)
-        if out.exists():
-            out.rename(former)
-        draft.rename(out)
-        sync_folder(out.parent)
-    except OSError as error:
-        raise disk_error(Path(error.filename or out), error) from None
-    finally:
+    draft, former = draft_of(out), draft_of(out)
+
+    def clear() -> None:
         if former.exists() and not out.exists():
             former.rename(out)
         for stale in (draft, former):
             shutil.rmtree(stale, ignore_errors=True)
+
+    with undone_if_stopped(clear):
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            remove_drafts(out.parent, out.name)
+            draft.mkdir()
+            yield draft
+            sync_folder(draft)
+            _check_foreign(out)
+            if out.exists():
+                out.rename(former)
+            draft.rename(out)
+            sync_folder(out.parent)
+        except OSError as error:
+            raise disk_error(Path(error.filename or out), error) from None
+        finally:
+            clear()
 
 
 def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:

@@ -1,6 +1,7 @@
 """The recipe and the command that make a dataset again, from its manifest alone, and the check that they do."""
 
 import shlex
+import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,7 @@ from scenegen.dataset.shard import stored_fields
 from scenegen.errors import PublishError, RecipeError
 from scenegen.recipe import read_recipe
 from scenegen.source import DrawnWorlds
+from scenegen.stopping import undone_if_stopped
 
 RECIPE = "recipe.toml"
 _NOT_OURS = ("software", "format", "version")
@@ -50,7 +52,7 @@ def check_recipe(found: Mapping[str, Any], text: str) -> None:
 
     Raises PublishError where this version would make another dataset of it.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
         path = Path(folder, RECIPE)
         path.write_text(text, encoding="utf-8")
         try:

@@ -34,7 +34,7 @@ def upload(staged: Staged, *, private: bool = False, shown: bool = False) -> str
     Raises PublishError.
     """
     check_token()
-    from huggingface_hub import HfApi, get_token
+    from huggingface_hub import HfApi
 
     api = HfApi(library_name="scenegen", library_version=__version__)
     try:
@@ -43,7 +43,7 @@ def upload(staged: Staged, *, private: bool = False, shown: bool = False) -> str
     except ScenegenError:
         raise
     except Exception as error:  # whatever the Hub's client or the network beneath it raises
-        raise PublishError(_explain(staged, error).replace(get_token() or "\0", "…")) from None
+        raise PublishError(_explain(staged, error)) from None
 
 
 def _send(api: Any, staged: Staged, private: bool) -> str:

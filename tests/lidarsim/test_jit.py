@@ -50,6 +50,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     cache_folder.cache_clear()
+    jit.cache_trouble.cache_clear()
     yield folder
     forget()
 
@@ -59,6 +60,7 @@ def forget() -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == "kernelled"]:
         del sys.modules[name]
     cache_folder.cache_clear()
+    jit.cache_trouble.cache_clear()
     importlib.invalidate_caches()
 
 
@@ -138,6 +140,59 @@ def test_the_cache_lies_where_the_environment_says(package: Path, monkeypatch: p
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(at))
     assert folder_now().is_relative_to(at / ".cache")
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # as its specification says, void
+    assert folder_now().is_relative_to(at / ".cache")
+
+
+@pytest.mark.parametrize("level", ["", "scenegen", "scenegen/kernels", "scenegen/kernels/{name}"])
+@pytest.mark.parametrize("what", ["open to others", "another user's", "a link"])
+def test_kernels_are_not_taken_from_where_others_may_write(
+    level: str, what: str, package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = np.arange(4.0)
+    assert fresh("caller").summed(values) == 12.0
+    root = package.parent / "cache"
+    place = root / level.format(name=folder_now().name)
+    if what == "open to others":
+        place.chmod(0o777)
+    elif what == "a link":
+        place.rename(package.parent / "moved")
+        place.symlink_to(package.parent / "moved")
+    else:
+        monkeypatch.setattr(jit.os, "geteuid", lambda: 54321)
+        monkeypatch.setattr(jit, "ROOT", 54322)
+    again = fresh("caller")
+    assert again.summed(values) == 12.0
+    trouble = jit.cache_trouble("kernelled")
+    if level == "" and what == "a link":  # the root's own name may be one
+        assert trouble == ""
+        return
+    assert str(place if what != "another user's" else root) in trouble
+    assert sum(again.summed.stats.cache_hits.values()) == 0
+    if what == "open to others":
+        place.chmod(0o755)
+        again = fresh("caller")
+        assert (again.summed(values), jit.cache_trouble("kernelled")) == (12.0, "")
+        assert sum(again.summed.stats.cache_hits.values()) == 1
+
+
+def test_the_cache_is_made_for_its_user_alone(package: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert fresh("callee").scaled(3.0) == 6.0
+    finally:
+        os.umask(before)
+    folder = folder_now()
+    levels = [folder, *(level for level in folder.parents if level.is_relative_to(package.parent / "cache"))]
+    assert len(levels) == 4
+    assert {level.stat().st_mode & 0o777 for level in levels} == {0o700}
+
+
+def test_a_root_that_all_may_write_to_but_nobody_may_move_in_serves(package: Path) -> None:
+    (package.parent / "cache").mkdir()
+    (package.parent / "cache").chmod(0o1777)  # like /tmp
+    folder_now()
+    assert jit.cache_trouble("kernelled") == ""
 
 
 def test_kernels_work_where_nothing_can_be_kept(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:

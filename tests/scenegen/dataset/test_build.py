@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from scenegen import GENERATOR, SPLITS
+from scenegen.dataset import build as module
 from scenegen.dataset import manifest
 from scenegen.dataset.build import Plan, Summary, build, plan_dataset
 from scenegen.dataset.read import Dataset
@@ -272,7 +273,26 @@ def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path: Path) -> None:
     hopeless = small_recipe(accept={"min_solids": 1e6, "max_draws": 1})
     with pytest.raises(GenerationError):
         make(tmp_path / "d", recipe=hopeless)
-    assert make(tmp_path / "d").complete
+    assert not (tmp_path / "d").exists()
+    before = make(tmp_path / "d")
+    with pytest.raises(GenerationError):
+        build(plan(tmp_path / "d", recipe=hopeless), force=True)
+    assert make(tmp_path / "d").samples_written == 0 < before.samples_written
+
+
+def test_another_job_that_begins_meanwhile_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = plan(tmp_path / "d")
+    original = module._first_unit
+
+    def overtaken(shard: Any) -> None:
+        original(shard)
+        monkeypatch.setattr(module, "_first_unit", original)
+        assert build(parts, shard_range=(1, len(parts.shards))).samples_written
+
+    monkeypatch.setattr(module, "_first_unit", overtaken)
+    found = build(parts, shard_range=(0, 1))
+    assert found.complete
+    assert found.samples_written == parts.shards[0].samples
 
 
 def test_more_files_than_five_digits_number_are_refused(tmp_path: Path) -> None:
@@ -389,14 +409,12 @@ def test_a_refusing_disk_ends_in_one_line_and_loses_nothing(
 
 
 def test_too_small_a_disk_is_noticed_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 10})())
+    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 10, "total": 20})())
     with pytest.raises(DatasetError, match="MB are free"):
         make(tmp_path / "d")
 
 
 def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from scenegen.dataset import build as module
-
     def die_on_test_worlds(spec: Any) -> Any:
         if spec.split == "test":
             os.kill(os.getpid(), 9)

@@ -2,17 +2,20 @@
 
 import json
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from model.completer import locate as locate_network
 from scenegen import load
 from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, ScenegenError
 from scenegen.publish.run import publish
 from scenegen.publish.stage import Request
-from tests.scenegen.hub import Hub, Repository
+from tests.scenegen.hub import TOKEN, Hub, Repository
 
 NAME = "hf://ada/small-pillars"
 
@@ -120,3 +123,27 @@ def test_a_manifest_of_gigabytes_is_not_even_downloaded(
     with pytest.raises(DatasetError, match="that is no manifest of ours"):
         locate(NAME)
     assert not [line for line in hub.log if "/resolve/" in line]
+
+
+@pytest.mark.parametrize("token", [TOKEN, "hf_" + "Ab1" * 11, "hf_jwt_eyJhbGciOi.eyJzdWIi.c2ln", "an-older-form"])
+def test_no_token_is_ever_told(token: str, hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even where a server repeats it; nor does what it says reach a terminal raw."""
+    import huggingface_hub
+
+    def refuse(*args: object, **options: object) -> None:
+        raise RuntimeError(f"Bearer {token}\rgot\x1b[2J {token}x")
+
+    monkeypatch.setenv("HF_TOKEN", token)
+    for name in ("snapshot_download", "hf_hub_download"):
+        monkeypatch.setattr(huggingface_hub, name, refuse)
+    monkeypatch.setattr(huggingface_hub.HfApi, "dataset_info", refuse)
+    for look in (locate, locate_network):
+        with pytest.raises(ScenegenError, match="Bearer …") as refused:
+            look(NAME)
+        assert token not in str(refused.value)
+        assert str(refused.value).isprintable()
+
+
+def test_the_hubs_client_tells_nobody_that_it_runs() -> None:
+    code = "import scenegen.dataset.locate, huggingface_hub.constants as c; assert c.HF_HUB_DISABLE_TELEMETRY"
+    subprocess.run([sys.executable, "-c", code], check=True)

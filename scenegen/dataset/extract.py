@@ -1,0 +1,63 @@
+"""One world out of a dataset, as files that MuJoCo opens: the document, and what it refers to in a folder beside it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+from scenegen.errors import DatasetError
+from scenegen.files import disk_error, make_parent, read_bounded, write_whole
+from scenegen.limits import MOST_ASSET_BYTES
+
+DOCUMENT = "world.xml"
+"""What `Dataset.world` calls the document."""
+FOLDERS = ("assetdir", "meshdir", "texturedir")
+
+
+def write_extracted(files: Mapping[str, bytes], output: Path) -> None:
+    """Write a world, as `Dataset.world` gives it, to `output`.
+
+    The document goes there as it is archived. If it refers to other files, these go into a folder of their own,
+    `output`'s name with ``.files`` for its ending, and the document says so. In that folder nothing is replaced.
+    Raises DatasetError.
+    """
+    document = files[DOCUMENT]
+    others = {name: content for name, content in files.items() if name != DOCUMENT}
+    make_parent(output)
+    if others:
+        folder = output.with_suffix(".files")
+        document = _referring(document, folder.name, output)
+        _add(others, folder)
+    write_whole(output, document)
+
+
+def _referring(document: bytes, folder: str, output: Path) -> bytes:
+    """`document` with its files in `folder`."""
+    try:
+        root = ElementTree.fromstring(document)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise DatasetError(f"{output}: the archived world is no XML ({error}); verify the dataset") from None
+    for compiler in root.iter("compiler"):
+        for name in FOLDERS:
+            compiler.attrib.pop(name, None)
+    root.insert(0, ElementTree.Element("compiler", {"assetdir": folder}))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root) + b"\n"
+
+
+def _add(files: Mapping[str, bytes], folder: Path) -> None:
+    """Put `files` into `folder`, where they may be already."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise disk_error(folder, error) from None
+    absent = {}
+    for name, content in files.items():
+        try:
+            there = read_bounded(folder / name, MOST_ASSET_BYTES)
+        except FileNotFoundError:
+            absent[name] = content
+            continue
+        if there != content:
+            raise DatasetError(f"{folder / name}: is there and another file; give another -o")
+    for name, content in absent.items():
+        write_whole(folder / name, content)

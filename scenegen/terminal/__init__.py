@@ -1,0 +1,1 @@
+"""The terminal: what is printed there, and how a command ends, stops included. It knows no command."""

@@ -1,0 +1,74 @@
+"""A world taken out of a dataset is what it was in there, and nothing of the user's is replaced for it."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from scenegen.dataset.extract import DOCUMENT, write_extracted
+from scenegen.errors import DatasetError
+from scenegen.world import load_scene
+
+SCENE = """
+<mujoco>
+  <compiler meshdir="meshes" angle="radian"/>
+  <asset><mesh name="m" file="m.obj"/><hfield name="h" file="h.png" size="2 2 1 0.1"/></asset>
+  <worldbody>
+    <geom type="mesh" mesh="m" pos="0 0 2" euler="0.1 0.2 0.3"/><geom type="hfield" hfield="h" pos="4 0 0"/>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, bytes]:
+    """A world with a mesh and a height field, as `Dataset.world` gives it."""
+    from scenegen.publish.pictures import to_png
+
+    (tmp_path / "scene" / "meshes").mkdir(parents=True)
+    (tmp_path / "scene" / "scene.xml").write_text(SCENE)
+    trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "scene" / "meshes" / "m.obj")
+    heights = np.random.default_rng(0).integers(0, 255, (8, 8, 1), dtype=np.uint8)
+    (tmp_path / "scene" / "meshes" / "h.png").write_bytes(to_png(np.repeat(heights, 3, axis=2)))
+    document, assets = load_scene(tmp_path / "scene" / "scene.xml")
+    return {DOCUMENT: document, **assets}
+
+
+def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(
+    files: dict[str, bytes], tmp_path: Path
+) -> None:
+    output = tmp_path / "new" / "my world.xml"
+    for _ in range(2):  # what is there already, and the same, is no hindrance
+        write_extracted(files, output)
+    assert {path.name for path in output.parent.iterdir()} == {"my world.xml", "my world.files"}
+    assert {path.name for path in output.with_suffix(".files").iterdir()} == files.keys() - {DOCUMENT}
+    assets = {name: content for name, content in files.items() if name != DOCUMENT}
+    archived = mujoco.MjModel.from_xml_string(files[DOCUMENT].decode(), assets)
+    taken = mujoco.MjModel.from_xml_path(str(output))
+    for name in ("geom_pos", "geom_quat", "geom_size", "mesh_vert", "mesh_face", "hfield_data", "hfield_size"):
+        np.testing.assert_array_equal(getattr(archived, name), getattr(taken, name), strict=True)
+
+
+def test_what_stands_beside_the_output_is_left_alone(files: dict[str, bytes], tmp_path: Path) -> None:
+    """Archived files may have any name, such as that of the user's script."""
+    (tmp_path / "train.py").write_text("mine")
+    write_extracted({**files, "train.py": b"theirs"}, tmp_path / "world.xml")
+    assert (tmp_path / "train.py").read_text() == "mine"
+    assert (tmp_path / "world.files" / "train.py").read_bytes() == b"theirs"
+    (tmp_path / "world.files" / "train.py").write_text("mine")
+    (tmp_path / "world.xml").write_text("mine")
+    with pytest.raises(DatasetError, match=r"train.py: is there and another file; give another -o"):
+        write_extracted({**files, "train.py": b"theirs"}, tmp_path / "world.xml")
+    assert (tmp_path / "world.files" / "train.py").read_text() == "mine"
+    assert (tmp_path / "world.xml").read_text() == "mine"
+    (tmp_path / "other.files").write_text("mine")
+    with pytest.raises(DatasetError, match="choose another place"):
+        write_extracted(files, tmp_path / "other.xml")
+
+
+def test_a_world_of_geoms_alone_is_written_as_it_is_archived(tmp_path: Path) -> None:
+    write_extracted({DOCUMENT: b"<mujoco/>"}, tmp_path / "a.xml")
+    assert (tmp_path / "a.xml").read_bytes() == b"<mujoco/>"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.xml"]

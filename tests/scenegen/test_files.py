@@ -1,0 +1,147 @@
+"""Files are written whole or not at all, replace nothing but regular files, and are cleaned up by their owner alone."""
+
+import os
+import re
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from scenegen import files
+from scenegen.errors import DatasetError
+from scenegen.files import check_target, draft_of, make_parent, remove_drafts, whole, write_whole
+from scenegen.stopping import undo_all
+
+
+def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path: Path) -> None:
+    for content in (b"first", b"second"):
+        write_whole(tmp_path / "a", content)
+        assert (tmp_path / "a").read_bytes() == content
+    with whole(tmp_path / "b") as draft:
+        draft.write_bytes(b"by name")
+        assert not (tmp_path / "b").exists()
+    assert (tmp_path / "b").read_bytes() == b"by name"
+    with pytest.raises(KeyError), whole(tmp_path / "a") as draft:  # noqa: PT012
+        draft.write_bytes(b"half")
+        raise KeyError
+    assert (tmp_path / "a").read_bytes() == b"second"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+    make_parent(tmp_path / "c" / "d" / "e")
+    write_whole(tmp_path / "c" / "d" / "e", b"")
+    with pytest.raises(DatasetError, match="choose another place"):
+        make_parent(tmp_path / "a" / "x" / "y")
+
+
+def test_only_regular_files_are_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "target").write_bytes(b"mine")
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    (tmp_path / "nowhere").symlink_to(tmp_path / "absent")
+    before = {path.name: path.lstat().st_mode for path in tmp_path.iterdir()}
+    for name in ("pipe", "folder", "link", "nowhere"):
+        with pytest.raises(DatasetError, match=r"is not a regular file|is a symbolic link") as refused:
+            write_whole(tmp_path / name, b"content")
+        assert "\n" not in str(refused.value)
+        with pytest.raises(DatasetError), whole(tmp_path / name):
+            raise AssertionError("work for nothing")
+    for device in ("/dev/null", "/dev/full"):
+        with pytest.raises(DatasetError, match="is not a regular file"):
+            check_target(Path(device))
+    assert {path.name: path.lstat().st_mode for path in tmp_path.iterdir()} == before
+    assert (tmp_path / "target").read_bytes() == b"mine"
+
+
+def test_a_pipe_put_there_meanwhile_is_not_replaced_either(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="is not a regular file"), whole(tmp_path / "a"):
+        os.mkfifo(tmp_path / "a")
+    assert stat.S_ISFIFO((tmp_path / "a").lstat().st_mode)
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_draft_is_never_somebody_elses_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {draft_of(tmp_path / "a").name for _ in range(100)}
+    assert len(names) == 100
+    assert len({re.split("-", name)[5] for name in names}) == 100
+    planted, victim = tmp_path / ".scenegen-guessed.tmp", tmp_path / "victim"
+    victim.write_bytes(b"mine")
+    planted.symlink_to(victim)
+    monkeypatch.setattr(files, "draft_of", lambda path: planted)
+    with pytest.raises(DatasetError):
+        write_whole(tmp_path / "a", b"content")
+    assert planted.is_symlink()
+    assert victim.read_bytes() == b"mine"
+    monkeypatch.undo()
+    with pytest.raises(DatasetError, match="exchanged"), whole(tmp_path / "a") as draft:  # noqa: PT012
+        draft.unlink()
+        draft.symlink_to(victim)
+    assert victim.read_bytes() == b"mine"
+    assert not (tmp_path / "a").exists()
+
+
+def left_behind(folder: Path, *, content: bytes | None = b"half") -> Path:
+    """A draft, or a folder, of a process that has ended."""
+    code = (
+        f"from pathlib import Path; from scenegen.files import draft_of; print(draft_of(Path({str(folder / 'a')!r})))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    if content is None:
+        Path(said).mkdir()
+        (Path(said) / "within").write_bytes(b"half")
+    else:
+        Path(said).write_bytes(content)
+    return Path(said)
+
+
+def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Among the rest are drafts as they were called once, of whatever age."""
+    gone, gone_folder = left_behind(tmp_path), left_behind(tmp_path, content=None)
+    kept = [draft_of(tmp_path / "a")]  # of this process, which lives
+    kept += [tmp_path / name for name in (".mine.tmp", ".notes.host-1.tmp", ".a.host-999999.former.tmp", "x.tmp")]
+    kept.append(gone.with_name(gone.name.replace(".tmp", "0.tmp")))
+    kept.append(gone.with_name(re.sub(r"\d+-\w{16}-", "1-0123456789abcdef-", gone.name)))  # its digest is wrong
+    for path in kept:
+        path.write_bytes(b"")
+        os.utime(path, (0, 0))
+    (tmp_path / ".work.tmp").mkdir()
+    (tmp_path / ".work.tmp" / "thesis").write_bytes(b"")
+    os.utime(tmp_path / ".work.tmp", (0, 0))
+    link = left_behind(tmp_path)
+    link.unlink()
+    link.symlink_to(tmp_path / "x.tmp")
+    remove_drafts(tmp_path, "b")
+    assert gone.exists(), "of another target"
+    remove_drafts(tmp_path, "a")
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in (*kept, link)} | {".work.tmp"}
+    assert not gone_folder.exists()
+
+
+def test_a_process_number_in_use_again_and_other_machines_are_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_start_of", lambda pid: 12345)  # a former process of this number
+        reused = draft_of(tmp_path / "a")
+    reused.write_bytes(b"")
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_machine", lambda: "0123456789ab")
+        elsewhere, long_ago = draft_of(tmp_path / "a"), draft_of(tmp_path / "a")
+    elsewhere.write_bytes(b"")
+    long_ago.write_bytes(b"")
+    os.utime(long_ago, (time.time(), time.time() - files.STALE_S - 60))
+    remove_drafts(tmp_path)
+    assert list(tmp_path.iterdir()) == [elsewhere]
+
+
+def test_a_stop_removes_what_is_being_written(tmp_path: Path) -> None:
+    write_whole(tmp_path / "a", b"whole")
+    undo_all()
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    with pytest.raises(DatasetError), whole(tmp_path / "a"):  # noqa: PT012
+        undo_all()
+        assert [path.name for path in tmp_path.iterdir()] == ["a"]
