@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.parameters import check, number
 from model.bench.difficulty import describe
 from model.bench.methods import Method
 from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
@@ -35,13 +36,16 @@ class BenchConfig:
     """The split that is measured; calibration looks at val."""
     samples: int | None = None
     """At most this many of the split's samples, evenly spread; None for all."""
-    trials: int = 2000
+    trials: int = number(2000, least=1, whole=True)
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
-    seed: int = 0
+    seed: int = number(0, least=0, whole=True)
     """Of goals, bootstraps and permutations."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     reconstruction: ReconstructionConfig = field(default_factory=ReconstructionConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,8 +9,9 @@ import torch
 from lidarsim import GridSpec
 from model.checkpoint import CheckpointError
 from model.completer import Completer
-from model.export import RUNTIMES, export_onnx, load_onnx
+from model.export import export_onnx
 from model.network import Network, NetworkConfig
+from model.runtime import RUNTIMES, load_onnx
 
 GRID = GridSpec(shape=(16, 24, 8))
 pytest.importorskip("onnxscript")
