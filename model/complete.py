@@ -86,8 +86,9 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
             raise PredictionError(f"{who}: {name} holds {values.dtype}, expected float32")
         low, high = float(values.min()), float(values.max())  # NaN, if any voxel holds it
         if not (low >= 0 and high <= most and high < np.inf):
-            wrong = low if not low >= 0 else high
-            raise PredictionError(f"{who}: {name} holds {wrong:g}, expected {what} in every voxel")
+            wrong = low if low < 0 else high
+            held = f"{wrong:g}" if np.isfinite(wrong) else "NaN or infinity"
+            raise PredictionError(f"{who}: {name} holds {held}, expected {what} in every voxel")
     return found
 
 

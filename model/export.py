@@ -35,7 +35,7 @@ def export_onnx(network: Network, grid: GridSpec, path: Path, *, about: dict[str
     Raises CheckpointError for a name that does not end in .onnx, and where onnx is not installed; DatasetError where
     the disk refuses.
     """
-    if path.suffix != ".onnx":
+    if path.suffix != ".onnx":  # by its name it is read again, too
         raise CheckpointError(f"{path}: networks are exported as ONNX; give a name that ends in .onnx")
     try:
         import onnx

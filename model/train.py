@@ -4,6 +4,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -30,7 +31,7 @@ from model.provenance import commit, versions
 from model.runfolder import Progress, RunFolder
 from model.validate import validate
 from scenegen.errors import DatasetError, StoppedError
-from scenegen.limits import MOST_BATCH
+from scenegen.limits import MOST_BATCH, MOST_EPOCHS
 
 SAVE_EVERY_S = 60.0
 """How much work a kill may cost, seconds."""
@@ -43,7 +44,7 @@ class TrainConfig:
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: LossConfig = field(default_factory=LossConfig)
-    epochs: int = number(100, least=1, whole=True)
+    epochs: int = number(100, least=1, most=MOST_EPOCHS, whole=True)
     """At most; the learning rate falls to 0 by the last (ours)."""
     batch: int = number(8, least=1, most=MOST_BATCH, whole=True)
     """Maps a step, over all devices (ours)."""
@@ -92,12 +93,12 @@ def train(
     *,
     device: str = "auto",
     workers: int = 0,
-    resume: bool = False,
     command: str = "",
     watcher: Watcher | None = None,
 ) -> list[dict[str, float]]:
     """Train on the train splits of `folders`, validate on their val splits, keep the best network in `out`.
 
+    A run with the same settings that `out` holds already goes on where it was; one that is finished stays as it is.
     Under ``torchrun`` every process takes its part of each batch. Returns the figures of every epoch. Raises
     DatasetError, CheckpointError, TrainingError, and StoppedError when `watcher` asks to stop; whatever is raised, the
     last good state stays in `out`.
@@ -105,7 +106,7 @@ def train(
     watcher = watcher or Watcher()
     where = choose_device(device)
     group = Group(where)
-    with group:
+    with group, closing(RunFolder(out)) as folder:
         maps, checks = Maps(folders, "train"), Maps(folders, "val")
         check_maps(maps, checks, config, group.size)
         precision = resolve_precision(config.precision, where)
@@ -114,12 +115,11 @@ def train(
         optimizer = torch.optim.AdamW(network.parameters(), lr=config.lr, weight_decay=config.weight_decay)
         settings = describe(maps, config, precision)
         about = {"command": command, "commit": commit(), "versions": versions(), "device": device_name(where)}
-        folder = RunFolder(out)
-        group.first_alone(lambda: folder.open({"settings": settings, **about}, resume=resume))
+        group.first_alone(lambda: folder.open({"settings": settings, **about}))
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, where, precision, group)
         steps = len(epoch_batches(maps, batch=config.batch, seed=config.seed, epoch=0))
-        saved, stopped = time.monotonic(), f"stopped; the same command with --resume goes on with {out}"
+        saved, stopped = time.monotonic(), f"stopped; the same command goes on with {out}"
         while progress.epoch < config.epochs and progress.epoch - progress.best_epoch <= config.patience:
             begin = time.monotonic() - progress.seconds
             each = min(config.batch, len(maps))

@@ -51,7 +51,9 @@ MOST_BATCH = 4096
 """Maps a step of training, or completed at once."""
 MOST_WEIGHTS_BYTES = 1 << 30
 """Of a .safetensors or .onnx file; a training state of the widest network has 924 MB."""
-MOST_HEADER_BYTES = 4 << 20
+MOST_EPOCHS = 10_000
+"""Of a training run: their figures stand in the header of its state, some kilobyte each."""
+MOST_HEADER_BYTES = 16 << 20
 """Of a .safetensors file's header, a run's settings, or a point cloud's header."""
 MOST_SCAN_BYTES = 256 << 20
 """Of a file of points."""

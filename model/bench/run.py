@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lidarsim.parameters import check, number
 from model.bench.difficulty import describe
-from model.bench.methods import Method
+from model.bench.methods import Method, empty_split
 from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
 from model.bench.tuning import tune
 from model.bench.visibility import CLASSES, UNOBSERVED, classify
@@ -117,7 +117,7 @@ def bench(
     """
     split = dataset.split(config.split)
     if not len(split):
-        raise DatasetError(f"{dataset.folder}: its {config.split} split is empty; generate some with --{config.split}")
+        raise DatasetError(f"{dataset.folder}: {empty_split(config.split)}")
     count = min(config.samples or len(split), len(split))
     indices = np.unique(np.linspace(0, len(split) - 1, count).astype(int))
     tuned = tuple(tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods)

@@ -8,7 +8,7 @@ import pytest
 import torch
 import trimesh
 
-from model.bench.methods import Predicted
+from model.bench.predicted import Predicted
 from model.checkpoint import save_network
 from model.complete import Thresholds
 from model.completer import Completer

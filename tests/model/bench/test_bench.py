@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from model.bench.command import choose_methods, run_bench
-from model.bench.methods import Completed, Predicted, Truth
+from model.bench.methods import Completed, Truth
+from model.bench.predicted import Predicted
 from model.bench.reconstruction import METRICS
 from model.bench.run import BenchConfig, bench
 from model.bench.tuning import tune
