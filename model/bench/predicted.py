@@ -91,7 +91,7 @@ def _check_file(wanted: _Wanted) -> None:
 
 
 def _check_names(file: h5py.File, wanted: _Wanted) -> None:
-    digest, split = (file.attrs.get(name) for name in ("dataset", "split"))
+    digest, split = (str(file.attrs.get(name)) for name in ("dataset", "split"))
     if digest != wanted.digest:
         raise DatasetError(
             f"predicts dataset {printable(digest)[:12]}…, not {wanted.folder} ({wanted.digest[:12]}…); "
@@ -99,9 +99,12 @@ def _check_names(file: h5py.File, wanted: _Wanted) -> None:
         )
     if split != wanted.split:
         raise DatasetError(f"predicts split {short(split)}, expected {wanted.split!r}")
-    held = [name for name in (*FIELDS, *WHO) if isinstance(file.get(name, getlink=True), h5py.HardLink)]
-    if not set(WHO) <= set(held) or set(held) == set(WHO):
-        raise DatasetError(f"expected world, viewpoint, and at least one of {', '.join(FIELDS)}; found {held}")
+    links = {name: file.get(name, getlink=True) for name in (*WHO, *FIELDS)}
+    held = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
+    if not set(WHO) < set(held) or any(link is not None for name, link in links.items() if name not in held):
+        raise DatasetError(
+            f"expected world, viewpoint, and at least one of {', '.join(FIELDS)}, none of them a link; found {held}"
+        )
     for name in held:
         maps = () if name in WHO else wanted.shape
         kinds = "iu" if name in WHO else "fiub"

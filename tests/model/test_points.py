@@ -45,6 +45,11 @@ def test_text_comes_back_by_spaces_or_commas(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_points(tmp_path / "scan.xyz"), [[1, 2, 3], [4, 5, np.nan]])
 
 
+def npy(header: str) -> str:
+    """An array file that holds nothing but its header."""
+    return "\x93NUMPY\1\0\x50\0" + header.ljust(80)
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("name", "content", "said"),
@@ -61,12 +66,12 @@ def test_text_comes_back_by_spaces_or_commas(tmp_path: Path) -> None:
         ("a.npy", "\x93NUMPY\1\0\x28\x23" + "(" * 9000, "cannot be read"),
         (
             "b.npy",
-            "\x93NUMPY\1\0\x50\0" + "{'descr':'<f8','fortran_order':False,'shape':(10000000,3)}".ljust(80),
+            npy("{'descr': '<f8', 'fortran_order': False, 'shape': (10000000, 3)}"),
             "holds 0",
         ),
         (
             "c.npy",
-            "\x93NUMPY\1\0\x50\0" + "{'descr':'|O','fortran_order':False,'shape':(1,3)}".ljust(80),
+            npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3)}"),
             "array of object",
         ),
         ("d.npy", "", "cannot be read"),
