@@ -64,7 +64,7 @@ def predict_split(
     check_grid(completer, dataset.grid, folder)
     maps = Maps([folder], split)
     if not len(maps):
-        raise DatasetError(f"{folder}: {empty_split(split)}")
+        raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
     names = dataset.split(split).names
     batches = [list(range(n, min(n + batch, len(maps)))) for n in range(0, len(maps), batch)]
     on_start(len(maps))

@@ -15,6 +15,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from lidarsim.parameters import check, number
+from model.bench.methods import empty_split
 from model.data import LoaderError, Maps, TudfOf, epoch_batches, load
 from model.device import (
     Group,
@@ -256,10 +257,8 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
     """Raise DatasetError or TrainingError where these splits cannot be trained on."""
     for split in (maps, checks):
         if not len(split):
-            raise DatasetError(
-                f"{', '.join(str(dataset.folder) for dataset in split.datasets)}: the {split.split} split is empty; "
-                f"generate some samples with {'--n' if split.split == 'train' else '--' + split.split}"
-            )
+            folders = ", ".join(str(dataset.folder) for dataset in split.datasets)
+            raise DatasetError(f"{folders}: {empty_split(split.split)}")
     try:
         config.network.check_map(maps.grid.shape)
     except ValueError as error:

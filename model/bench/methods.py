@@ -61,7 +61,5 @@ class Truth:
 
 def empty_split(split: str) -> str:
     """What to do about a split without samples."""
-    return (
-        f"its {split} split is empty; give another --split, or generate with --{split} (scenes drawn by hand are split "
-        "by world: of a folder of at least three, each split gets some)"
-    )
+    option = "--n" if split == "train" else f"--{split}"
+    return f"its {split} split is empty; generate with {option} (scenes are split by world: give three or more)"

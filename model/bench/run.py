@@ -117,7 +117,7 @@ def bench(
     """
     split = dataset.split(config.split)
     if not len(split):
-        raise DatasetError(f"{dataset.folder}: {empty_split(config.split)}")
+        raise DatasetError(f"{dataset.folder}: {empty_split(config.split)}, or give another --split")
     count = min(config.samples or len(split), len(split))
     indices = np.unique(np.linspace(0, len(split) - 1, count).astype(int))
     tuned = tuple(tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods)

@@ -344,5 +344,5 @@ def test_unknown_methods_and_empty_splits_are_refused(dataset: Dataset, tmp_path
     assert choose_methods(["tests.model.bench.test_bench:Nothing"])[0].name == "nothing"
     recipe = small_recipe()
     build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 0, "test": 0}))
-    with pytest.raises(DatasetError, match="test split is empty; give another --split"):
+    with pytest.raises(DatasetError, match=r"test split is empty; generate with --test .* or give another --split"):
         bench(Dataset(tmp_path / "d"), [Truth()], CONFIG)
