@@ -21,7 +21,7 @@ from click.shell_completion import get_completion_class
 
 from scenegen import SPLITS, __version__
 from scenegen.errors import ScenegenError
-from scenegen.limits import MOST_WORKERS
+from scenegen.limits import MOST_BATCH, MOST_WIDTH, MOST_WORKERS
 from scenegen.recipes import kind_names
 from scenegen.terminal.command import run_command
 from scenegen.terminal.options import DatasetPath, Finite, KindName, OutputFile, ShardRange
@@ -249,7 +249,9 @@ def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_
     "--variant", type=click.Choice(VARIANTS), default="proposed", show_default=True, help="See docs/network.md."
 )
 @click.option("--epochs", type=click.IntRange(min=1), default=100, show_default=True, help="At most.")
-@click.option("--batch", type=click.IntRange(min=1), default=8, show_default=True, help="Maps a step, on all devices.")
+@click.option(
+    "--batch", type=click.IntRange(1, MOST_BATCH), default=8, show_default=True, help="Maps a step, on all devices."
+)
 @click.option("--lr", type=Finite(), default=1e-3, show_default=True, help="Learning rate after the warm-up.")
 @click.option(
     "--patience", type=click.IntRange(min=1), default=10, show_default=True, help="Epochs without improvement."
@@ -257,7 +259,9 @@ def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_
 @click.option(
     "--seed", type=click.IntRange(min=0, max=2**63 - 1), default=0, show_default=True, help="Of weights and order."
 )
-@click.option("--width", type=click.IntRange(min=1), default=8, show_default=True, help="Channels at the first level.")
+@click.option(
+    "--width", type=click.IntRange(1, MOST_WIDTH), default=8, show_default=True, help="Channels at the first level."
+)
 @click.option("--stem-stride", type=click.Choice(["1", "2"]), default="2", show_default=True, help="1 is slower.")
 @click.option("--beta", "beta_m", type=Finite(), default=1.0, show_default=True, help="Of Smooth-L1, metres.")
 @click.option("--augment", is_flag=True, help="Turn and mirror maps about the sensor at random.")
@@ -266,10 +270,13 @@ def verify(dataset: Path | str, quick: bool, seed: int, workers: int | None, as_
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda, cuda:1 …")
 @click.option("--workers", type=click.IntRange(min=0), help="Loader processes.  [default: 0 on a CPU, else up to 8]")
 @click.option("--out", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/<variant>]")
-@click.option("--resume", is_flag=True, help="Go on with the run in --out, if there is one.")
+@click.option("--resume", is_flag=True, hidden=True, help="Accepted from older scripts: a run goes on by itself.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
 def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quiet: bool, **options: Any) -> None:
-    """Train the completion network on datasets; under torchrun, on several GPUs."""
+    """Train the completion network on datasets; under torchrun, on several GPUs.
+
+    Given again after a stop, it goes on where it was.
+    """
     from model.train_command import run_train
 
     quiet = quiet or int(os.environ.get("RANK", "0")) > 0
@@ -298,7 +305,7 @@ def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quie
     help="Where a scan's sensor was: X Y Z, m.",
 )
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda, cuda:1 …")
-@click.option("--batch", type=click.IntRange(min=1), default=8, show_default=True, help="Maps at once.")
+@click.option("--batch", type=click.IntRange(1, MOST_BATCH), default=8, show_default=True, help="Maps at once.")
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
 def complete(source: Path | str, weights: str, output: Path | None, quiet: bool, **options: Any) -> None:
     """Complete a dataset's split, or one scan (.ply, .xyz, .npy: points in metres, z up, sensor at the origin)."""
@@ -314,6 +321,7 @@ def complete(source: Path | str, weights: str, output: Path | None, quiet: bool,
     if found.is_dir():
         output = output or Path("predictions.h5")
         make_parent(output)
+        there = output.exists()
         with Progress("complete", shown=not quiet) as progress:
             predict_split(
                 completer,
@@ -327,9 +335,12 @@ def complete(source: Path | str, weights: str, output: Path | None, quiet: bool,
     else:
         output = output or found.with_suffix(".completed.h5")
         make_parent(output)
-        predict_scan(completer, found, output, sensor=options["sensor"], thresholds=Thresholds())
+        there = output.exists()
+        used = predict_scan(completer, found, output, sensor=options["sensor"], thresholds=Thresholds())
+        if not quiet:
+            say(f"{found}: {used}")
     if not quiet:
-        say(f"written: {output}")
+        say(f"{'replaced' if there else 'written'}: {output}")
 
 
 @app.command()
@@ -342,8 +353,7 @@ def export(weights: str, output: Path | None) -> None:
     from model.export import export_onnx
     from scenegen.files import make_parent
 
-    path = locate(weights)
-    network, grid, about = load_network(path)
+    network, grid, about = load_network(locate(weights))
     output = output or Path(f"{Path(weights).stem}.onnx")
     make_parent(output)
     export_onnx(network, grid, output, about=about)

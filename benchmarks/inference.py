@@ -16,8 +16,9 @@ import torch
 
 from lidarsim import GridSpec
 from model.device import autocast, resolve_precision
-from model.export import RUNTIMES, export_onnx, load_onnx
+from model.export import export_onnx
 from model.network import VARIANTS, Network, NetworkConfig
+from model.runtime import RUNTIMES, load_onnx
 
 ROUNDS = 10
 GRID = GridSpec()

@@ -9,17 +9,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor
 
 from lidarsim import GridSpec
 from model.network import Network, NetworkConfig
-from scenegen.errors import ScenegenError
-from scenegen.files import write_whole
+from scenegen.errors import DatasetError, ScenegenError, printable
+from scenegen.files import read_bounded, write_whole
+from scenegen.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
 
 FORMAT = "scenegen-network"
 VERSION = 1
+DTYPES = (torch.float32, torch.int64)
+"""What weights and counts are stored as."""
 
 
 class CheckpointError(ScenegenError):
@@ -33,15 +37,29 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str,
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """What `save_tensors` wrote: tensors and header. Raises CheckpointError for anything else."""
+    """What `save_tensors` wrote: tensors and header. Raises CheckpointError for anything else, and for tensors that
+    hold NaN or infinity."""
     try:
-        with safe_open(path, framework="pt") as file:
-            header = json.loads((file.metadata() or {}).get("header", "{}"))
-            return {name: file.get_tensor(name) for name in file.keys()}, dict(header)  # noqa: SIM118 (no iterator)
+        content = read_bounded(path, MOST_WEIGHTS_BYTES)
     except FileNotFoundError:
         raise CheckpointError(f"{path}: no such file; give a .safetensors file that `scenegen train` wrote") from None
-    except (SafetensorError, OSError, ValueError, TypeError) as error:
-        raise CheckpointError(f"{path}: {_what_it_is(path)} ({error}); expected a .safetensors file") from None
+    except DatasetError as error:
+        raise CheckpointError(str(error)) from None
+    length = int.from_bytes(content[:8], "little")
+    try:
+        if length > MOST_HEADER_BYTES:
+            raise ValueError(f"a header of {length} bytes, expected {MOST_HEADER_BYTES} at most")
+        about = json.loads(content[8 : 8 + length])["__metadata__"]["header"] if length else "{}"
+        header, tensors = dict(json.loads(about)), load(content)
+    except (SafetensorError, ValueError, TypeError, KeyError, RecursionError) as error:
+        what = f"{_what_it_is(content)} ({printable(error)[:200]})"
+        raise CheckpointError(f"{path}: {what}; expected a .safetensors file") from None
+    for name, tensor in tensors.items():
+        if tensor.dtype not in DTYPES:
+            raise CheckpointError(f"{path}: {printable(name)[:100]} holds {tensor.dtype}, expected float32")
+        if not tensor.isfinite().all():
+            raise CheckpointError(f"{path}: {printable(name)[:100]} holds NaN or infinity; train it again")
+    return tensors, header
 
 
 def save_network(path: Path, network: Network, grid: GridSpec, about: Mapping[str, Any]) -> None:
@@ -69,28 +87,31 @@ def load_network(path: Path) -> tuple[Network, GridSpec, dict[str, Any]]:
             f"{path}: network format {header.get('version')}, this scenegen reads {VERSION}; install one that matches"
         )
     try:
-        network = Network(NetworkConfig(**header["network"]))
-        grid, about = grid_from(header), dict(header.get("about", {}))
-        if any(edge % network.config.stride for edge in grid.shape):
-            raise ValueError(f"grid {grid.shape}: edges must be multiples of {network.config.stride}")
-        network.load_state_dict(tensors)
+        config, grid = network_from(header)
+        about = dict(header.get("about", {}))
+        with torch.device("meta"):  # takes no memory: what the file holds is compared before anything is made of it
+            network = Network(config)
+        for name, wanted in network.state_dict().items():
+            if name in tensors and tensors[name].dtype != wanted.dtype:
+                raise ValueError(f"{name} is {tensors[name].dtype}, expected {wanted.dtype}")
+        network.load_state_dict(tensors, assign=True)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:200]
+        reason = printable(error)[:200]
         raise CheckpointError(f"{path}: header and weights do not fit ({reason}); train it again") from None
     return network.eval(), grid, about
 
 
-def grid_from(header: Mapping[str, Any]) -> GridSpec:
-    """The grid that a header names. Raises KeyError, TypeError or ValueError where it names none."""
-    return GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
+def network_from(header: Mapping[str, Any]) -> tuple[NetworkConfig, GridSpec]:
+    """The network and the grid that a header names. Raises KeyError, TypeError or ValueError where it names none, or
+    one that is too large."""
+    config = NetworkConfig(**header["network"])
+    grid = GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
+    config.check_map(grid.shape)
+    return config, grid
 
 
-def _what_it_is(path: Path) -> str:
+def _what_it_is(content: bytes) -> str:
     """What a file that is not safetensors may be."""
-    try:
-        start = path.open("rb").read(4)
-    except OSError:
-        return "cannot be read"
-    if start[:2] in (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05") or start == b"PK\x03\x04":
+    if content[:2] in (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05") or content[:4] == b"PK\x03\x04":
         return "is a pickled checkpoint, which could run anything when opened"
     return "is damaged, or not a network"

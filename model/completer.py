@@ -17,9 +17,9 @@ from torch import Tensor
 
 from lidarsim import GridSpec
 from model.checkpoint import CheckpointError, load_network
-from model.complete import Prediction
-from model.export import load_onnx
+from model.complete import Prediction, check_prediction
 from model.network import Output
+from model.runtime import load_onnx
 from scenegen.dataset.locate import without_tokens
 
 BUNDLED = Path(__file__).parent / "weights"
@@ -77,7 +77,8 @@ class Completer:
 
         Numbers 0 and 1, or bool. What comes back has the same shape and is float32, numpy for numpy and torch for
         torch (where `observed` is); distances are metres, at most the truncation; what the network's variant does not
-        predict is None. Raises ValueError for another grid, or for values that are neither 0 nor 1.
+        predict is None. Raises ValueError for another grid, or for values that are neither 0 nor 1; PredictionError
+        where the network says NaN, or what is no probability or distance.
         """
         given = observed if isinstance(observed, Tensor) else torch.from_numpy(np.ascontiguousarray(observed))
         if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
@@ -94,6 +95,7 @@ class Completer:
         joined = [
             None if part[0] is None else torch.cat(part).reshape(given.shape) for part in zip(*parts, strict=True)
         ]
+        check_prediction(Prediction(*joined), tuple(given.shape), self.name)
         if isinstance(observed, Tensor):
             return Prediction(*(None if part is None else part.to(observed.device) for part in joined))
         return Prediction(*(None if part is None else part.numpy(force=True) for part in joined))

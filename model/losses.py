@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor
 
+from lidarsim.parameters import check, number
 from model.network import Output
 
 ROOT_EPSILON = 1e-8
@@ -20,27 +21,23 @@ class LossConfig:
     """Weights of the objective. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
     open."""
 
-    occupancy: float = 0.1
+    occupancy: float = number(0.1, least=0)
     """lambda_occ (paper)."""
-    tudf: float = 1.0
+    tudf: float = number(1.0, least=0)
     """lambda_tudf (paper)."""
-    eikonal: float = 0.05
+    eikonal: float = number(0.05, least=0)
     """lambda_eik (paper)."""
-    occupied_weight: float = 5.0
+    occupied_weight: float = number(5.0, least=0)
     """w^o of occupied voxels; free ones have 1 (paper)."""
-    near_weight: float = 2.0
+    near_weight: float = number(2.0, least=0)
     """w^t of voxels near a surface; others have 1 (paper)."""
-    near_m: float = 0.5
+    near_m: float = number(0.5, least=0)
     """How near, metres (paper)."""
-    beta_m: float = 1.0
+    beta_m: float = number(1.0, above=0)
     """Where Smooth-L1 turns from a parabola into a line, metres (ours)."""
 
     def __post_init__(self) -> None:
-        for name in ("occupancy", "tudf", "eikonal", "occupied_weight", "near_weight", "near_m"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise ValueError(f"loss: {name} = {getattr(self, name)} must be finite and at least 0")
-        if not 0 < self.beta_m < float("inf"):
-            raise ValueError(f"loss: beta_m = {self.beta_m} must be finite and above 0, metres")
+        check(self)
 
 
 def objective(

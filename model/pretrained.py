@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec
 from model.complete import Prediction
 from model.completer import Completer, called, locate
+from model.runtime import examine
 from scenegen.errors import DatasetError
 
 
@@ -21,6 +22,8 @@ class Pretrained:
 
     def __init__(self, weights: str):
         self._path = locate(weights)
+        if self._path.suffix == ".onnx":  # the workers must not start processes of their own
+            examine(self._path)
         self.name = called(weights, self._path)
         """How the network is called in tables."""
 

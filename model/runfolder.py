@@ -2,22 +2,24 @@
 
 import csv
 import dataclasses
+import fcntl
 import io
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import torch
 from torch import Tensor
 
 from lidarsim import GridSpec
-from model.card import card
+from model.card import SHOWN, card
 from model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
 from model.network import Network
 from scenegen.dataset.manifest import differences
-from scenegen.errors import DatasetError
-from scenegen.files import disk_error, remove_drafts, write_whole
+from scenegen.errors import DatasetError, printable, short
+from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
+from scenegen.limits import MOST_HEADER_BYTES
 
 CONFIG, METRICS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 BEST, LAST = "best.safetensors", "last.safetensors"
@@ -41,6 +43,21 @@ class Progress:
     rows: list[dict[str, float]] = field(default_factory=list)
     """One a finished epoch: see docs/training.md."""
 
+    def check(self) -> None:
+        """Raise TypeError or ValueError where this is none that a run can have."""
+        for name, least in (("epoch", 0), ("step", 0), ("best_epoch", -1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or not least <= value:
+                raise ValueError(f"{name} = {short(value)}")
+        figures = [self.sums, *self.rows]
+        if len(self.rows) != self.epoch or not all(isinstance(row, dict) for row in figures):
+            raise ValueError(f"{len(self.rows)} rows of {self.epoch} epochs")
+        numbers = [self.best_loss, self.seconds, *(value for row in figures for value in row.values())]
+        if not all(isinstance(value, int | float) for value in numbers):
+            raise TypeError("figures that are no numbers")
+        if any(missing := set(SHOWN) - set(row) for row in self.rows):
+            raise ValueError(f"rows without {', '.join(missing)}")
+
     def add(self, losses: dict[str, float]) -> None:
         """Count a step."""
         self.step += 1
@@ -63,11 +80,12 @@ class RunFolder:
 
     def __init__(self, path: Path):
         self.path = path
+        self._lock: IO[str] | None = None
 
-    def open(self, settings: dict[str, Any], *, resume: bool) -> None:
-        """Begin a run with `settings`, or go on with it.
+    def open(self, settings: dict[str, Any]) -> None:
+        """Begin a run with `settings`, or go on with the one that was begun with them.
 
-        Raises DatasetError where the folder holds a run that was not to be resumed, or one with other settings.
+        Raises DatasetError where the folder holds a run with other settings, or one that another process works on.
         """
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -75,25 +93,41 @@ class RunFolder:
             raise disk_error(self.path, error) from None
         remove_drafts(self.path)
         config = self.path / CONFIG
-        if config.exists() and not resume:
-            raise DatasetError(f"{self.path}: holds a run already; give --resume to go on with it, or another --out")
-        if not config.exists() and (self.path / LAST).exists():
-            raise DatasetError(f"{self.path}: holds {LAST} but no {CONFIG}; choose another --out")
         if config.exists():
             unlike = differences(self.settings(), json.loads(json.dumps(settings["settings"])))
             if unlike:
                 raise DatasetError(
-                    f"{self.path}: was begun with other settings ({'; '.join(unlike)}); give those, or another --out"
+                    f"{self.path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give those, "
+                    "or another --out"
                 )
+        elif (self.path / LAST).exists():
+            raise DatasetError(f"{self.path}: holds {LAST} but no {CONFIG}; choose another --out")
+        else:
+            write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
+        self._hold(config)
+
+    def close(self) -> None:
+        """Let other processes work on the run."""
+        if self._lock is not None:
+            self._lock.close()
+
+    def _hold(self, config: Path) -> None:
+        self._lock = open(config)  # noqa: SIM115 (held until `close`)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DatasetError(f"{self.path}: another process trains this run; wait, or give another --out") from None
+        except OSError:  # a file system without locks
             return
-        write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
 
     def settings(self) -> dict[str, Any]:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
-            return dict(json.loads((self.path / CONFIG).read_text(encoding="utf-8"))["settings"])
-        except (OSError, ValueError, TypeError, KeyError) as error:
-            raise DatasetError(f"{self.path / CONFIG}: cannot be read ({error}); choose another --out") from None
+            return dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
+        except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+            raise DatasetError(
+                f"{self.path / CONFIG}: cannot be read ({printable(error)[:200]}); choose another --out"
+            ) from None
 
     def save(self, progress: Progress, network: Network, optimizer: torch.optim.Optimizer) -> None:
         """Write all that is needed to go on from here."""
@@ -105,9 +139,11 @@ class RunFolder:
             return Progress()
         tensors, header = load_tensors(self.path / LAST)
         try:
+            progress = Progress(**header)
+            progress.check()
             _set_state(network, optimizer, tensors)
-            return Progress(**header)
-        except (TypeError, RuntimeError):
+            return progress
+        except (TypeError, ValueError, RuntimeError):
             raise CheckpointError(
                 f"{self.path / LAST}: not the state of this run; remove it to begin again, {BEST} stays until then"
             ) from None

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +14,8 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
+from lidarsim.parameters import check, number
+from model.bench.methods import empty_split
 from model.data import LoaderError, Maps, TudfOf, epoch_batches, load
 from model.device import (
     Group,
@@ -29,6 +32,7 @@ from model.provenance import commit, versions
 from model.runfolder import Progress, RunFolder
 from model.validate import validate
 from scenegen.errors import DatasetError, StoppedError
+from scenegen.limits import MOST_BATCH, MOST_EPOCHS
 
 SAVE_EVERY_S = 60.0
 """How much work a kill may cost, seconds."""
@@ -41,23 +45,23 @@ class TrainConfig:
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: LossConfig = field(default_factory=LossConfig)
-    epochs: int = 100
+    epochs: int = number(100, least=1, most=MOST_EPOCHS, whole=True)
     """At most; the learning rate falls to 0 by the last (ours)."""
-    batch: int = 8
+    batch: int = number(8, least=1, most=MOST_BATCH, whole=True)
     """Maps a step, over all devices (ours)."""
-    lr: float = 1e-3
+    lr: float = number(1e-3, above=0)
     """Of AdamW, after the warm-up; then down a cosine (ours)."""
-    warmup_share: float = 0.02
+    warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
-    weight_decay: float = 0.01
+    weight_decay: float = number(0.01, least=0)
     """Of AdamW (ours)."""
-    clip: float = 1.0
+    clip: float = number(1.0, above=0)
     """Largest norm of a step's gradient (ours)."""
-    patience: int = 10
+    patience: int = number(10, least=1, whole=True)
     """Epochs without a lower validation loss after which training ends (paper)."""
     augment: bool = False
     """Whether maps are turned and mirrored about the sensor at random (ours)."""
-    seed: int = 0
+    seed: int = number(0, least=0, whole=True)
     """Of the first weights and the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Of the network's arithmetic; losses and weights are float32. Auto: bfloat16 where the device has instructions for
@@ -66,14 +70,7 @@ class TrainConfig:
     """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch", "patience"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)} must be at least 1")
-        for name in ("lr", "clip"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} = {getattr(self, name)} must be finite and above 0")
-        if not 0 <= self.warmup_share < 1 or not 0 <= self.weight_decay < math.inf:
-            raise ValueError("warmup_share must lie in [0, 1), and weight_decay be finite and at least 0")
+        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,12 +94,12 @@ def train(
     *,
     device: str = "auto",
     workers: int = 0,
-    resume: bool = False,
     command: str = "",
     watcher: Watcher | None = None,
 ) -> list[dict[str, float]]:
     """Train on the train splits of `folders`, validate on their val splits, keep the best network in `out`.
 
+    A run with the same settings that `out` holds already goes on where it was; one that is finished stays as it is.
     Under ``torchrun`` every process takes its part of each batch. Returns the figures of every epoch. Raises
     DatasetError, CheckpointError, TrainingError, and StoppedError when `watcher` asks to stop; whatever is raised, the
     last good state stays in `out`.
@@ -110,7 +107,7 @@ def train(
     watcher = watcher or Watcher()
     where = choose_device(device)
     group = Group(where)
-    with group:
+    with group, closing(RunFolder(out)) as folder:
         maps, checks = Maps(folders, "train"), Maps(folders, "val")
         check_maps(maps, checks, config, group.size)
         precision = resolve_precision(config.precision, where)
@@ -119,12 +116,11 @@ def train(
         optimizer = torch.optim.AdamW(network.parameters(), lr=config.lr, weight_decay=config.weight_decay)
         settings = describe(maps, config, precision)
         about = {"command": command, "commit": commit(), "versions": versions(), "device": device_name(where)}
-        folder = RunFolder(out)
-        group.first_alone(lambda: folder.open({"settings": settings, **about}, resume=resume))
+        group.first_alone(lambda: folder.open({"settings": settings, **about}))
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, where, precision, group)
         steps = len(epoch_batches(maps, batch=config.batch, seed=config.seed, epoch=0))
-        saved, stopped = time.monotonic(), f"stopped; the same command with --resume goes on with {out}"
+        saved, stopped = time.monotonic(), f"stopped; the same command goes on with {out}"
         while progress.epoch < config.epochs and progress.epoch - progress.best_epoch <= config.patience:
             begin = time.monotonic() - progress.seconds
             each = min(config.batch, len(maps))
@@ -259,18 +255,14 @@ def learning_rate(config: TrainConfig, step: int, steps: int) -> float:
 
 def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) -> None:
     """Raise DatasetError or TrainingError where these splits cannot be trained on."""
-    stride = config.network.stride
     for split in (maps, checks):
         if not len(split):
-            raise DatasetError(
-                f"{', '.join(str(dataset.folder) for dataset in split.datasets)}: the {split.split} split is empty; "
-                f"generate some samples with {'--n' if split.split == 'train' else '--' + split.split}"
-            )
-    if any(edge % stride for edge in maps.grid.shape):
-        raise DatasetError(
-            f"{maps.datasets[0].folder}: its maps are {maps.grid.shape} voxels; the network halves them three "
-            f"times, so every edge must be a multiple of {stride}"
-        )
+            folders = ", ".join(str(dataset.folder) for dataset in split.datasets)
+            raise DatasetError(f"{folders}: {empty_split(split.split)}")
+    try:
+        config.network.check_map(maps.grid.shape)
+    except ValueError as error:
+        raise DatasetError(f"{maps.datasets[0].folder}: {error}") from None
     if len(maps) < processes:
         raise TrainingError(f"{len(maps)} training samples do not go round {processes} processes; use fewer")
     if config.batch % processes:

@@ -55,9 +55,11 @@ def run_train(
     workers = options["workers"]
     if workers is None:
         workers = 0 if device.type == "cpu" else min(8, cores())
-    recent, iou = 0.0, ""
+    recent, iou, begun = 0.0, "", False
 
     def on_start(epoch: int, total: int, done: int) -> None:
+        nonlocal begun
+        begun = True
         progress.restart(f"{variant}, epoch {epoch + 1} of {config.epochs}", total, done)
 
     def on_step(maps: int, loss: float) -> None:
@@ -81,11 +83,12 @@ def run_train(
         out,
         device=str(device),
         workers=workers,
-        resume=options["resume"],
         command=command,
         watcher=Watcher(on_start=on_start, on_step=on_step, on_epoch=on_epoch, stop=stop),
     )
     best = min(rows, key=lambda row: row["val_loss"])
+    if not begun:
+        say(f"{out}: this run is complete already; give another --out for another one")
     say(
         f"best: epoch {best['epoch']:.0f} of {len(rows)}, validation loss {best['val_loss']:.4f}, "
         f"IoU {best['val_iou']:.3f}, Near-MAE {best['val_near_mae']:.3f} m; {out}, {time.monotonic() - begin:.0f} s"

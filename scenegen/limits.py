@@ -80,3 +80,27 @@ MOST_ASKED: Mapping[str, int] = {
     **{f"nuser_{what}": 100 for what in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")},
 }
 """MJCF attributes for which MuJoCo takes as much memory as they say, and the most that they may say."""
+
+MOST_WIDTH = 128
+"""Channels at a network's first level: it then has 77 million parameters, 308 MB."""
+MOST_FEATURES = 1 << 27
+"""Voxels of a network's map times its channels at the first level: completing one map takes a few GB."""
+MOST_BATCH = 4096
+"""Maps a step of training, or completed at once."""
+MOST_WEIGHTS_BYTES = 1 << 30
+"""Of a .safetensors or .onnx file; a training state of the widest network has 924 MB."""
+MOST_EPOCHS = 10_000
+"""Of a training run: their figures stand in the header of its state, some kilobyte each."""
+MOST_HEADER_BYTES = 16 << 20
+"""Of a .safetensors file's header, a run's settings, or a point cloud's header."""
+MOST_SCAN_BYTES = 256 << 20
+"""Of a file of points."""
+MOST_POINTS = 20_000_000
+"""Of a scan: 480 MB as float64."""
+MOST_CHUNK_BYTES = 256 << 20
+"""Of a predictions file, unpacked: a map of `MOST_VOXELS` in float32."""
+
+GUARD_S = 60.0
+"""How long a library may look at a stranger's file before it counts as hung, seconds, beside what its size explains."""
+GUARD_BYTES = 4 << 30
+"""Address space it may take meanwhile, beside what its size explains."""

@@ -11,6 +11,7 @@ import h5py
 import pytest
 import torch
 
+from model.card import SHOWN
 from tests.test_cli import run
 from tests.test_cli_bench import here
 
@@ -33,6 +34,8 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     assert settings["settings"]["network"]["width"] == 4
     code, said, _ = run(capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu")
     assert (code, said) == (0, "written: predictions.h5\n")
+    code, said, _ = run(capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu")
+    assert (code, said) == (0, "replaced: predictions.h5\n")
     with h5py.File("predictions.h5") as file:
         assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
     words = ("--weights", "runs/proposed", "--predictions", "predictions.h5", "--method", "returns", "--quick")
@@ -47,7 +50,15 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
     for words, code, named in (
         (("train", "elsewhere"), 1, "not a dataset"),
         (("train", "--variant", "best"), 2, "--variant"),
-        (("train", "--lr", "-1"), 1, "lr = -1.0 must be finite"),
+        (("train", "--lr", "-1"), 1, "lr = -1.0: expected a finite number above 0"),
+        (("train", "--lr", "nan"), 1, "lr = nan"),
+        (("train", "--width", 2000), 2, "--width"),
+        (("train", "--batch", 10**9), 2, "--batch"),
+        (("train", "--epochs", 10**9), 1, "epochs = 1000000000"),
+        (("complete", "data/pillar", "--batch", 10**9), 2, "--batch"),
+        (("complete", "data/pillar", "-o", "pickle.pt"), 1, "is there already"),
+        (("complete", "pickle.pt", "-o", "pickle.pt"), 1, "ends in .h5 or .ply"),
+        (("export", "-o", "foo.pt"), 1, "ends in .onnx"),
         (("train", "--beta", 0), 1, "beta_m = 0.0"),
         (("train", "--lr", "nan"), 2, "nan is not a finite number"),
         (("train", "--beta", "inf"), 2, "inf is not a finite number"),
@@ -96,8 +107,10 @@ def test_without_torch_it_says_what_to_install(tmp_path: Path) -> None:
         assert "pip install 'scenegen[train]'" in ended.stderr
 
 
-def test_a_signal_saves_and_resume_goes_on(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = [sys.executable, Path(__file__).parents[1] / "cli.py", "train", "--epochs", 1000, *QUICK]
+def test_the_same_command_goes_on_after_a_signal(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = [sys.executable, Path(__file__).parents[1] / "cli.py", "train", "--epochs", 1000, "--patience", 3, *QUICK]
     running = subprocess.Popen([str(word) for word in command], cwd=here, stderr=subprocess.PIPE, text=True)
     while not (here / "runs" / "proposed" / "metrics.csv").exists():
         assert running.poll() is None
@@ -105,9 +118,18 @@ def test_a_signal_saves_and_resume_goes_on(here: Path, capsys: pytest.CaptureFix
     running.send_signal(signal.SIGTERM)
     error = running.communicate(timeout=60)[1]
     assert running.returncode == 130
-    assert "with --resume goes on with runs/proposed" in error
-    ended, _, error = run(capsys, "train", "--epochs", 1000, *QUICK)
-    assert (ended, "give --resume" in error) == (1, True)
+    assert "the same command goes on with runs/proposed" in error
+    ended, _, error = run(capsys, "train", "--epochs", 999, "--patience", 3, *QUICK)
+    assert (ended, "epochs is 1000 there, 999 asked for" in error) == (1, True)
+    begun = len((here / "runs" / "proposed" / "metrics.csv").read_text().splitlines()) - 1
+    monkeypatch.setattr("model.runfolder.draw_curve", lambda rows: None)
+    fixed = dict.fromkeys((name.removeprefix("val_") for name in SHOWN), 0.0)
+    monkeypatch.setattr("model.train.validate", lambda *given: {**fixed, "loss": 1e9})  # patience runs out
+    ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK)
+    assert (ended, f"epoch {begun + 1}:" in said, "epoch 1:" in said) == (0, True, begun == 0)
+    for words in ((), ("--resume",)):
+        ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK, *words)
+        assert (ended, said.startswith("runs/proposed: this run is complete already")) == (0, True)
 
 
 @pytest.mark.slow

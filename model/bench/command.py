@@ -8,11 +8,12 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
-from model.bench.methods import Completed, Method, Predicted, Truth
+from model.bench.methods import Completed, Method, Truth
+from model.bench.predicted import Predicted
 from model.bench.reconstruction import METRICS
 from model.bench.report import PLAN_METRICS, build_report, to_markdown
 from model.bench.run import BenchConfig, bench
-from model.complete import UNLEARNED
+from model.complete import UNLEARNED, PredictionError
 from model.provenance import commit
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
@@ -100,7 +101,7 @@ def choose_methods(names: Sequence[str]) -> list[Method]:
             if not colon:
                 raise ImportError("expected MODULE:CLASS")
             chosen.append(Completed(getattr(importlib.import_module(module), attribute)()))
-        except (ImportError, AttributeError, TypeError) as error:
+        except (ImportError, AttributeError, TypeError, PredictionError) as error:
             raise ScenegenError(f"--method {name}: {error}; known are {', '.join(known)}, or MODULE:CLASS") from None
     return chosen
 

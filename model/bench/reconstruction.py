@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.jit import kernel
+from lidarsim.parameters import check, number
 
 METRICS = ("rmse", "mae", "near_rmse", "near_mae", "bias", "near_bias", "iou", "f1", "precision", "recall")
 """The paper's ten, section "Quantitative Reconstruction Results". Distances in metres, predicted less true."""
@@ -16,10 +17,13 @@ METRICS = ("rmse", "mae", "near_rmse", "near_mae", "bias", "near_bias", "iou", "
 class ReconstructionConfig:
     """What counts as near."""
 
-    near_m: float = 1.0
+    near_m: float = number(1.0, least=0)
     """Voxels whose true distance is at most this are near an obstacle, metres."""
     strict: bool = False
     """Leave out those exactly at `near_m`, an eighth of them on the default grid."""
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 def measure(

@@ -29,7 +29,8 @@ TESTED = {
 
 def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any]) -> dict[str, Any]:
     """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``, each {mean, std,
-    low, high, n}, at the paper's thresholds; variants under their own keys beside them; `about` as it is."""
+    low, high, n}, at the paper's thresholds; variants under their own keys beside them; `about` as it is. Where there
+    is one world, low and high are None."""
     report: dict[str, Any] = {**about, "reconstruction": {}, "planning": {}, "tests": {}, "datasets": {}}
     for result in results:
         rng = np.random.default_rng(seed)
@@ -132,8 +133,8 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             "",
             f"{about['samples']} samples of {about['worlds']} worlds, dataset {about['digest'][:12]}…; "
             f"{about['trials']} planning trials, excluded draws: {about['excluded'] or 'none'}. Mean ± standard "
-            "deviation over samples or trials, in brackets the 95 % interval of the mean, by bootstrap over worlds. "
-            "*Italics*: the paper's.",
+            "deviation over samples or trials, in brackets the 95 % interval of the mean, by bootstrap over worlds"
+            f"{', which one world does not give' * (about['worlds'] == 1)}. *Italics*: the paper's.",
         ]
         lines += ["", "### Difficulty", "", *_head(DESCRIPTORS)]
         lines.append("| truth | " + " | ".join(_cell(about["difficulty"][name]) for name in DESCRIPTORS) + " |")
@@ -161,8 +162,7 @@ def to_markdown(report: Mapping[str, Any]) -> str:
         ]
         for test in report["tests"][kind]:
             pair = f"{test['first']} − {test['second']}"
-            interval = f"{test['difference']:+.3f} [{test['low']:+.3f}, {test['high']:+.3f}]"
-            lines.append(f"| {pair} | {test['metric']} | {interval} | {test['p_holm']:.4f} |")
+            lines.append(f"| {pair} | {test['metric']} | {_difference(test)} | {test['p_holm']:.4f} |")
     return "\n".join(lines) + "\n"
 
 
@@ -173,7 +173,16 @@ def _head(names: Sequence[str]) -> list[str]:
 def _cell(figure: Mapping[str, float]) -> str:
     if not figure["n"]:
         return "–"
-    return f"{_spread(figure['mean'], figure['std'])} [{figure['low']:.3f}, {figure['high']:.3f}]"
+    return f"{_spread(figure['mean'], figure['std'])} {_interval(figure, '.3f')}"
+
+
+def _difference(test: Mapping[str, Any]) -> str:
+    return f"{test['difference']:+.3f} {_interval(test, '+.3f')}"
+
+
+def _interval(figure: Mapping[str, Any], form: str) -> str:
+    """[low, high], or a dash where one world gives none."""
+    return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
 
 
 def _spread(mean: float, std: float | None) -> str:

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.parameters import check, number
 from model.bench.difficulty import describe
-from model.bench.methods import Method
+from model.bench.methods import Method, empty_split
 from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
 from model.bench.tuning import tune
 from model.bench.visibility import CLASSES, UNOBSERVED, classify
@@ -35,13 +36,16 @@ class BenchConfig:
     """The split that is measured; calibration looks at val."""
     samples: int | None = None
     """At most this many of the split's samples, evenly spread; None for all."""
-    trials: int = 2000
+    trials: int = number(2000, least=1, whole=True)
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
-    seed: int = 0
+    seed: int = number(0, least=0, whole=True)
     """Of goals, bootstraps and permutations."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     reconstruction: ReconstructionConfig = field(default_factory=ReconstructionConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -113,7 +117,7 @@ def bench(
     """
     split = dataset.split(config.split)
     if not len(split):
-        raise DatasetError(f"{dataset.folder}: its {config.split} split is empty; generate some with --{config.split}")
+        raise DatasetError(f"{dataset.folder}: {empty_split(config.split)}, or give another --split")
     count = min(config.samples or len(split), len(split))
     indices = np.unique(np.linspace(0, len(split) - 1, count).astype(int))
     tuned = tuple(tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods)

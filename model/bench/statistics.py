@@ -18,8 +18,9 @@ class Figure:
     mean: float
     std: float
     """Of the samples: spread, not error."""
-    low: float
-    high: float
+    low: float | None
+    """Lower end of the interval; None where the samples are of one world, which says nothing of others."""
+    high: float | None
     n: int
     """Samples that have a value."""
 
@@ -33,15 +34,16 @@ def summarize(values: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator)
     values = np.asarray(values, dtype=np.float64)
     held = np.isfinite(values)
     if not held.any():
-        return Figure(mean=np.nan, std=np.nan, low=np.nan, high=np.nan, n=0)
+        return Figure(mean=np.nan, std=np.nan, low=None, high=None, n=0)
     sums, counts = _by_world(values[held], np.asarray(worlds)[held])
     weights = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), DRAWS)
     low, high = np.percentile((weights @ sums) / np.maximum(weights @ counts, 1), [2.5, 97.5])
+    several = len(sums) > 1
     return Figure(
         mean=float(values[held].mean()),
         std=float(values[held].std(ddof=1)) if held.sum() > 1 else 0.0,
-        low=float(low),
-        high=float(high),
+        low=float(low) if several else None,
+        high=float(high) if several else None,
         n=int(held.sum()),
     )
 

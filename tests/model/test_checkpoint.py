@@ -1,5 +1,8 @@
 """Networks survive the disk, and files that hold none are refused without running anything in them."""
 
+import json
+import math
+import os
 import pickle
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import torch
 from lidarsim import GridSpec
 from model.checkpoint import CheckpointError, load_network, load_tensors, save_network, save_tensors
 from model.network import Network, NetworkConfig
+from scenegen.limits import MOST_HEADER_BYTES
 
 GRID = GridSpec(shape=(16, 16, 8), voxel_m=0.1, truncation_m=1.0)
 
@@ -81,6 +85,11 @@ def test_files_that_hold_no_network_are_refused(saved: tuple[Path, Network], tmp
         ({"network": {"variant": "occ", "width": 4}}, "do not fit"),
         ({"network": {"variant": "dual", "width": 8}}, "do not fit"),
         ({"network": {"depth": 3}}, "do not fit"),
+        ({"network": {"variant": "dual", "width": 1024}}, "width = 1024: expected a whole number"),
+        ({"network": {"variant": "dual", "width": 4.5}}, "width = 4.5: expected a whole number"),
+        ({"network": {"variant": "dual", "width": "4"}}, "width = '4': expected a whole number"),
+        ({"grid": {"shape": [4096, 4096, 4096], "voxel_m": 0.1, "truncation_m": 1}}, "voxels at most"),
+        ({"grid": {"shape": [1e400, 8, 8], "voxel_m": 0.1, "truncation_m": 1}}, "do not fit"),
         ({"grid": {"shape": [16, 16, 8], "voxel_m": -1, "truncation_m": 1}}, "do not fit"),
         ({"grid": None}, "do not fit"),
     ],
@@ -93,3 +102,50 @@ def test_headers_that_do_not_fit_are_refused(
     with pytest.raises(CheckpointError, match=named) as caught:
         load_network(tmp_path / "changed.safetensors")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_weights_that_are_no_numbers_are_refused_by_name(
+    saved: tuple[Path, Network], tmp_path: Path, value: float
+) -> None:
+    tensors, header = load_tensors(saved[0])
+    tensors["attention.out.bias"][1] = value
+    save_tensors(tmp_path / "bad.safetensors", tensors, header)
+    with pytest.raises(CheckpointError, match=r"attention\.out\.bias holds NaN or infinity"):
+        load_network(tmp_path / "bad.safetensors")
+
+
+def test_weights_of_another_type_are_refused(saved: tuple[Path, Network], tmp_path: Path) -> None:
+    tensors, header = load_tensors(saved[0])
+    for dtype, said in ((torch.int64, "is torch.int64, expected torch.float32"), (torch.float64, "torch.float64")):
+        save_tensors(
+            tmp_path / "bad.safetensors", tensors | {"attention.out.bias": torch.zeros(16, dtype=dtype)}, header
+        )
+        with pytest.raises(CheckpointError, match=said):
+            load_network(tmp_path / "bad.safetensors")
+
+
+def write(path: Path, about: str) -> Path:
+    """A safetensors file without tensors, whose header holds `about`."""
+    text = json.dumps({"__metadata__": {"header": about}}).encode()
+    path.write_bytes(len(text).to_bytes(8, "little") + text)
+    return path
+
+
+def test_strange_headers_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "strange.safetensors"
+    os.mkfifo(tmp_path / "pipe.safetensors")
+    for wrong in (
+        write(tmp_path / "deep.safetensors", "[" * 100_000),
+        write(tmp_path / "list.safetensors", "[1, 2]"),
+        write(tmp_path / "long.safetensors", " " * (MOST_HEADER_BYTES + 1)),
+        tmp_path / "pipe.safetensors",
+        tmp_path,
+    ):
+        with pytest.raises(CheckpointError) as caught:
+            load_network(wrong)
+        assert "\n" not in str(caught.value)
+        assert str(wrong) in str(caught.value)
+    path.write_bytes((1 << 60).to_bytes(8, "little") + b"{}")
+    with pytest.raises(CheckpointError, match="expected 16777216 at most"):
+        load_network(path)

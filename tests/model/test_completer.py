@@ -9,6 +9,7 @@ import torch
 
 from lidarsim import GridSpec
 from model.checkpoint import CheckpointError, save_network
+from model.complete import PredictionError
 from model.completer import Completer
 from model.network import Network, NetworkConfig
 
@@ -74,6 +75,17 @@ def test_distances_end_at_the_truncation(tmp_path: Path) -> None:
     save_network(tmp_path / "far.safetensors", network, GRID, {})
     found = Completer.from_pretrained(tmp_path / "far.safetensors")(np.zeros(GRID.shape, bool))
     assert (found.tudf == np.float32(2.0)).all()
+
+
+def test_a_completion_that_is_no_number_ends_in_one_line(tmp_path: Path) -> None:
+    network = save(tmp_path / "a.safetensors")
+    with torch.no_grad():
+        for parameter in network.head.parameters():
+            parameter.copy_(3e38 * torch.randn_like(parameter).sign())
+    save_network(tmp_path / "wild.safetensors", network, GRID, {})
+    with pytest.raises(PredictionError, match="wild: occupancy_probability holds NaN or infinity") as caught:
+        Completer.from_pretrained(tmp_path / "wild.safetensors")(np.zeros(GRID.shape, bool))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

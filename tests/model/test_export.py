@@ -1,6 +1,12 @@
 """ONNX files say what the network says, in every runtime, and other files are refused."""
 
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,8 +15,9 @@ import torch
 from lidarsim import GridSpec
 from model.checkpoint import CheckpointError
 from model.completer import Completer
-from model.export import RUNTIMES, export_onnx, load_onnx
+from model.export import export_onnx
 from model.network import Network, NetworkConfig
+from model.runtime import RUNTIMES, examine, load_onnx, read_graph
 
 GRID = GridSpec(shape=(16, 24, 8))
 pytest.importorskip("onnxscript")
@@ -63,3 +70,147 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         with pytest.raises(CheckpointError, match=said) as caught:
             Completer.from_pretrained(tmp_path / name)
         assert "\n" not in str(caught.value)
+
+
+def test_other_names_and_missing_files_are_refused(exported: tuple[Path, Network], tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match=r"ends in \.onnx"):
+        export_onnx(exported[1], GRID, tmp_path / "net.pt", about={})
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(CheckpointError, match="no such file"):
+        load_onnx(tmp_path / "absent.onnx")
+
+
+def changed(path: Path, change: Callable[[Any], None]) -> bytes:
+    """The file at `path` after a `change` of its model."""
+    import onnx
+
+    model = onnx.load(str(path))
+    change(model)
+    return model.SerializeToString()
+
+
+def swap_outputs(model: Any) -> None:
+    """The two outputs in the other order, under their own names."""
+    first, second = model.graph.output
+    kept = first.SerializeToString()
+    first.CopyFrom(second)
+    second.ParseFromString(kept)
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_outputs_go_by_name_and_not_by_place(exported: tuple[Path, Network], tmp_path: Path, runtime: str) -> None:
+    pytest.importorskip(runtime)
+    path = tmp_path / "swapped.onnx"
+    path.write_bytes(changed(exported[0], swap_outputs))
+    maps = (torch.rand(1, *GRID.shape) < 0.1).float()
+    straight, swapped = (load_onnx(one, runtime=runtime, threads=1)[0](maps) for one in (exported[0], path))
+    torch.testing.assert_close(swapped.logits, straight.logits)
+    torch.testing.assert_close(swapped.tudf, straight.tudf)
+
+
+def set_header(**values: object) -> Callable[[Any], None]:
+    def change(model: Any) -> None:
+        entry = next(entry for entry in model.metadata_props if entry.key == "scenegen")
+        entry.value = json.dumps({**json.loads(entry.value), **values})
+
+    return change
+
+
+def set_weight(value: float) -> Callable[[Any], None]:
+    def change(model: Any) -> None:
+        import onnx
+
+        tensor = next(one for one in model.graph.initializer if one.dims and one.data_type == 1)
+        values = onnx.numpy_helper.to_array(tensor).copy()
+        values.flat[0] = value
+        tensor.CopyFrom(onnx.numpy_helper.from_array(values, tensor.name))
+
+    return change
+
+
+def expand_a_constant(model: Any) -> None:
+    """A few bytes that become 400 GB."""
+    import onnx
+
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array([10**11]), "size"))
+    model.graph.node.append(onnx.helper.make_node("ConstantOfShape", ["size"], ["huge"]))
+
+
+def let_values_decide_a_size(model: Any) -> None:
+    import onnx
+
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array([10**6]), "size"))
+    model.graph.node.append(onnx.helper.make_node("Greater", ["observed", "observed"], ["some"]))
+    model.graph.node.append(onnx.helper.make_node("Where", ["some", "size", "size"], ["chosen"]))
+
+
+def rename_outputs(model: Any) -> None:
+    for output in model.graph.output:
+        output.name += "x"
+
+
+def point_outside(model: Any) -> None:
+    tensor = model.graph.initializer[0]
+    tensor.data_location = 1
+    tensor.ClearField("raw_data")
+    entry = tensor.external_data.add()
+    entry.key, entry.value = "location", "/etc/passwd"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (set_weight(np.nan), "holds NaN or infinity"),
+        (rename_outputs, "expected observed to logits, tudf"),
+        (expand_a_constant, "ConstantOfShape"),
+        (let_values_decide_a_size, "operations that no export has"),
+        (point_outside, "is not an ONNX file"),
+        (set_header(network=None), "its header is damaged"),
+        (set_header(network={"variant": "occ", "width": 4}), "expected observed to logits"),
+        (set_header(network={"width": 1024}), "width = 1024"),
+        (set_header(grid={"shape": [8, 8]}), "its header is damaged"),
+        (lambda model: setattr(model.metadata_props[-1], "value", "[" * 100_000), "its header is damaged"),
+        (lambda model: model.graph.initializer[0].dims.append(10**12), "is not an ONNX file"),
+    ],
+)
+def test_what_no_export_holds_is_refused(
+    exported: tuple[Path, Network], change: Callable[[Any], None], said: str
+) -> None:
+    with pytest.raises(CheckpointError) as caught:
+        read_graph(changed(exported[0], change))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_for_another_grid_is_refused_in_one_line(exported: tuple[Path, Network], tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    path = tmp_path / "other.onnx"
+    path.write_bytes(changed(exported[0], set_header(grid={"shape": [8, 8, 8], "voxel_m": 0.2, "truncation_m": 2.0})))
+    with pytest.raises(CheckpointError, match="onnxruntime cannot run it") as caught:
+        examine(path, "onnxruntime")
+    assert "\n" not in str(caught.value)
+
+
+WATCHED = """
+import os, sys
+def watch(event, given):
+    if event.startswith(("socket.connect", "socket.getaddrinfo", "socket.gethostby")):
+        os.write(1, f"{event} {given}\\n".encode())
+sys.addaudithook(watch)
+import numpy as np
+from model.completer import Completer
+completer = Completer.from_pretrained(sys.argv[1])
+completer(np.zeros(completer.grid.shape, bool))
+assert not hasattr(sys.modules.get("openvino_telemetry"), "Telemetry")
+"""
+
+
+def test_completing_looks_nothing_up_and_leaves_nothing_at_home(exported: tuple[Path, Network], tmp_path: Path) -> None:
+    """OpenVINO's Python package reports every import, unless it finds no `openvino_telemetry`."""
+    pytest.importorskip("openvino_telemetry")
+    environment = os.environ | {"HOME": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])}
+    ended = subprocess.run(
+        [sys.executable, "-c", WATCHED, str(exported[0])], env=environment, capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (0, ""), ended.stderr
+    assert not (tmp_path / "intel").exists()

@@ -1,5 +1,6 @@
 """Predictions on disk: what the bench takes, and single scans."""
 
+import warnings
 from pathlib import Path
 
 import h5py
@@ -8,7 +9,7 @@ import pytest
 import torch
 import trimesh
 
-from model.bench.methods import Predicted
+from model.bench.predicted import Predicted
 from model.checkpoint import save_network
 from model.complete import Thresholds
 from model.completer import Completer
@@ -76,7 +77,8 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders: list[Path], t
     else:
         np.savetxt(path, points)
     out = tmp_path / "out.h5"
-    predict_scan(net, path, out, sensor=sample.position, thresholds=Thresholds())
+    used = predict_scan(net, path, out, sensor=sample.position, thresholds=Thresholds())
+    assert (used.inside, used.returned, used.points) == (len(points), len(points), len(points) + (suffix == ".npy"))
     expected = net(sample.observed)
     with h5py.File(out) as file:
         assert np.array_equal(file["observed"][:], sample.observed)
@@ -111,3 +113,46 @@ def test_files_that_are_no_scans_are_refused(folders: list[Path], tmp_path: Path
             predict_scan(net, tmp_path / name, tmp_path / out, thresholds=Thresholds())
         assert "\n" not in str(caught.value)
         assert not (tmp_path / out).exists()
+
+
+def test_points_beyond_the_map_and_without_a_return_are_counted(folders: list[Path], tmp_path: Path) -> None:
+    net = completer(tmp_path, Dataset(folders[0]).grid)
+    far = [[1e300, 0, 0], [-50, 0, 0], [0, 0, 1e7]]
+    np.save(tmp_path / "scan.npy", [[0, 0, 0], [0.1, 0, 0], *far, [np.nan, 0, 0], [0, np.inf, 0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        used = predict_scan(net, tmp_path / "scan.npy", tmp_path / "out.h5", thresholds=Thresholds())
+    assert str(used) == "2 of 7 points used, 2 without a return, 3 outside the map"
+    np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
+    with pytest.raises(DatasetError, match="0 of 4 points used, 4 without a return"):
+        predict_scan(net, tmp_path / "scan.npy", tmp_path / "none.h5", thresholds=Thresholds())
+    with pytest.raises(DatasetError, match="--sensor"):
+        predict_scan(net, tmp_path / "scan.npy", tmp_path / "none.h5", sensor=[0, 0, np.nan], thresholds=Thresholds())
+
+
+def test_only_completions_are_replaced(folders: list[Path], tmp_path: Path) -> None:
+    net = completer(tmp_path, Dataset(folders[0]).grid)
+    np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
+    for name in ("out.h5", "out.ply"):
+        out = tmp_path / name
+        for _ in range(2):
+            predict_scan(net, tmp_path / "scan.npy", out, thresholds=Thresholds())
+        for content in (b"", b"mine", b"ply\nformat ascii 1.0\n"):
+            out.write_bytes(content)
+            with pytest.raises(DatasetError, match="is there already"):
+                predict_scan(net, tmp_path / "scan.npy", out, thresholds=Thresholds())
+            assert out.read_bytes() == content
+    with h5py.File(tmp_path / "out.h5", "w") as file:
+        file["theirs"] = 1
+    with pytest.raises(DatasetError, match="is there already"):
+        predict_split(net, folders[0], "test", tmp_path / "out.h5")
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert "theirs" in file
+
+
+def test_an_empty_split_names_a_way_on_that_exists(tmp_path: Path) -> None:
+    empty = make_dataset(tmp_path / "empty", counts={"train": 2, "val": 0, "test": 0})
+    net = completer(tmp_path, Dataset(empty).grid)
+    said = r"its test split is empty; generate with --test \(.* three or more\), or give another --split"
+    with pytest.raises(DatasetError, match=said):
+        predict_split(net, empty, "test", tmp_path / "p.h5")

@@ -1,14 +1,18 @@
 """The bench from end to end on a small dataset: its rows, its report, its predictions files, and how it refuses."""
 
+import contextlib
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 from model.bench.command import choose_methods, run_bench
-from model.bench.methods import Completed, Predicted, Truth
+from model.bench.methods import Completed, Truth
+from model.bench.predicted import Predicted
 from model.bench.reconstruction import METRICS
 from model.bench.run import BenchConfig, bench
 from model.bench.tuning import tune
@@ -179,11 +183,166 @@ def test_predictions_that_do_not_fit_are_refused_by_name(dataset: Dataset, tmp_p
     assert not (tmp_path / "bench").exists()
 
 
+def set_voxel(name: str, value: float) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file[name][3, 1, 2, 3] = value
+
+    return change
+
+
+def put(name: str, value: Any, **options: Any) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        del file[name]
+        file.create_dataset(name, data=value, **options)
+
+    return change
+
+
+def promise_a_terabyte(file: h5py.File) -> None:
+    """Chunks that were never written: a file of a few kilobytes."""
+    del file["tudf"]
+    file.create_dataset("tudf", (9, 24, 24, 16), np.float32, chunks=(9, 24, 24, 16), maxshape=(None, None, None, None))
+    del file["occupancy_probability"], file["world"]
+    file.create_dataset("world", (10**12,), np.int64, chunks=(10**6,))
+
+
+def repeat_a_row(file: h5py.File) -> None:
+    file["world"][1], file["viewpoint"][1] = file["world"][0], file["viewpoint"][0]
+
+
+def link_outside(file: h5py.File) -> None:
+    del file["tudf"]
+    file["tudf"] = h5py.ExternalLink("/etc/passwd", "tudf")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (set_voxel("occupancy_probability", 7.0), "row 3: occupancy_probability holds 7, expected a probability"),
+        (set_voxel("occupancy_probability", -3.0), "occupancy_probability holds -3"),
+        (set_voxel("tudf", -0.5), "row 3: tudf holds -0.5, expected a distance of at least 0"),
+        (set_voxel("tudf", np.inf), "tudf holds NaN or infinity"),
+        (repeat_a_row, "1 of 9 samples are missing"),
+        (put("tudf", np.zeros((8, 24, 24, 16), np.float32)), "tudf has 8 rows, expected 9"),
+        (put("tudf", np.zeros((9, 24, 24, 16), "S3")), "tudf is no array of float32"),
+        (put("tudf", np.zeros((9, 24, 24, 16), np.complex64)), "tudf is no array of float32"),
+        (put("tudf", 1.0), "tudf holds maps of"),
+        (put("world", np.zeros(9)), "world is no array of whole numbers"),
+        (put("world", np.zeros((9, 2), int)), "world holds maps of"),
+        (lambda file: file.move("world", "elsewhere"), "expected world, viewpoint"),
+        (lambda file: (file.pop("world"), file.create_group("world")), "world is no array"),
+        (link_outside, "none of them a link"),
+        (lambda file: file.attrs.update({"split": np.arange(3)}), "predicts split"),
+        (lambda file: file.attrs.update({"dataset": b"\x1b[31m\n"}), "predicts dataset"),
+        (promise_a_terabyte, "viewpoint has 9 rows, expected 1000000000000"),
+    ],
+)
+def test_predictions_that_cannot_be_are_refused_in_one_line(
+    dataset: Dataset, tmp_path: Path, change: Callable[[h5py.File], None], said: str
+) -> None:
+    path = write_predictions(tmp_path / "p.h5", dataset)
+    with h5py.File(path, "a") as file:
+        change(file)
+    with pytest.raises(DatasetError) as caught:
+        Predicted(path).check(dataset, "test")
+    assert said in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset: Dataset, tmp_path: Path) -> None:
+    whole = write_predictions(tmp_path / "p.h5", dataset).read_bytes()
+    rng = np.random.default_rng(0)
+    for n in range(12):
+        content = bytearray(whole)
+        if n % 2:
+            del content[int(rng.integers(len(whole))) :]
+        else:
+            start = int(rng.integers(4000))
+            content[start : start + 64] = rng.bytes(64)
+        (tmp_path / "p.h5").write_bytes(content)
+        with contextlib.suppress(DatasetError):
+            Predicted(tmp_path / "p.h5").check(dataset, "test")
+    with pytest.raises(DatasetError, match="no such file"):
+        Predicted(tmp_path / "absent.h5").check(dataset, "test")
+
+
+def test_predictions_of_one_split_say_nothing_of_another(dataset: Dataset, tmp_path: Path) -> None:
+    """Worlds are numbered from 0 in every split, so a row must go by its split, too."""
+    predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
+    with pytest.raises(KeyError):
+        predicted.completion(dataset.split("val")[0], split="val", grid=dataset.grid)
+    assert tune(predicted, dataset, most=4, thresholds=Thresholds()) == Thresholds()
+
+
+class Nameless:
+    complete = Nothing.complete
+
+
+class Aimless:
+    name = "aimless"
+
+
+class Plain(Nothing):
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Any:
+        return observed.astype(np.float32)
+
+
+class Flat(Nothing):
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        return Prediction(occupancy_probability=np.zeros(7, np.float32))
+
+
+class Listed(Nothing):
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        return Prediction(tudf=[[[0.0]]])
+
+
+class Wild(Nothing):
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        return Prediction(occupancy_probability=np.full(observed.shape, 1.5, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [
+        ("Nameless", "Nameless: lacks `name`"),
+        ("Aimless", "Aimless: lacks `complete`"),
+        ("Plain", "nothing: gives ndarray, expected a model.complete.Prediction"),
+        (
+            "Flat",
+            r"occupancy_probability is an array of shape \(7,\), expected an array of shape \(24, 24, 16\)",
+        ),
+        ("Listed", "nothing: tudf is list"),
+        ("Wild", "nothing: occupancy_probability holds 1.5"),
+    ],
+)
+def test_methods_that_are_none_are_refused_in_one_line(
+    dataset: Dataset, tmp_path: Path, method: str, said: str
+) -> None:
+    with pytest.raises(ScenegenError, match=said) as caught:
+        report_of(dataset, tmp_path / "bench", names=(f"{__name__}:{method}",))
+    assert "\n" not in str(caught.value)
+
+
+def test_one_world_gives_no_interval(tmp_path: Path) -> None:
+    recipe = small_recipe()
+    counts = {"train": 3, "val": 0, "test": 3}
+    build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts=counts))
+    report = report_of(Dataset(tmp_path / "d"), tmp_path / "bench", names=("returns", "truth"))
+    figure = report["reconstruction"]["pillar"]["returns"]["iou"]
+    assert (figure["low"], figure["high"], figure["n"]) == (None, None, 3)
+    assert all(test["low"] is None for test in report["tests"]["pillar"])
+    text = (tmp_path / "bench" / "report.md").read_text()
+    assert "[–]" in text
+    assert "which one world does not give" in text
+    assert "nan" not in text
+
+
 def test_unknown_methods_and_empty_splits_are_refused(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(ScenegenError, match="known are returns"):
         choose_methods(["retruns"])
     assert choose_methods(["tests.model.bench.test_bench:Nothing"])[0].name == "nothing"
     recipe = small_recipe()
     build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 0, "test": 0}))
-    with pytest.raises(DatasetError, match="test split is empty"):
+    with pytest.raises(DatasetError, match=r"test split is empty; generate with --test .* or give another --split"):
         bench(Dataset(tmp_path / "d"), [Truth()], CONFIG)

@@ -13,6 +13,8 @@ def test_mean_spread_and_count_are_those_of_the_samples() -> None:
     assert figure.std == pytest.approx(np.std([1, 2, 6], ddof=1))
     assert figure.low <= 3.0 <= figure.high
     assert summarize([np.nan], [0], rng=np.random.default_rng(0)).n == 0
+    alone = summarize([1.0, 2.0], [4, 4], rng=np.random.default_rng(0))
+    assert (alone.mean, alone.low, alone.high) == (1.5, None, None), "one world says nothing of others"
 
 
 @pytest.mark.slow

@@ -1,0 +1,115 @@
+"""Clouds of points on disk: .ply, .xyz and .npy, read here so that no file takes more memory than it has content."""
+
+import io
+import itertools
+import math
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen.errors import DatasetError, printable
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_HEADER_BYTES, MOST_POINTS, MOST_SCAN_BYTES
+
+PLY_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+}
+PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+def read_points(path: Path) -> NDArray[np.float64]:
+    """The points of a scan, (N, 3), metres; a point of NaN or infinity is a ray that returned nothing.
+
+    Raises DatasetError for a file that holds none, that holds fewer than it promises, or that is too large.
+    """
+    if path.suffix not in READERS:
+        raise DatasetError(f"{path}: neither a dataset's folder nor a scan; expected one of {', '.join(READERS)}")
+    try:
+        content = read_bounded(path, MOST_SCAN_BYTES)
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such file") from None
+    try:
+        found = READERS[path.suffix](content)
+    except Exception as error:  # numpy's parsers raise anything
+        raise DatasetError(f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}") from None
+    if found.ndim != 2 or found.shape[1] < 3 or not len(found) or found.dtype.kind not in "fiu":
+        raise DatasetError(
+            f"{path}: holds {found.dtype} of shape {found.shape}, expected (N, 3) numbers: x, y, z in metres"
+        )
+    if len(found) > MOST_POINTS:
+        raise DatasetError(f"{path}: holds more than {MOST_POINTS} points; give one scan, not a map of many")
+    return found[:, :3].astype(np.float64)
+
+
+def _read_npy(content: bytes) -> NDArray[np.generic]:
+    file = io.BytesIO(content)
+    major, _ = np.lib.format.read_magic(file)
+    read_header = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}[major]
+    shape, by_column, dtype = read_header(file, max_header_size=10_000)
+    if dtype.hasobject or dtype.kind not in "fiu":
+        raise ValueError(f"an array of {dtype}, expected numbers")
+    if math.prod(shape) * dtype.itemsize != len(content) - file.tell():
+        raise ValueError(f"promises an array of shape {shape} and holds {len(content) - file.tell()} bytes")
+    return np.frombuffer(content, dtype, offset=file.tell()).reshape(shape, order="F" if by_column else "C")
+
+
+def _read_xyz(content: bytes) -> NDArray[np.generic]:
+    return _numbers(content.replace(b",", b" "), (0, 1, 2), MOST_POINTS + 1)
+
+
+def _read_ply(content: bytes) -> NDArray[np.generic]:
+    """The vertices of a PLY file (Turk 1994), which must come before all other elements."""
+    head, end, _ = content[:MOST_HEADER_BYTES].partition(b"end_header")
+    start = content.find(b"\n", len(head)) + 1
+    if not end or not start:
+        raise ValueError("its header has no end")
+    try:
+        order, count, properties = _ply_header(head)
+        columns = [list(properties).index(axis) for axis in "xyz"]
+    except (ValueError, KeyError, IndexError):
+        raise ValueError(
+            "expected a header of `format`, then `element vertex`, with x, y and z among its properties, and no lists"
+        ) from None
+    if not 0 <= count <= MOST_POINTS:
+        raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
+    if order:
+        dtype = np.dtype([(name, order + kind) for name, kind in properties.items()])
+        held = (len(content) - start) // dtype.itemsize
+        rows = np.frombuffer(content, dtype, count=min(count, held), offset=start)
+        points = np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    else:
+        points = _numbers(content[start:], columns, count)
+    if len(points) != count:
+        raise ValueError(f"promises {count} points and holds {len(points)}")
+    return points
+
+
+def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
+    """Byte order ("" for text), number of vertices, and numpy's types of their properties by name."""
+    magic, *rest = [line.split() for line in head.decode("latin-1").splitlines()]
+    (_, form, _), (element, vertex, count), *lines = [
+        line for line in rest if line and line[0] not in ("comment", "obj_info")
+    ]
+    if (magic, element, vertex) != (["ply"], "element", "vertex"):
+        raise ValueError("no vertices")
+    own = list(itertools.takewhile(lambda line: line[0] == "property", lines))
+    properties = {name: PLY_TYPES[kind] for _, kind, name in own}
+    if len(properties) < len(own):
+        raise ValueError("a property is there twice")
+    return PLY_ORDERS[form], int(count), properties
+
+
+def _numbers(text: bytes, columns: Sequence[int], most: int) -> NDArray[np.float64]:
+    """`columns` of the first `most` lines."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of lines that hold nothing
+        return np.loadtxt(io.BytesIO(text), ndmin=2, usecols=columns, max_rows=most, encoding="ascii")
+
+
+READERS = {".ply": _read_ply, ".xyz": _read_xyz, ".npy": _read_npy}
+"""File types of scans."""
