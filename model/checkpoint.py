@@ -91,8 +91,10 @@ def load_network(path: Path) -> tuple[Network, GridSpec, dict[str, Any]]:
         about = dict(header.get("about", {}))
         with torch.device("meta"):  # takes no memory: what the file holds is compared before anything is made of it
             network = Network(config)
+        if odd := sorted(tensors.keys() ^ network.state_dict().keys()):  # torch would make up some that are missing
+            raise ValueError(f"{', '.join(odd[:3])}: there or missing")
         for name, wanted in network.state_dict().items():
-            if name in tensors and tensors[name].dtype != wanted.dtype:
+            if tensors[name].dtype != wanted.dtype:
                 raise ValueError(f"{name} is {tensors[name].dtype}, expected {wanted.dtype}")
         network.load_state_dict(tensors, assign=True)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenegen.errors import DatasetError, printable
 from scenegen.files import read_bounded
-from scenegen.limits import MOST_HEADER_BYTES, MOST_POINTS, MOST_SCAN_BYTES
+from scenegen.limits import MOST_HEADER_BYTES, MOST_LINE_BYTES, MOST_POINTS, MOST_SCAN_BYTES
 
 PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -105,7 +105,10 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
 
 
 def _numbers(text: bytes, columns: Sequence[int], most: int) -> NDArray[np.float64]:
-    """`columns` of the first `most` lines."""
+    """`columns` of the first `most` lines. Raises ValueError where a line holds far more than a point."""
+    ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
+    if np.diff(ends, prepend=-1, append=len(text)).max() > MOST_LINE_BYTES:
+        raise ValueError(f"a line of more than {MOST_LINE_BYTES} bytes, expected x y z and little more")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of lines that hold nothing
         return np.loadtxt(io.BytesIO(text), ndmin=2, usecols=columns, max_rows=most, encoding="ascii")

@@ -29,9 +29,9 @@ HEADER = "scenegen"
 """Key of the file's metadata under which grid, variant and origin stand, as JSON."""
 OPERATIONS = frozenset(
     {
-        *("Add", "BatchNormalization", "Concat", "Conv", "ConvTranspose", "Div"),
+        *("Add", "BatchNormalization", "Cast", "Concat", "Constant", "Conv", "ConvTranspose", "Div"),
         *("Gather", "Greater", "Identity", "LayerNormalization", "LeakyRelu", "MatMul"),
-        *("Mul", "Relu", "Reshape", "Shape", "Slice", "Softmax"),
+        *("Mul", "Neg", "Pow", "ReduceMean", "Relu", "Reshape", "Shape", "Sigmoid", "Slice", "Softmax"),
         *("Softplus", "Split", "Sqrt", "Squeeze", "Sub", "Transpose"),
         *("Unsqueeze", "Where"),
     }

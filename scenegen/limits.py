@@ -91,6 +91,8 @@ MOST_WEIGHTS_BYTES = 1 << 30
 """Of a .safetensors or .onnx file; a training state of the widest network has 924 MB."""
 MOST_EPOCHS = 10_000
 """Of a training run: their figures stand in the header of its state, some kilobyte each."""
+MOST_LINE_BYTES = 4096
+"""Of a text that lists points."""
 MOST_HEADER_BYTES = 16 << 20
 """Of a .safetensors file's header, a run's settings, or a point cloud's header."""
 MOST_SCAN_BYTES = 256 << 20

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from isal.isal_zlib import error as zlib_error
 
 from lidarsim import GridSpec
 from model.complete import Prediction, PredictionError, check_prediction
+from scenegen.dataset.layout import FILTERS, Column, unpack
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, GuardError, printable, short
 from scenegen.files import open_bounded
@@ -115,8 +117,8 @@ def _check_names(file: h5py.File, wanted: _Wanted) -> None:
             raise DatasetError(f"{name} holds maps of {data.shape[1:]}, expected {maps}")
         if data.shape[0] != file["world"].shape[0]:
             raise DatasetError(f"{name} has {data.shape[0]} rows, expected {file['world'].shape[0]}, as many as world")
-        if data.chunks and math.prod(data.chunks) * data.dtype.itemsize > MOST_CHUNK_BYTES:
-            raise DatasetError(f"{name} has chunks of {data.chunks}; store one map a chunk")
+        if data.chunks:
+            _check_chunks(name, data)
     if file["world"].shape[0] > len(wanted.names):
         raise DatasetError(f"predicts {file['world'].shape[0]} samples, split {wanted.split} has {len(wanted.names)}")
     found = set(_pairs(file))
@@ -126,6 +128,25 @@ def _check_names(file: h5py.File, wanted: _Wanted) -> None:
             f"{len(missing)} of {len(wanted.names)} samples are missing, the first is world {missing[0][0]}, viewpoint "
             f"{missing[0][1]}; predict each sample of split {wanted.split} once"
         )
+
+
+def _check_chunks(name: str, data: h5py.Dataset) -> None:
+    """Raise DatasetError unless every chunk unpacks to just its size: HDF5 would take whatever comes out."""
+    if math.prod(data.chunks) * data.dtype.itemsize > MOST_CHUNK_BYTES:
+        raise DatasetError(f"{name} has chunks of {data.chunks}; store one map a chunk")
+    plan = data.id.get_create_plist()
+    filters = tuple(plan.get_filter(n)[0] for n in range(plan.get_nfilters()))
+    if not set(filters) <= FILTERS:
+        raise DatasetError(f"{name} has filters {filters}; store it plain or with gzip")
+    column = Column(name, data.dtype, data.chunks, filters, np.empty((0, 4), np.int64))
+    places: list[tuple[int, ...]] = []
+    data.id.chunk_iter(lambda chunk: places.append(chunk.chunk_offset))
+    for place in places:
+        left_out, packed = data.id.read_direct_chunk(place)
+        try:
+            unpack(packed, column, left_out)
+        except (ValueError, EOFError, zlib_error) as error:
+            raise DatasetError(f"{name}: its chunk at {place} cannot be unpacked ({error})") from None
 
 
 def _pairs(file: h5py.File) -> list[tuple[int, int]]:

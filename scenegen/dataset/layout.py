@@ -25,7 +25,7 @@ from scenegen.sample import SCHEMA, shape_of
 
 DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
-DEFLATE, SHUFFLE, FLETCHER32 = 1, 2, 3
+FILTERS = {DEFLATE := 1, SHUFFLE := 2, FLETCHER32 := 3}
 """HDF5's numbers of the filters that a shard may use."""
 SMALL_BYTES = 4096
 """Fields that take no more a sample, and that no filter has changed, are read for all samples at once."""
@@ -106,7 +106,7 @@ class ShardFile:
         where = f"{self.name}: sample {row}: {column.name}"
         _, begin, size, left_out = column.places[row].tolist()
         try:
-            raw = _unpack(os.pread(self.file.fileno(), size, begin), column, left_out)
+            raw = unpack(os.pread(self.file.fileno(), size, begin), column, left_out)
         except (isal.isal_zlib.error, EOFError, ValueError, OSError) as error:
             raise BrokenError(f"{where} cannot be unpacked ({error})") from None
         return _array(raw if read_only else bytearray(raw), column, column.shape, where)
@@ -151,7 +151,7 @@ def _array(raw: bytes | bytearray, column: Column, shape: tuple[int, ...], where
     return values.reshape(shape)
 
 
-def _unpack(packed: bytes, column: Column, left_out: int) -> bytes:
+def unpack(packed: bytes, column: Column, left_out: int) -> bytes:
     """A chunk's bytes with the filters undone, last first. Raises ValueError unless as many come out as there must."""
     data = packed
     if left_out >> len(column.filters):
@@ -218,7 +218,7 @@ def _column(
         )
     if stored.chunk != (1, *shape):
         raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")
-    odd = set(stored.filters) - {DEFLATE, SHUFFLE, FLETCHER32}
+    odd = set(stored.filters) - FILTERS
     if odd or len(set(stored.filters)) < len(stored.filters):
         raise BrokenError(
             f"{where} has filters {stored.filters}, expected only gzip (1), shuffle (2) and fletcher32 (3)"

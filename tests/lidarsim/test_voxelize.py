@@ -279,7 +279,7 @@ def test_rays_through_edges_and_corners_of_voxels_match(seed: int) -> None:
         assert_right(scan, grid, voxelize(scan, grid))
 
 
-@pytest.mark.parametrize("max_range_m", [0.05, 0.3, 0.75, 3.0, 10.0, 1e6])
+@pytest.mark.parametrize("max_range_m", [0.05, 0.3, 0.75, 3.0, 10.0, 1e4])
 def test_rays_without_return_free_up_to_the_range_or_the_maps_border(max_range_m: float) -> None:
     rng = np.random.default_rng(2)
     grid = GridSpec(shape=(10, 10, 6))

@@ -270,12 +270,12 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(
     def full(path: Path, mode: str) -> object:
         raise OSError(28, "No space left on device", str(path))
 
+    network, grid = Network(SMALL.network), Maps(folders, "val").grid
     monkeypatch.setattr(files, "open", full, raising=False)
-    network = Network(SMALL.network)
     with pytest.raises(DatasetError, match="the disk is full"):
         RunFolder(out).save(Progress(), network, torch.optim.AdamW(network.parameters()))
     with pytest.raises(DatasetError, match="the disk is full"):
-        RunFolder(out).save_best(network, Maps(folders, "val").grid, {})
+        RunFolder(out).save_best(network, grid, {})
     monkeypatch.undo()
     assert before == {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
 

@@ -75,7 +75,7 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
             outcome["refused"] += 1
             continue
         found = manifest_of(recipe)
-        grid, lidar = check_manifest(found, "test")
+        _, grid, lidar = check_manifest(found, "test")
         assert (grid, lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world is not None
         assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS

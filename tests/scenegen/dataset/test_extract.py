@@ -9,7 +9,7 @@ import trimesh
 
 from scenegen.dataset.extract import DOCUMENT, write_extracted
 from scenegen.errors import DatasetError
-from scenegen.world import load_scene
+from scenegen.scene import load_scene
 
 SCENE = """
 <mujoco>
@@ -32,8 +32,8 @@ def files(tmp_path: Path) -> dict[str, bytes]:
     trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "scene" / "meshes" / "m.obj")
     heights = np.random.default_rng(0).integers(0, 255, (8, 8, 1), dtype=np.uint8)
     (tmp_path / "scene" / "meshes" / "h.png").write_bytes(to_png(np.repeat(heights, 3, axis=2)))
-    document, assets = load_scene(tmp_path / "scene" / "scene.xml")
-    return {DOCUMENT: document, **assets}
+    scene = load_scene(tmp_path / "scene" / "scene.xml")
+    return {DOCUMENT: scene.mjcf, **scene.assets}
 
 
 def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(

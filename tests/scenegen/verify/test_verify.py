@@ -309,7 +309,7 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
         ({"grid": {"shape": [10**6] * 3, "voxel": 0.2, "truncation": 2.0}}, "manifest", "voxels at most"),
         ({"grid": {"shape": [24, 24, 16], "voxel": float("nan"), "truncation": 2.0}}, "manifest", "voxel_m"),
         ({"grid": {"shape": [24, 24, 15], "voxel": 0.2, "truncation": 2.0}}, "layout", f"{SHARD}: observed is bool"),
-        ({"lidar": {"rows": 10**9}}, "manifest", "million rays"),
+        ({"lidar": {"rows": 10**9}}, "manifest", "rows = 1000000000"),
         ({"lidar": {"rays": 4}}, "manifest", "unknown parameter 'rays'"),
         ({"recipe": {"flight": {"speed": 1}}}, "manifest", "unknown parameter 'speed'"),
         ({"kind": "scene"}, "manifest", "recipe.scenes = None"),
