@@ -6,8 +6,8 @@ from functools import cached_property
 from pathlib import Path
 
 import h5py
+import isal.isal_zlib
 import numpy as np
-from isal.isal_zlib import error as zlib_error
 
 from lidarsim import GridSpec
 from model.complete import Prediction, PredictionError, check_prediction
@@ -145,7 +145,7 @@ def _check_chunks(name: str, data: h5py.Dataset) -> None:
         left_out, packed = data.id.read_direct_chunk(place)
         try:
             unpack(packed, column, left_out)
-        except (ValueError, EOFError, zlib_error) as error:
+        except (ValueError, EOFError, isal.isal_zlib.error) as error:
             raise DatasetError(f"{name}: its chunk at {place} cannot be unpacked ({error})") from None
 
 
