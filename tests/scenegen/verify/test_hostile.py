@@ -288,10 +288,11 @@ def test_a_recipe_without_end_is_given_up(folder: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(module, "SECONDS", 2.0)
     monkeypatch.setattr(module, "SECONDS_A_SAMPLE", 0.0)
     recipe = manifest.read(folder)["recipe"]
-    endless = {"iterations": 10**6, "margin_m": 7.9, "min_distance_m": 15.0, "flights_per_world": 20}
-    forge.sign(folder, recipe=recipe | {"flight": recipe["flight"] | endless | {"iterations": 10**9}})
+    many = {"iterations": 20_000, "flights_per_world": 1000}
+    forge.sign(folder, recipe=recipe | {"flight": recipe["flight"] | many | {"iterations": 10**9}})
     assert "iterations = 1000000000: expected a whole number" in failed(folder, workers=3)["manifest"]
-    forge.sign(folder, recipe=recipe | {"flight": recipe["flight"] | endless})
+    nothing_will_do = {"accept": recipe["accept"] | {"min_returned_share": 1.0}}
+    forge.sign(folder, recipe=recipe | {"flight": recipe["flight"] | many} | nothing_will_do)
     assert (
         "train-00000.h5 or train-00000.worlds.zip: examining it took too long" in failed(folder, workers=3)["examined"]
     )
