@@ -277,7 +277,7 @@ def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quie
 
     Given again after a stop, it goes on where it was.
     """
-    from model.train_command import run_train
+    from scenegen.model.train_command import run_train
 
     quiet = quiet or int(os.environ.get("RANK", "0")) > 0
     with Progress(variant, shown=not quiet) as progress, stops.noted() as stop:  # the loop looks between two steps
@@ -309,12 +309,12 @@ def train(datasets: tuple[Path | str, ...], variant: str, out: Path | None, quie
 @click.option("--quiet", is_flag=True, help="Print errors alone.")
 def complete(source: Path | str, weights: str, output: Path | None, quiet: bool, **options: Any) -> None:
     """Complete a dataset's split, or one scan (.ply, .xyz, .npy: points in metres, z up, sensor at the origin)."""
-    from model.complete import Thresholds
-    from model.completer import Completer
-    from model.device import choose_device
-    from model.predict import predict_scan, predict_split
     from scenegen.dataset.locate import locate
     from scenegen.files import make_parent
+    from scenegen.model.complete import Thresholds
+    from scenegen.model.completer import Completer
+    from scenegen.model.device import choose_device
+    from scenegen.model.predict import predict_scan, predict_split
 
     completer = Completer.from_pretrained(weights, device=choose_device(options["device"]), batch=options["batch"])
     found = locate(source, shown=not quiet)
@@ -348,10 +348,10 @@ def complete(source: Path | str, weights: str, output: Path | None, quiet: bool,
 @click.option("-o", "--output", type=OutputFile(), help="[default: <name>.onnx]")
 def export(weights: str, output: Path | None) -> None:
     """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
-    from model.checkpoint import load_network
-    from model.completer import locate
-    from model.export import export_onnx
     from scenegen.files import make_parent
+    from scenegen.model.checkpoint import load_network
+    from scenegen.model.completer import locate
+    from scenegen.model.export import export_onnx
 
     network, grid, about = load_network(locate(weights))
     output = output or Path(f"{Path(weights).stem}.onnx")
@@ -364,7 +364,7 @@ def export(weights: str, output: Path | None) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def networks(as_json: bool) -> None:
     """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
-    from model.summary import costs
+    from scenegen.model.summary import costs
 
     found = costs()
     if as_json:
@@ -397,7 +397,7 @@ def bench(datasets: tuple[Path | str, ...], names: tuple[str, ...], out: Path, q
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
     if not quiet:
         announce_compilation()
-    from model.bench.command import run_bench, tables
+    from scenegen.model.bench.command import run_bench, tables
     from scenegen.workers import cores
 
     report = run_bench(
@@ -441,8 +441,8 @@ def publish(
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
-    from model.provenance import commit
     from scenegen.dataset.locate import locate
+    from scenegen.model.provenance import commit
     from scenegen.publish.run import publish as run_publish
     from scenegen.publish.stage import Request
     from scenegen.workers import cores

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from model.bench.methods import Completed, Truth
-from model.bench.paper import PLANNING
-from model.bench.run import BenchConfig, bench
-from model.complete import Returns
-from model.planning.config import PlanConfig
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
+from scenegen.model.bench.methods import Completed, Truth
+from scenegen.model.bench.paper import PLANNING
+from scenegen.model.bench.run import BenchConfig, bench
+from scenegen.model.complete import Returns
+from scenegen.model.planning.config import PlanConfig
 from scenegen.recipe import make_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds

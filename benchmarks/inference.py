@@ -15,10 +15,10 @@ from typing import Any
 import torch
 
 from lidarsim import GridSpec
-from model.device import autocast, resolve_precision
-from model.export import export_onnx
-from model.network import VARIANTS, Network, NetworkConfig
-from model.runtime import RUNTIMES, load_onnx
+from scenegen.model.device import autocast, resolve_precision
+from scenegen.model.export import export_onnx
+from scenegen.model.network import VARIANTS, Network, NetworkConfig
+from scenegen.model.runtime import RUNTIMES, load_onnx
 
 ROUNDS = 10
 GRID = GridSpec()

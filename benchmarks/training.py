@@ -10,10 +10,10 @@ from pathlib import Path
 
 import torch
 
-from model.data import Maps, TudfOf, epoch_batches, load
-from model.device import Group, choose_device
-from model.network import VARIANTS, Network, NetworkConfig
-from model.train import Step, TrainConfig
+from scenegen.model.data import Maps, TudfOf, epoch_batches, load
+from scenegen.model.device import Group, choose_device
+from scenegen.model.network import VARIANTS, Network, NetworkConfig
+from scenegen.model.train import Step, TrainConfig
 
 ROUNDS = 5
 

@@ -39,7 +39,8 @@ def cache_folder(package: str) -> Path:
     """Where the kernels of `package`, as they stand on disk, are kept."""
     digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
     roots = {Path(__file__).parent, Path(sys.modules[package].__file__ or __file__).parent}
-    for path in sorted(path for root in roots for path in root.rglob("*.py")):
+    walks = (walk for root in roots for walk in os.walk(root, followlinks=True))
+    for path in sorted(Path(folder, name) for folder, _, names in walks for name in names if name.endswith(".py")):
         content = path.read_bytes()
         if b"lidarsim.jit" in content:
             digest.update(content)

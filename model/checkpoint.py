@@ -15,10 +15,10 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from lidarsim import GridSpec
-from model.network import Network, NetworkConfig
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
+from scenegen.model.network import Network, NetworkConfig
 
 FORMAT = "scenegen-network"
 VERSION = 1

@@ -74,7 +74,7 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
     are allowed. Raises PredictionError, naming `who` predicts, for anything else.
     """
     if not isinstance(found, Prediction):
-        raise PredictionError(f"{who}: gives {type(found).__name__}, expected a model.complete.Prediction")
+        raise PredictionError(f"{who}: gives {type(found).__name__}, expected a scenegen.model.complete.Prediction")
     for name, (what, most) in PARTS.items():
         values = getattr(found, name)
         if values is None:

@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lidarsim import GridSpec
-from model.checkpoint import CheckpointError, load_network
-from model.complete import Prediction, check_prediction
-from model.network import Output
-from model.runtime import load_onnx
 from scenegen.dataset.locate import without_tokens
+from scenegen.errors import needs
+from scenegen.model.checkpoint import CheckpointError, load_network
+from scenegen.model.complete import Prediction, check_prediction
+from scenegen.model.network import Output
+from scenegen.model.runtime import load_onnx
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
 HUB = "hf://"
-NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
+NAMES_IN_FOLDER = ("best.safetensors", "scenegen.model.safetensors")
 """What a run's folder, or a repository, calls its network."""
 
 
@@ -154,7 +155,7 @@ def _fetch(name: str) -> Path:
     try:
         from huggingface_hub import hf_hub_download
     except ImportError:
-        raise CheckpointError(f"{name}: needs huggingface_hub; pip install 'scenegen[publish]'") from None
+        raise CheckpointError(f"{name}: {needs('huggingface_hub', 'publish')}") from None
     try:
         return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
     except Exception as error:  # its errors share no base

@@ -1,4 +1,4 @@
-"""Networks as ONNX files, for the CPU runtimes that run them faster than torch does (`model.runtime`)."""
+"""Networks as ONNX files, for the CPU runtimes that run them faster than torch does (`scenegen.model.runtime`)."""
 
 import dataclasses
 import json
@@ -11,10 +11,11 @@ import torch
 from torch import Tensor, nn
 
 from lidarsim import GridSpec
-from model.checkpoint import CheckpointError
-from model.network import Network
-from model.runtime import HEADER, INPUT, NAMES
+from scenegen.errors import needs
 from scenegen.files import write_whole
+from scenegen.model.checkpoint import CheckpointError
+from scenegen.model.network import Network
+from scenegen.model.runtime import HEADER, INPUT, NAMES
 
 
 class _Traced(nn.Module):
@@ -41,7 +42,7 @@ def export_onnx(network: Network, grid: GridSpec, path: Path, *, about: dict[str
         import onnx
         import onnxscript  # noqa: F401 (torch's exporter imports it)
     except ImportError:
-        raise CheckpointError(f"{path}: exporting needs onnx and onnxscript; pip install 'scenegen[export]'") from None
+        raise CheckpointError(f"{path}: exporting {needs('onnx and onnxscript', 'export')}") from None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of torch's own code, and of the torchvision that is not there
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)

@@ -10,7 +10,7 @@ import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor
 
 from lidarsim.parameters import check, number
-from model.network import Output
+from scenegen.model.network import Output
 
 ROOT_EPSILON = 1e-8
 """Under the root of the gradient's length, so that a flat field has a finite derivative."""

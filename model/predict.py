@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim import GridSpec
-from model.bench.methods import empty_split
-from model.bench.predicted import FIELDS
-from model.complete import Prediction, Thresholds
-from model.completer import Completer
-from model.data import Maps, load
-from model.points import read_points
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, GuardError
 from scenegen.files import open_bounded, whole, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_LENGTH_M
+from scenegen.model.bench.methods import empty_split
+from scenegen.model.bench.predicted import FIELDS
+from scenegen.model.complete import Prediction, Thresholds
+from scenegen.model.completer import Completer
+from scenegen.model.data import Maps, load
+from scenegen.model.points import read_points
 from scenegen.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"

@@ -7,10 +7,10 @@ import torch
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
-from model.complete import Prediction
-from model.completer import Completer, called, locate
-from model.runtime import examine
 from scenegen.errors import DatasetError
+from scenegen.model.complete import Prediction
+from scenegen.model.completer import Completer, called, locate
+from scenegen.model.runtime import examine
 
 
 class Pretrained:

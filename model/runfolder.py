@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 
 from lidarsim import GridSpec
-from model.card import SHOWN, card
-from model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
-from model.network import Network
 from scenegen.dataset.manifest import differences
 from scenegen.errors import DatasetError, printable, short
 from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
+from scenegen.model.card import SHOWN, card
+from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
+from scenegen.model.network import Network
 
 CONFIG, METRICS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 BEST, LAST = "best.safetensors", "last.safetensors"

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lidarsim import GridSpec
-from model.checkpoint import CheckpointError, network_from
-from model.network import NetworkConfig, Output
-from scenegen.errors import DatasetError, GuardError, printable
+from scenegen.errors import DatasetError, GuardError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
+from scenegen.model.checkpoint import CheckpointError, network_from
+from scenegen.model.network import NetworkConfig, Output
 from scenegen.workers import guarded
 
 INPUT = "observed"
@@ -108,7 +108,7 @@ def _examined(content: bytes, runtime: Runtime | None) -> Examined:
     usable = [name for name in ((runtime,) if runtime else RUNTIMES) if find_spec(name) is not None]
     if missing or not usable:
         needed = "onnx" if missing else runtime or " or ".join(RUNTIMES)
-        raise CheckpointError(f"needs {needed}; pip install 'scenegen[export]'")
+        raise CheckpointError(needs(needed, "export"))
     try:
         header = guarded(read_graph, content, seconds=GUARD_S, memory_bytes=GUARD_BYTES + 4 * len(content))
     except GuardError as error:

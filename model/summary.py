@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
-from model.network import VARIANTS, Network, NetworkConfig
+from scenegen.model.network import VARIANTS, Network, NetworkConfig
 
 
 @dataclass(frozen=True, kw_only=True)

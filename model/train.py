@@ -15,9 +15,11 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from lidarsim.parameters import check, number
-from model.bench.methods import empty_split
-from model.data import LoaderError, Maps, TudfOf, epoch_batches, load
-from model.device import (
+from scenegen.errors import DatasetError, StoppedError
+from scenegen.limits import MOST_BATCH, MOST_EPOCHS
+from scenegen.model.bench.methods import empty_split
+from scenegen.model.data import LoaderError, Maps, TudfOf, epoch_batches, load
+from scenegen.model.device import (
     Group,
     TrainingError,
     autocast,
@@ -26,13 +28,11 @@ from model.device import (
     is_out_of_memory,
     resolve_precision,
 )
-from model.losses import LossConfig, objective
-from model.network import Network, NetworkConfig, Output
-from model.provenance import commit, versions
-from model.runfolder import Progress, RunFolder
-from model.validate import validate
-from scenegen.errors import DatasetError, StoppedError
-from scenegen.limits import MOST_BATCH, MOST_EPOCHS
+from scenegen.model.losses import LossConfig, objective
+from scenegen.model.network import Network, NetworkConfig, Output
+from scenegen.model.provenance import commit, versions
+from scenegen.model.runfolder import Progress, RunFolder
+from scenegen.model.validate import validate
 
 SAVE_EVERY_S = 60.0
 """How much work a kill may cost, seconds."""

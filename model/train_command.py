@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from model.device import TrainingError, choose_device
-from model.losses import LossConfig
-from model.network import NetworkConfig
-from model.train import TrainConfig, Watcher, train
+from scenegen.model.device import TrainingError, choose_device
+from scenegen.model.losses import LossConfig
+from scenegen.model.network import NetworkConfig
+from scenegen.model.train import TrainConfig, Watcher, train
 from scenegen.workers import cores
 
 
@@ -38,7 +38,7 @@ def run_train(
 ) -> None:
     """Train, showing the loss of the last steps, the rate, the time left, and a line an epoch.
 
-    Raises TrainingError for options that no run can have; for the rest see `model.train.train`.
+    Raises TrainingError for options that no run can have; for the rest see `scenegen.model.train.train`.
     """
     try:
         config = TrainConfig(

@@ -6,12 +6,12 @@ from collections import Counter, defaultdict
 import numpy as np
 import torch
 
-from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
-from model.complete import Prediction, Thresholds
-from model.data import Maps, TudfOf, load
-from model.device import Group, autocast
-from model.losses import LossConfig, objective
-from model.network import Network
+from scenegen.model.bench.reconstruction import METRICS, ReconstructionConfig, measure
+from scenegen.model.complete import Prediction, Thresholds
+from scenegen.model.data import Maps, TudfOf, load
+from scenegen.model.device import Group, autocast
+from scenegen.model.losses import LossConfig, objective
+from scenegen.model.network import Network
 
 
 @torch.inference_mode()

@@ -45,6 +45,11 @@ def escaped(text: object) -> str:
     return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in str(text))
 
 
+def needs(packages: str, extra: str) -> str:
+    """What to say where `packages` of our optional dependencies `extra` are not installed, and how to get them."""
+    return f"needs {packages}; in scenegen's checkout: pip install -e '.[{extra}]'"
+
+
 def printable(text: object) -> str:
     """`text` as one line that a terminal shows as it is: line ends become spaces, control characters become escapes.
 

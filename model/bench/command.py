@@ -8,16 +8,16 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
-from model.bench.methods import Completed, Method, Truth
-from model.bench.predicted import Predicted
-from model.bench.reconstruction import METRICS
-from model.bench.report import PLAN_METRICS, build_report, to_markdown
-from model.bench.run import BenchConfig, bench
-from model.complete import UNLEARNED, PredictionError
-from model.provenance import commit
 from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError, ScenegenError
+from scenegen.errors import DatasetError, ScenegenError, needs
 from scenegen.files import write_whole
+from scenegen.model.bench.methods import Completed, Method, Truth
+from scenegen.model.bench.predicted import Predicted
+from scenegen.model.bench.reconstruction import METRICS
+from scenegen.model.bench.report import PLAN_METRICS, build_report, to_markdown
+from scenegen.model.bench.run import BenchConfig, bench
+from scenegen.model.complete import UNLEARNED, PredictionError
+from scenegen.model.provenance import commit
 
 QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 """What `--quick` measures of every dataset."""
@@ -109,9 +109,9 @@ def choose_methods(names: Sequence[str]) -> list[Method]:
 def _network(weights: str) -> Method:
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
     try:
-        from model.pretrained import Pretrained
+        from scenegen.model.pretrained import Pretrained
     except ImportError:
-        raise ScenegenError(f"--weights {weights}: needs torch; pip install 'scenegen[train]'") from None
+        raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
     return Completed(Pretrained(weights))
 
 

@@ -4,8 +4,8 @@ import numpy as np
 from scipy import ndimage
 
 from lidarsim import GridSpec
-from model.planning.astar import Lattice
-from model.planning.config import PlanConfig
+from scenegen.model.planning.astar import Lattice
+from scenegen.model.planning.config import PlanConfig
 from scenegen.sample import Sample
 
 DESCRIPTORS = ("gap_m", "traversable", "hidden")

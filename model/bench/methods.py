@@ -1,4 +1,4 @@
-"""What the bench compares: completers, and the truth itself; predictions on disk are `model.bench.predicted`."""
+"""What the bench compares: completers and the truth itself; `scenegen.model.bench.predicted` holds those on disk."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from lidarsim import GridSpec
-from model.complete import MapCompleter, Prediction, PredictionError, check_prediction
+from scenegen.model.complete import MapCompleter, Prediction, PredictionError, check_prediction
 from scenegen.sample import Sample
 
 

@@ -10,12 +10,12 @@ import isal.isal_zlib
 import numpy as np
 
 from lidarsim import GridSpec
-from model.complete import Prediction, PredictionError, check_prediction
 from scenegen.dataset.layout import FILTERS, Column, unpack
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, GuardError, printable, short
 from scenegen.files import open_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
+from scenegen.model.complete import Prediction, PredictionError, check_prediction
 from scenegen.sample import Sample
 from scenegen.workers import guarded
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from model.bench import paper
-from model.bench.difficulty import DESCRIPTORS
-from model.bench.reconstruction import METRICS
-from model.bench.run import DatasetResult, MethodResult
-from model.bench.statistics import holm, paired_p, summarize
-from model.bench.visibility import CLASSES
+from scenegen.model.bench import paper
+from scenegen.model.bench.difficulty import DESCRIPTORS
+from scenegen.model.bench.reconstruction import METRICS
+from scenegen.model.bench.run import DatasetResult, MethodResult
+from scenegen.model.bench.statistics import holm, paired_p, summarize
+from scenegen.model.bench.visibility import CLASSES
 
 PLAN_METRICS = ("success", "length", "min_clearance", "avg_clearance")
 TESTED = {

@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.parameters import check, number
-from model.bench.difficulty import describe
-from model.bench.methods import Method, empty_split
-from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
-from model.bench.tuning import tune
-from model.bench.visibility import CLASSES, UNOBSERVED, classify
-from model.complete import Thresholds
-from model.planning.config import PlanConfig
-from model.planning.measure import Measurement, run_trial
-from model.planning.trials import draw_trials
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
+from scenegen.model.bench.difficulty import describe
+from scenegen.model.bench.methods import Method, empty_split
+from scenegen.model.bench.reconstruction import METRICS, ReconstructionConfig, measure
+from scenegen.model.bench.tuning import tune
+from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, classify
+from scenegen.model.complete import Thresholds
+from scenegen.model.planning.config import PlanConfig
+from scenegen.model.planning.measure import Measurement, run_trial
+from scenegen.model.planning.trials import draw_trials
 from scenegen.workers import run as run_workers
 
 CHUNK = 10

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from model.bench.methods import Method
-from model.complete import Thresholds
 from scenegen.dataset.read import Dataset
+from scenegen.model.bench.methods import Method
+from scenegen.model.complete import Thresholds
 
 PROBABILITIES = np.arange(0.05, 1.0, 0.05)
 DISTANCES_M = np.arange(0.05, 0.85, 0.05)

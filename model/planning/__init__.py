@@ -3,10 +3,10 @@
 All coordinates here are in the map frame: metres from the grid's least corner, axes as the world's.
 """
 
-from model.planning.astar import Plan, plan_path
-from model.planning.config import PlanConfig
-from model.planning.measure import Measurement, run_trial
-from model.planning.refine import refine
-from model.planning.trials import Trials, draw_trials
+from scenegen.model.planning.astar import Plan, plan_path
+from scenegen.model.planning.config import PlanConfig
+from scenegen.model.planning.measure import Measurement, run_trial
+from scenegen.model.planning.refine import refine
+from scenegen.model.planning.trials import Trials, draw_trials
 
 __all__ = ["Measurement", "Plan", "PlanConfig", "Trials", "draw_trials", "plan_path", "refine", "run_trial"]

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
-from model.planning.astar import Blocked, checked, plan_path
-from model.planning.config import PlanConfig
-from model.planning.refine import field_at, refine
+from scenegen.model.planning.astar import Blocked, checked, plan_path
+from scenegen.model.planning.config import PlanConfig
+from scenegen.model.planning.refine import field_at, refine
 
 Cause = Blocked | Literal["initial_collides", "refined_into_obstacle"]
 

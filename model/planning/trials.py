@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
-from model.planning.astar import Blocked, Lattice, checked, plan_path
-from model.planning.config import PlanConfig
+from scenegen.model.planning.astar import Blocked, Lattice, checked, plan_path
+from scenegen.model.planning.config import PlanConfig
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import check_manifest
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError, needs, printable
 from scenegen.limits import MOST_MANIFEST_BYTES
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # read when the Hub's client is imported, which is later
@@ -50,7 +50,7 @@ def locate(name: str | Path, *, shown: bool = False) -> Path:
     try:
         from huggingface_hub import snapshot_download
     except ImportError:
-        raise DatasetError(f"{name}: needs huggingface_hub; pip install 'scenegen[publish]'") from None
+        raise DatasetError(f"{name}: {needs('huggingface_hub', 'publish')}") from None
 
     def download(revision: str | None, *files: str) -> Path:
         return Path(snapshot_download(repository, repo_type="dataset", revision=revision, allow_patterns=list(files)))

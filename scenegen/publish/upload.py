@@ -7,7 +7,7 @@ from typing import Any
 
 from scenegen import __version__
 from scenegen.dataset.locate import client_output, reason
-from scenegen.errors import PublishError, ScenegenError
+from scenegen.errors import PublishError, ScenegenError, needs
 from scenegen.publish.folder import SUMS
 from scenegen.publish.stage import Staged
 
@@ -21,7 +21,7 @@ def check_token() -> None:
     try:
         from huggingface_hub import get_token
     except ImportError:
-        raise PublishError("publishing needs huggingface_hub: pip install 'scenegen[publish]'") from None
+        raise PublishError(f"publishing {needs('huggingface_hub', 'publish')}") from None
     if not get_token():
         raise PublishError(TOKEN)
 

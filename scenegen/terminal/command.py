@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 import rich_click as click
 
-from scenegen.errors import ScenegenError, StoppedError, printable
+from scenegen.errors import ScenegenError, StoppedError, needs, printable
 from scenegen.terminal import stops
 from scenegen.terminal.streams import lost_output, open_streams
 
@@ -48,7 +48,7 @@ def _outcome(app: Any) -> tuple[int, str]:
     except ModuleNotFoundError as error:
         if error.name not in EXTRAS:
             raise
-        return 1, f"this needs {error.name}, which is not installed; pip install 'scenegen[{EXTRAS[error.name]}]'"
+        return 1, f"this command {needs(error.name, EXTRAS[error.name])}"
     except OSError as error:
         name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "the system"
         return 1, f"{name}: {error.strerror or error}; nothing finished is lost"

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from lidarsim import GridSpec
-from model.checkpoint import CheckpointError, save_network
-from model.complete import PredictionError
-from model.completer import Completer
-from model.network import Network, NetworkConfig
+from scenegen.model.checkpoint import CheckpointError, save_network
+from scenegen.model.complete import PredictionError
+from scenegen.model.completer import Completer
+from scenegen.model.network import Network, NetworkConfig
 
 GRID = GridSpec(shape=(16, 24, 8))
 
@@ -129,16 +129,16 @@ def test_networks_are_found_by_folder_and_nothing_else_is_fetched(
 def test_a_repository_is_fetched_when_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import huggingface_hub
 
-    save(tmp_path / "model.safetensors")
+    save(tmp_path / "scenegen.model.safetensors")
     asked = []
 
     def fetch(*given: object, **named: object) -> str:
         asked.append((given, named))
-        return str(tmp_path / "model.safetensors")
+        return str(tmp_path / "scenegen.model.safetensors")
 
     monkeypatch.setattr(huggingface_hub, "hf_hub_download", fetch)
     Completer.from_pretrained("hf://user/net@v2")
-    assert asked == [(("user/net", "model.safetensors"), {"revision": "v2"})]
+    assert asked == [(("user/net", "scenegen.model.safetensors"), {"revision": "v2"})]
 
     def fail(*given: object, **named: object) -> str:
         raise OSError("401 Client Error\nmore")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from model.data import LoaderError, Maps, TudfOf, load
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
+from scenegen.model.data import LoaderError, Maps, TudfOf, load
 from tests.model.conftest import COUNTS, make_dataset
 
 

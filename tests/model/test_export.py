@@ -13,11 +13,11 @@ import pytest
 import torch
 
 from lidarsim import GridSpec
-from model.checkpoint import CheckpointError
-from model.completer import Completer
-from model.export import export_onnx
-from model.network import Network, NetworkConfig
-from model.runtime import RUNTIMES, examine, load_onnx, read_graph
+from scenegen.model.checkpoint import CheckpointError
+from scenegen.model.completer import Completer
+from scenegen.model.export import export_onnx
+from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.runtime import RUNTIMES, examine, load_onnx, read_graph
 
 GRID = GridSpec(shape=(16, 24, 8))
 pytest.importorskip("onnxscript")
@@ -198,7 +198,7 @@ def watch(event, given):
         os.write(1, f"{event} {given}\\n".encode())
 sys.addaudithook(watch)
 import numpy as np
-from model.completer import Completer
+from scenegen.model.completer import Completer
 completer = Completer.from_pretrained(sys.argv[1])
 completer(np.zeros(completer.grid.shape, bool))
 assert not hasattr(sys.modules.get("openvino_telemetry"), "Telemetry")

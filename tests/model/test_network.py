@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from model.network import VARIANTS, CrossFusion, FinalUp, Network, NetworkConfig
-from model.summary import cost
+from scenegen.model.network import VARIANTS, CrossFusion, FinalUp, Network, NetworkConfig
+from scenegen.model.summary import cost
 
 SHAPE = (16, 24, 8)
 

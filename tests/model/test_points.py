@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.points import read_points
 from scenegen.errors import DatasetError
+from scenegen.model.points import read_points
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
 HEAD = "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"

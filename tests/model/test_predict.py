@@ -9,14 +9,14 @@ import pytest
 import torch
 import trimesh
 
-from model.bench.predicted import Predicted
-from model.checkpoint import save_network
-from model.complete import Thresholds
-from model.completer import Completer
-from model.network import Network, NetworkConfig
-from model.predict import predict_scan, predict_split
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
+from scenegen.model.bench.predicted import Predicted
+from scenegen.model.checkpoint import save_network
+from scenegen.model.complete import Thresholds
+from scenegen.model.completer import Completer
+from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.predict import predict_scan, predict_split
 from tests.model.conftest import make_dataset
 
 

@@ -13,18 +13,18 @@ from pathlib import Path
 import pytest
 import torch
 
-import model.train
+import scenegen.model.train
 from lidarsim import GridSpec
-from model.card import SHOWN
-from model.checkpoint import CheckpointError, load_network, load_tensors, save_tensors
-from model.data import Maps, TudfOf
-from model.device import TrainingError, device_name
-from model.losses import LossConfig, objective
-from model.network import Network, NetworkConfig
-from model.runfolder import Progress, RunFolder
-from model.train import TrainConfig, Watcher, learning_rate, train
 from scenegen import files
 from scenegen.errors import DatasetError, StoppedError
+from scenegen.model.card import SHOWN
+from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_tensors
+from scenegen.model.data import Maps, TudfOf
+from scenegen.model.device import TrainingError, device_name
+from scenegen.model.losses import LossConfig, objective
+from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.runfolder import Progress, RunFolder
+from scenegen.model.train import TrainConfig, Watcher, learning_rate, train
 from tests.model.conftest import make_dataset
 
 SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")
@@ -114,12 +114,14 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
 KILLED = """
 import os, signal, sys
 import torch
+
+import scenegen.model.train
 torch.set_num_threads(1)
-import model.train
+import scenegen.model.train
 from pathlib import Path
-from model.train import Watcher, train
+from scenegen.model.train import Watcher, train
 from tests.model.test_train import SMALL
-model.train.SAVE_EVERY_S = 0.0
+scenegen.model.train.SAVE_EVERY_S = 0.0
 steps = 0
 def count(maps, loss):
     global steps
@@ -201,7 +203,7 @@ def test_training_ends_after_so_many_epochs_without_improvement(
     """Validation losses 3 2 2 4 1 …: the second epoch is the best of the first five with patience 3."""
     losses = iter([3.0, 2.0, 2.0, 4.0, 2.5, 1.0])
     fixed = dict.fromkeys((name.removeprefix("val_") for name in SHOWN), 0.0)
-    monkeypatch.setattr(model.train, "validate", lambda *given: {**fixed, "loss": next(losses)})
+    monkeypatch.setattr(scenegen.model.train, "validate", lambda *given: {**fixed, "loss": next(losses)})
     config = dataclasses.replace(SMALL, epochs=50, patience=3)
     rows = train(folders, config, tmp_path / "run", device="cpu")
     assert [row["val_loss"] for row in rows] == [3.0, 2.0, 2.0, 4.0, 2.5]
@@ -212,7 +214,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(
     folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, steps = tmp_path / "run", 0
-    honest = model.train.objective
+    honest = scenegen.model.train.objective
 
     def poisoned(*given: object, **named: object) -> dict[str, torch.Tensor]:
         nonlocal steps
@@ -220,7 +222,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(
         losses = honest(*given, **named)
         return {name: loss * float("nan") for name, loss in losses.items()} if steps == 9 else losses
 
-    monkeypatch.setattr(model.train, "objective", poisoned)
+    monkeypatch.setattr(scenegen.model.train, "objective", poisoned)
     with pytest.raises(
         TrainingError, match=r"epoch 2, step 3: loss nan.*train sample \d+; .*train sample \d+"
     ) as caught:
@@ -233,14 +235,14 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(
 def test_running_out_of_memory_says_what_fits(
     folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    honest = model.train.objective
+    honest = scenegen.model.train.objective
 
     def hungry(output: object, occupancy: torch.Tensor, *given: object, **named: object) -> dict[str, torch.Tensor]:
         if len(occupancy) > 3:
             raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 7 EiB")
         return honest(output, occupancy, *given, **named)
 
-    monkeypatch.setattr(model.train, "objective", hungry)
+    monkeypatch.setattr(scenegen.model.train, "objective", hungry)
     config = dataclasses.replace(SMALL, batch=12)
     with pytest.raises(TrainingError, match="a batch of 12 does not fit; --batch 3 does"):
         train(folders, config, tmp_path / "run", device="cpu")
@@ -331,11 +333,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 import torch
-from model.checkpoint import save_tensors
-from model.data import Maps
-from model.device import Group
-from model.network import Network
-from model.train import Step
+
+import scenegen.model.train
+from scenegen.model.checkpoint import save_tensors
+from scenegen.model.data import Maps
+from scenegen.model.device import Group
+from scenegen.model.network import Network
+from scenegen.model.train import Step
 from tests.model.test_train import SMALL
 torch.set_num_threads(1)
 device = torch.device("cpu")

@@ -151,8 +151,8 @@ def _loaded(name: str) -> str:
 def _write_networks(folder: Path) -> None:
     import torch
 
-    from model.checkpoint import save_network
-    from model.network import Network, NetworkConfig
+    from scenegen.model.checkpoint import save_network
+    from scenegen.model.network import Network, NetworkConfig
     from tests.mutations.onnx_files import write_onnx
 
     torch.set_num_threads(1)

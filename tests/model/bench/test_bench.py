@@ -10,17 +10,17 @@ import h5py
 import numpy as np
 import pytest
 
-from model.bench.command import choose_methods, run_bench
-from model.bench.methods import Completed, Truth
-from model.bench.predicted import Predicted
-from model.bench.reconstruction import METRICS
-from model.bench.run import BenchConfig, bench
-from model.bench.tuning import tune
-from model.complete import Prediction, Returns, Thresholds
-from model.planning.config import PlanConfig
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
+from scenegen.model.bench.command import choose_methods, run_bench
+from scenegen.model.bench.methods import Completed, Truth
+from scenegen.model.bench.predicted import Predicted
+from scenegen.model.bench.reconstruction import METRICS
+from scenegen.model.bench.run import BenchConfig, bench
+from scenegen.model.bench.tuning import tune
+from scenegen.model.complete import Prediction, Returns, Thresholds
+from scenegen.model.planning.config import PlanConfig
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
@@ -307,7 +307,7 @@ class Wild(Nothing):
     [
         ("Nameless", "Nameless: lacks `name`"),
         ("Aimless", "Aimless: lacks `complete`"),
-        ("Plain", "nothing: gives ndarray, expected a model.complete.Prediction"),
+        ("Plain", "nothing: gives ndarray, expected a scenegen.model.complete.Prediction"),
         (
             "Flat",
             r"occupancy_probability is an array of shape \(7,\), expected an array of shape \(24, 24, 16\)",

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lidarsim import GridSpec
-from model.bench.difficulty import DESCRIPTORS, describe
-from model.planning.config import PlanConfig
 from scenegen.draw import draw_unit
+from scenegen.model.bench.difficulty import DESCRIPTORS, describe
+from scenegen.model.planning.config import PlanConfig
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field

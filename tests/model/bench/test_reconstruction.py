@@ -5,10 +5,10 @@ import pytest
 from scipy import stats
 
 from lidarsim import GridSpec
-from model.bench.reconstruction import METRICS, ReconstructionConfig, measure
-from model.bench.visibility import CLASSES, classify
-from model.complete import UNLEARNED, Conservative, Extrude, Prediction, Returns, Thresholds
 from scenegen.draw import draw_unit
+from scenegen.model.bench.reconstruction import METRICS, ReconstructionConfig, measure
+from scenegen.model.bench.visibility import CLASSES, classify
+from scenegen.model.complete import UNLEARNED, Conservative, Extrude, Prediction, Returns, Thresholds
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
 from tests.conftest import small_recipe

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from model.bench.statistics import holm, paired_p, summarize
+from scenegen.model.bench.statistics import holm, paired_p, summarize
 
 
 def test_mean_spread_and_count_are_those_of_the_samples() -> None:

@@ -9,8 +9,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from lidarsim import GridSpec
-from model.planning import PlanConfig, plan_path
-from model.planning.astar import Lattice
+from scenegen.model.planning import PlanConfig, plan_path
+from scenegen.model.planning.astar import Lattice
 
 GRID = GridSpec(shape=(24, 21, 14))
 

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
-from model.planning import Measurement, PlanConfig, draw_trials, plan_path, refine, run_trial
-from model.planning.astar import Lattice
+from scenegen.model.planning import Measurement, PlanConfig, draw_trials, plan_path, refine, run_trial
+from scenegen.model.planning.astar import Lattice
 from scenegen.truth import distance_field
 
 GRID = GridSpec(shape=(40, 40, 20))

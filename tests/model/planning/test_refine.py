@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
-from model.planning import PlanConfig, plan_path, refine
-from model.planning.astar import Lattice
-from model.planning.refine import cost, gradient, interpolate
+from scenegen.model.planning import PlanConfig, plan_path, refine
+from scenegen.model.planning.astar import Lattice
+from scenegen.model.planning.refine import cost, gradient, interpolate
 from scenegen.truth import distance_field
 
 GRID = GridSpec(shape=(20, 16, 12), voxel_m=0.25)

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
-from model.planning import PlanConfig, draw_trials, plan_path
-from model.planning.astar import Lattice
+from scenegen.model.planning import PlanConfig, draw_trials, plan_path
+from scenegen.model.planning.astar import Lattice
 
 GRID = GridSpec(shape=(40, 40, 20))
 LATTICE = Lattice(GRID, 3)  # nodes at voxels 2, 5 ... 38 in x and y, at 1, 4 ... 19 in z

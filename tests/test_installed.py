@@ -1,0 +1,77 @@
+"""Installed, scenegen shows two packages, `scenegen` and `lidarsim`, and no user's file of any name gets in its way."""
+
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+USERS = {
+    "model.py": "mine = 'model'",
+    "cli.py": "mine = 'cli'",
+    "data.py": "mine = 'data'",
+    "tests/helpers.py": "mine = 'tests.helpers'",
+    "docs/notes.py": "mine = 'docs.notes'",
+}
+"""Files that a user has beside a script, under names that are common in the field."""
+SCRIPT = """
+import cli, data, docs.notes, model, tests.helpers
+assert [cli.mine, data.mine, docs.notes.mine, model.mine, tests.helpers.mine]
+from scenegen.model.complete import Extrude
+import lidarsim, scenegen
+print(Extrude.name, scenegen.__version__)
+"""
+
+
+def environment(folder: Path) -> Path:
+    """The interpreter of a new environment that has this one's packages, but nothing of ours."""
+    venv.create(folder, with_pip=False)
+    (site,) = (folder / "lib").glob("python*/site-packages")
+    ours = [path for path in sys.path if path.endswith("site-packages")]
+    # a path from a .pth file: its own .pth files, among them that of our editable install, do not count
+    (site / "others.pth").write_text("".join(f"{path}\n" for path in ours))
+    return folder / "bin" / "python"
+
+
+def run(*words: object, cwd: Path) -> str:
+    """What a command prints; it must end well."""
+    ended = subprocess.run(list(map(str, words)), cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return ended.stdout
+
+
+@pytest.mark.slow
+def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_path: Path) -> None:
+    run(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", tmp_path / "dist", ROOT, cwd=tmp_path)
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        top = {name.split("/")[0] for name in archive.namelist() if "dist-info" not in name}
+        assert {"scenegen/model/weights/proposed.safetensors", "scenegen/py.typed"} <= set(archive.namelist())
+    assert top == {"scenegen", "lidarsim"}
+    python = environment(tmp_path / "env")
+    (site,) = (tmp_path / "env" / "lib").glob("python*/site-packages")
+    run(sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", site, wheel, cwd=tmp_path)
+    for name, content in USERS.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+    (tmp_path / "mine.py").write_text(SCRIPT)
+    assert run(python, "mine.py", cwd=tmp_path).startswith("extrude")
+    assert "Usage: scenegen" in run(python, "-m", "scenegen", "--help", cwd=tmp_path)
+    small = ("--n", 5, "--val", 0, "--test", 5, "--workers", 1, "--quiet")
+    run(python, "-m", "scenegen", "generate", "--kind", "pillar", *small, cwd=tmp_path)
+    bench = run(python, "-m", "scenegen", "bench", "--method", "returns", "--quick", "--workers", 1, cwd=tmp_path)
+    assert "returns" in bench
+
+
+def test_an_editable_install_shows_our_two_packages_alone() -> None:
+    """Where this suite runs from such an install; the finder maps each package by itself, not the checkout's folder."""
+    finders = [path for entry in sys.path for path in Path(entry).glob("_editable_impl_scenegen*.py")]
+    if not finders:
+        pytest.skip("scenegen is not installed as editable here")
+    text = finders[0].read_text(encoding="utf-8")
+    assert "'scenegen'" in text
+    assert "'lidarsim'" in text
+    assert text.count("map_module") == 2
