@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import pytest
 
-import cli
+from scenegen import __main__ as cli
 from scenegen import __version__
 from scenegen.dataset.read import Dataset
 

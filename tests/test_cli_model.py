@@ -88,7 +88,8 @@ def test_without_datasets_it_says_which_command_makes_one(
 
 
 def test_without_torch_it_says_what_to_install(tmp_path: Path) -> None:
-    code = "import sys; sys.modules['torch'] = None; sys.argv = ['scenegen', *sys.argv[1:]]; import cli; cli.main()"
+    code = "import sys; sys.modules['torch'] = None; sys.argv = ['scenegen', *sys.argv[1:]]; "
+    code += "from scenegen.__main__ import main; main()"
     for words in (
         ("train", "anything"),
         ("complete", "anything"),

@@ -40,7 +40,8 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(
 
 def test_a_stop_leaves_no_process_behind(tmp_path: Path) -> None:
     folder = forge.make(tmp_path / "d", counts={"train": 6, "val": 3, "test": 3})
-    script = "import time, scenegen.verify.folder as f\nf.examine = lambda task: time.sleep(60)\nimport cli; cli.main()"
+    script = "import time, scenegen.verify.folder as f\nf.examine = lambda task: time.sleep(60)\n"
+    script += "from scenegen.__main__ import main; main()"
     running = subprocess.Popen(
         [sys.executable, "-c", script, "verify", str(folder), "--workers", "2"], stderr=subprocess.PIPE, text=True
     )

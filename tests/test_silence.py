@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from cli import app
 from lidarsim.jit import cache_folder
+from scenegen.__main__ import app
 
 SHIM = r"""
 #define _GNU_SOURCE
@@ -244,7 +244,7 @@ def main() -> None:
     """Run the command lines that standard input lists, one after another, in this process."""
     import time
 
-    import cli
+    from scenegen import __main__ as cli
 
     for words in json.load(sys.stdin):
         sys.argv = ["scenegen", *words]

@@ -48,7 +48,7 @@ KEPT = ("pipe", "loop")
 
 def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     """A command with one or two options that say something odd."""
-    from cli import app
+    from scenegen.__main__ import app
 
     valid.put("d", here)
     valid.put("recipe.toml", here)

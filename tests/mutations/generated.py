@@ -40,7 +40,7 @@ def generated(words: tuple[str, ...], damage: str, *, samples: int = 1) -> Attem
 
 def _examine() -> dict[str, Any]:
     """What the dataset in ``out`` holds, and what `verify` says of it; in a process that may have crashed by it."""
-    import cli
+    from scenegen import __main__ as cli
 
     finite = True
     for path in Path("out").glob("*.h5"):

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-import cli
 from lidarsim import GridSpec
+from scenegen import __main__ as cli
 from tests.mutations import datasets
 
 EDGE = 16

@@ -117,7 +117,7 @@ def _command(words: tuple[str, ...]) -> int:
         from tests.mutations.datasets import print_load
 
         return print_load(words[1])
-    import cli
+    from scenegen import __main__ as cli
 
     sys.argv = ["scenegen", *words]
     try:

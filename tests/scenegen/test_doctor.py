@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cli
+from scenegen import __main__ as cli
 from scenegen import doctor
 from scenegen.dataset import manifest
 from scenegen.draw import Unit, draw_unit

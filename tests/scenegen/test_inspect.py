@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-import cli
+from scenegen import __main__ as cli
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
