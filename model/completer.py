@@ -20,7 +20,7 @@ from model.checkpoint import CheckpointError, load_network
 from model.complete import Prediction, check_prediction
 from model.network import Output
 from model.runtime import load_onnx
-from scenegen.dataset.locate import without_tokens
+from scenegen.dataset.locate import client_output, without_tokens
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
@@ -156,6 +156,7 @@ def _fetch(name: str) -> Path:
     except ImportError:
         raise CheckpointError(f"{name}: needs huggingface_hub; pip install 'scenegen[publish]'") from None
     try:
-        return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
+        with client_output(shown=False):
+            return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
     except Exception as error:  # its errors share no base
         raise CheckpointError(f"{name}: cannot be fetched: {without_tokens(error)}") from None

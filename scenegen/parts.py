@@ -9,7 +9,8 @@ from scenegen.files import read_bounded
 from scenegen.limits import MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.screen import check_amounts, check_numbers
 
-ELEMENT = re.compile(r"<([A-Za-z]\w*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*/?>")
+ELEMENT = re.compile(r"<([A-Za-z]\w*)((?:(?:\s+|(?<=[\"']))[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*/?>")
+"""An element's name and attributes; MuJoCo wants no space between an attribute and the next."""
 ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 PART = "mujocoinclude"
 """Root of a file that only others include."""
