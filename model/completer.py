@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lidarsim import GridSpec
-from scenegen.dataset.locate import without_tokens
+from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.errors import needs
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.complete import Prediction, check_prediction
@@ -157,6 +157,7 @@ def _fetch(name: str) -> Path:
     except ImportError:
         raise CheckpointError(f"{name}: {needs('huggingface_hub', 'publish')}") from None
     try:
-        return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
+        with client_output(shown=False):
+            return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
     except Exception as error:  # its errors share no base
         raise CheckpointError(f"{name}: cannot be fetched: {without_tokens(error)}") from None

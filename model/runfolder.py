@@ -137,13 +137,13 @@ class RunFolder:
         """Bring back what `save` wrote last, if it did. Raises CheckpointError where it is damaged."""
         if not (self.path / LAST).exists():
             return Progress()
-        tensors, header = load_tensors(self.path / LAST)
         try:
+            tensors, header = load_tensors(self.path / LAST)
             progress = Progress(**header)
             progress.check()
             _set_state(network, optimizer, tensors)
             return progress
-        except (TypeError, ValueError, RuntimeError):
+        except (CheckpointError, TypeError, ValueError, RuntimeError):
             raise CheckpointError(
                 f"{self.path / LAST}: not the state of this run; remove it to begin again, {BEST} stays until then"
             ) from None

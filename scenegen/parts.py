@@ -9,7 +9,8 @@ from scenegen.files import read_bounded
 from scenegen.limits import MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.screen import check_amounts, check_numbers
 
-ELEMENT = re.compile(r"<([A-Za-z]\w*)((?:\s+[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*/?>")
+ELEMENT = re.compile(r"<(/?)([A-Za-z]\w*)((?:(?:\s+|(?<=[\"']))[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*(/?)>")
+"""Whether it is an element's end, its name and attributes, and whether it has no more; MuJoCo wants no space between an attribute and the next."""
 ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 PART = "mujocoinclude"
 """Root of a file that only others include."""
@@ -28,10 +29,10 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
         if path.resolve() in seen:  # MuJoCo says what it thinks of a circle
             continue
         seen.add(path.resolve())
-        for tag, attributes in _elements(path):
+        for tag, attributes, times in _elements(path):
             is_world &= not (tag == PART and path is main)
-            geoms += _geoms(tag, attributes)
-            if geoms > MOST_GEOMS:  # over many more, MuJoCo takes hours
+            geoms += times * (tag == "geom")
+            if max(geoms, times * _count(tag, attributes)) > MOST_GEOMS:  # over many more, MuJoCo takes hours
                 raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
             _check(tag, attributes, path)
             if tag in ("include", "model") and "file" in attributes:
@@ -56,20 +57,32 @@ def _check(tag: str, attributes: dict[str, str], path: Path) -> None:
         pass
 
 
-def _geoms(tag: str, attributes: dict[str, str]) -> float:
-    """How many geoms an element gives at least."""
+def _count(tag: str, attributes: dict[str, str]) -> float:
+    """How often an element gives what is within it."""
     count = attributes.get("count", "") if tag == "replicate" else ""
-    return float(count) if count.isdecimal() else float(tag == "geom")
+    return float(count) if count.isdecimal() else 1.0
 
 
-def _elements(path: Path) -> Iterator[tuple[str, dict[str, str]]]:
-    """Names and attributes of a file's elements, read as forgivingly as MuJoCo does; expat would refuse some."""
+def _elements(path: Path) -> Iterator[tuple[str, dict[str, str], float]]:
+    """Names and attributes of a file's elements, and how often the file's <replicate>s around each repeat it.
+
+    They are read as forgivingly as MuJoCo does; expat would refuse some.
+    """
     try:
         text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
     except (DatasetError, FileNotFoundError) as error:
         raise SceneError(str(error)) from None
     first, *rest = text.split("<!--")
+    times = [1.0]
     for piece in (first, *(after.partition("-->")[2] for after in rest)):
         for found in ELEMENT.finditer(piece):
-            pairs = (pair.groups(default="") for pair in ATTRIBUTE.finditer(found[2]))
-            yield found[1], {key: double or single for key, double, single in pairs}
+            ended, tag, written, empty = found.groups()
+            if ended:
+                if tag == "replicate" and len(times) > 1:
+                    times.pop()
+                continue
+            pairs = (pair.groups(default="") for pair in ATTRIBUTE.finditer(written))
+            attributes = {key: double or single for key, double, single in pairs}
+            yield tag, attributes, times[-1]
+            if tag == "replicate" and not empty:
+                times.append(times[-1] * _count(tag, attributes))

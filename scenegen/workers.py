@@ -80,19 +80,16 @@ def run(
             while busy:
                 for worker in _ready(busy):
                     result = worker.take(workers)
-                    if not worker.alive:
+                    following = next(waiting, None) if worker.alive or replaced < MOST_REPLACED else None
+                    if following is None or not worker.alive:
                         busy.remove(worker)
                         worker.end()
-                        if replaced < MOST_REPLACED:  # by now there may be threads, so this one is not forked
+                    if following is not None:
+                        if not worker.alive:  # by now there may be threads, so this one is not forked
                             worker = _Worker(function, "spawn", limits)
                             busy.append(worker)
                             replaced += 1
-                    following = next(waiting, None) if worker.alive else None
-                    if following is not None:
                         worker.give(following)
-                    elif worker in busy:
-                        busy.remove(worker)
-                        worker.end()
                     yield result
             for task in waiting:
                 assert limits is not None

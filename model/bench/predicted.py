@@ -121,6 +121,9 @@ def _check_names(file: h5py.File, wanted: _Wanted) -> None:
             _check_chunks(name, data)
     if file["world"].shape[0] > len(wanted.names):
         raise DatasetError(f"predicts {file['world'].shape[0]} samples, split {wanted.split} has {len(wanted.names)}")
+    for name in held:  # HDF5 would make up zeros
+        if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
+            raise DatasetError(f"{name} is not written to its end; predict each sample of split {wanted.split} once")
     found = set(_pairs(file))
     missing = [name for name in wanted.names if name not in found]
     if missing:

@@ -13,7 +13,7 @@ from typing import Any
 from lidarsim import GridSpec, Lidar
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.shard import ShardReport, stored_fields
-from scenegen.errors import DatasetError, printable, short
+from scenegen.errors import MOST_TOLD, DatasetError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.recipe import Recipe
@@ -94,8 +94,14 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str 
         if isinstance(old, dict) and isinstance(new, dict):
             found += differences(old, new, f"{prefix}{name}.")
         elif old != new:
-            found.append(f"{prefix}{name} is {json.dumps(old)} there, {json.dumps(new)} asked for")
+            found.append(f"{short(f'{prefix}{name}')[1:-1]} is {_said(old)} there, {_said(new)} asked for")
     return found
+
+
+def _said(value: Any) -> str:
+    """A parameter as JSON writes it, cut where it is long."""
+    text = json.dumps(value)
+    return text if len(text) <= MOST_TOLD else f"{text[: MOST_TOLD - 3]}..."
 
 
 def assemble(given: Mapping[str, Any], reports: Iterable[ShardReport], *, complete: bool) -> dict[str, Any]:

@@ -75,8 +75,11 @@ def check_recipe(found: Mapping[str, Any], text: str) -> None:
 
 
 def _advice(found: Mapping[str, Any]) -> str:
-    made = found.get("software", {}).get("scenegen", "of another version")
-    return f"this scenegen would not make the same dataset again; publish with scenegen {made}, which made it"
+    made, generator = found.get("software", {}).get("scenegen", "of another version"), found.get("generator", 1)
+    return (
+        f"this scenegen would not make the same dataset again; publish with the one that made it, {made} with "
+        f"generator {generator}, or generate it anew"
+    )
 
 
 def _toml(value: Any) -> str:

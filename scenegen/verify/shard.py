@@ -1,6 +1,7 @@
 """One shard examined: its two files, every sample, its worlds, and the few that are cast and made anew."""
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -82,14 +83,15 @@ def examine(task: Task) -> Findings:
     solids = _compile(task, archive, found)
     path = task.contract.folder / task.entry.file
     with found.ledger.checking("layout"), open_file(path) as file:
+        if os.fstat(file.fileno()).st_size <= most_bytes(task.contract.layout, task.entry.samples):
+            with found.ledger.checking("checksums"):
+                _check_sum(file, path, task.entry.sha256, found.ledger)
         shard = open_shard(file, path, task.entry.samples, task.contract.layout)
         if shard.stray_bytes:
             raise BrokenError(f"{shard.name}: {shard.stray_bytes} of its bytes belong to no sample")
         entry = task.entry
         shard.check_origin(split=entry.split, first_world=entry.first_world, worlds_sha256=entry.worlds_sha256)
         found.ledger.count("layout", files=1)
-        with found.ledger.checking("checksums"):
-            _check_sum(file, path, task.entry.sha256, found.ledger)
         found.ledger.expect(
             "manifest",
             shard.attributes["parameters"] == task.contract.fingerprint,
@@ -100,10 +102,6 @@ def examine(task: Task) -> Findings:
         _Samples(task, shard, solids, found).examine()
         if archive is not None and not task.quick:
             _make_again(task, shard, archive, found.ledger)
-        return found
-    if path.is_file() and path.stat().st_size <= most_bytes(task.contract.layout, task.entry.samples):
-        with found.ledger.checking("checksums"), open_file(path) as file:
-            _check_sum(file, path, task.entry.sha256, found.ledger)
     return found
 
 

@@ -126,7 +126,9 @@ def test_networks_are_found_by_folder_and_nothing_else_is_fetched(
             Completer.from_pretrained(name)
 
 
-def test_a_repository_is_fetched_when_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_repository_is_fetched_when_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     import huggingface_hub
 
     save(tmp_path / "scenegen.model.safetensors")
@@ -141,11 +143,13 @@ def test_a_repository_is_fetched_when_asked_for(tmp_path: Path, monkeypatch: pyt
     assert asked == [(("user/net", "scenegen.model.safetensors"), {"revision": "v2"})]
 
     def fail(*given: object, **named: object) -> str:
+        huggingface_hub.utils.logging.get_logger("huggingface_hub").warning("retrying in 1s")
         raise OSError("401 Client Error\nmore")
 
     monkeypatch.setattr(huggingface_hub, "hf_hub_download", fail)
     with pytest.raises(CheckpointError, match="hf://user/net: cannot be fetched: 401 Client Error"):
         Completer.from_pretrained("hf://user/net")
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("name", ["occ", "proposed", "tudf"])

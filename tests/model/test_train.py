@@ -189,6 +189,13 @@ def test_a_damaged_state_is_refused_in_one_line(uninterrupted: Path, tmp_path: P
     assert "\n" not in str(caught.value)
 
 
+def test_a_state_that_is_no_network_says_what_to_remove(tmp_path: Path) -> None:
+    (tmp_path / "last.safetensors").write_bytes(b"\xff" * 5000)
+    network = Network(SMALL.network)
+    with pytest.raises(CheckpointError, match="remove it to begin again"):
+        RunFolder(tmp_path).restore(network, torch.optim.AdamW(network.parameters()))
+
+
 @pytest.mark.parametrize("content", ["[" * 100_000, '{"settings": 1}', "\xff", "{}", " " * 5_000_000])
 def test_settings_that_cannot_be_read_are_refused_in_one_line(tmp_path: Path, content: str) -> None:
     (tmp_path / "config.json").write_bytes(content.encode("latin-1"))

@@ -177,6 +177,7 @@ def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_pat
     ("text", "said"),
     [
         ('<geom size="1" pos="nan 0 0"/>', "<geom pos='nan 0 0'>: 'nan', expected numbers up to 1e+06"),
+        ('<geom size="1"pos=\'nan 0 0\'type="box"/>', "<geom pos='nan 0 0'>: 'nan', expected numbers up to 1e+06"),
         ('<geom size="1" pos="&#110;an 0 0"/>', "has numbers that are NaN"),
         ('<geom size="1" quat="1 0 NaN 0"/>', "<geom quat='1 0 NaN 0'>: 'NaN', expected finite numbers"),
         ('<body pos="0 0 -inf"><geom size="1"/></body>', "<body pos='0 0 -inf'>"),

@@ -210,6 +210,12 @@ def repeat_a_row(file: h5py.File) -> None:
     file["world"][1], file["viewpoint"][1] = file["world"][0], file["viewpoint"][0]
 
 
+def leave_unwritten(file: h5py.File) -> None:
+    """What a program leaves that ended too early."""
+    del file["tudf"]
+    file.create_dataset("tudf", (9, 24, 24, 16), np.float32, chunks=(1, 24, 24, 16))[:5] = 1.0
+
+
 def link_outside(file: h5py.File) -> None:
     del file["tudf"]
     file["tudf"] = h5py.ExternalLink("/etc/passwd", "tudf")
@@ -222,6 +228,7 @@ def link_outside(file: h5py.File) -> None:
         (set_voxel("occupancy_probability", -3.0), "occupancy_probability holds -3"),
         (set_voxel("tudf", -0.5), "row 3: tudf holds -0.5, expected a distance of at least 0"),
         (set_voxel("tudf", np.inf), "tudf holds NaN or infinity"),
+        (leave_unwritten, "tudf is not written to its end"),
         (repeat_a_row, "1 of 9 samples are missing"),
         (put("tudf", np.zeros((8, 24, 24, 16), np.float32)), "tudf has 8 rows, expected 9"),
         (put("tudf", np.zeros((9, 24, 24, 16), "S3")), "tudf is no array of float32"),

@@ -160,7 +160,7 @@ def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made
     found = manifest.read(dataset)
     del found["generator"]
     manifest.write(dataset, found)
-    with pytest.raises(PublishError, match=r"would not make the same dataset again.*generator is 1 there"):
+    with pytest.raises(PublishError, match=r"with the one that made it, .* with generator 1, or.*generator is 1 there"):
         stage(asked, CHECKS)
     assert not asked.out.exists()
 

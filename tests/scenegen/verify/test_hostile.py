@@ -148,6 +148,12 @@ def test_filters_that_the_format_allows_are_read(folder: Path) -> None:
     assert failed(folder) == {}
 
 
+def test_a_shard_that_differs_from_the_list_is_told_once(folder: Path) -> None:
+    with h5py.File(folder / SHARD, "r+") as shard:
+        shard.attrs["rejected"] = "nonsense"
+    assert failed(folder, quick=True)["checksums"].count("SHA-256") == 1
+
+
 def test_truth_values_other_than_true_and_false_are_refused(folder: Path) -> None:
     def put(shard: h5py.File) -> None:
         kind = h5py.h5t.py_create(np.dtype(bool), logical=True)
