@@ -10,7 +10,8 @@ from scenegen.limits import MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.screen import check_amounts, check_numbers
 
 ELEMENT = re.compile(r"<(/?)([A-Za-z]\w*)((?:(?:\s+|(?<=[\"']))[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*(/?)>")
-"""Whether it is an element's end, its name and attributes, and whether it has no more; MuJoCo wants no space between an attribute and the next."""
+"""Whether it is an element's end, its name and attributes, and whether nothing is within. MuJoCo wants no space between
+attributes."""
 ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 PART = "mujocoinclude"
 """Root of a file that only others include."""
