@@ -1,5 +1,10 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
+import os
+
+for _pool in ("OMP", "OPENBLAS", "MKL"):  # before any of them is loaded; what the tests start inherits it
+    os.environ.setdefault(f"{_pool}_NUM_THREADS", "1")
+
 import pytest
 
 from scenegen.recipe import Recipe, make_recipe
