@@ -1,10 +1,5 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
-import os
-
-for _pool in ("OMP", "OPENBLAS", "MKL"):  # before any of them is loaded; what the tests start inherits it
-    os.environ.setdefault(f"{_pool}_NUM_THREADS", "1")
-
 import pytest
 
 from scenegen.recipe import Recipe, make_recipe
@@ -17,6 +12,13 @@ SMALL = {
     "accept": {"min_solids": 1.0},
     "world": {"size_m": (16.0, 16.0, 8.0)},
 }
+
+LONG = ("test_campaign.py", "test_crash.py", "test_silence.py", "test_cli_model.py", "test_export.py", "test_train.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files of long tests come first: what is left for the end divides evenly."""
+    items.sort(key=lambda item: item.path.name not in LONG)
 
 
 def small_recipe(kind: str = "pillar", **tables: dict) -> Recipe:
