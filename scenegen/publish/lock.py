@@ -18,7 +18,7 @@ def environment_lock(made_with: Mapping[str, str], commit: str = "unknown") -> s
     stands in a comment, with the `commit` of its checkout: it is installed from its own source, and a line here would
     ask a package index for whatever bears its name there.
     """
-    found = {name: made_with.get(name, number) for name, number in sorted(closure("scenegen").items())}
+    found = {name: made_with.get(name, number) for name, number in sorted(closure("scenegen-lidar").items())}
     made = made_with.get("scenegen", __version__)
     head = [
         f"# scenegen {made}, published with {__version__}, commit {commit}",

@@ -5,7 +5,9 @@ import dataclasses
 import fcntl
 import math
 import os
+import runpy
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -38,8 +40,8 @@ def test_one_batch_is_learned_by_heart(folders: list[Path]) -> None:
     tudf = TudfOf(GridSpec(shape=(16, 16, 16)))(occupancy)
     torch.manual_seed(0)
     network = Network(NetworkConfig())
-    optimizer = torch.optim.AdamW(network.parameters(), 3e-3)
-    for _ in range(300):
+    optimizer = torch.optim.AdamW(network.parameters(), 1e-2)
+    for _ in range(150):
         optimizer.zero_grad()
         output = network(observed.float())
         objective(output, occupancy, tudf, LossConfig(), voxel_m=0.2, truncation_m=2.0)["loss"].backward()
@@ -72,6 +74,12 @@ def uninterrupted(folders: list[Path], tmp_path_factory: pytest.TempPathFactory)
     out = tmp_path_factory.mktemp("runs") / "whole"
     train(folders, SMALL, out, device="cpu", command="test")
     return out
+
+
+@pytest.fixture(autouse=True)
+def undrawn(uninterrupted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the uninterrupted run draws its curve: pictures take longer than the training here."""
+    monkeypatch.setattr("model.runfolder.draw_curve", lambda rows: None)
 
 
 def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path, folders: list[Path]) -> None:
@@ -114,14 +122,13 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
 KILLED = """
 import os, signal, sys
 import torch
-
-import scenegen.model.train
 torch.set_num_threads(1)
 import scenegen.model.train
 from pathlib import Path
 from scenegen.model.train import Watcher, train
 from tests.model.test_train import SMALL
 scenegen.model.train.SAVE_EVERY_S = 0.0
+scenegen.model.runfolder.draw_curve = lambda rows: None
 steps = 0
 def count(maps, loss):
     global steps
@@ -362,15 +369,24 @@ with Group(device) as group:
 """
 
 
-def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_path: Path) -> None:
+def free_port() -> int:
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        return int(listening.getsockname()[1])
+
+
+def test_two_processes_take_the_step_that_one_takes(
+    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Gradients and losses are means over both; the Eikonal term is a mean of means, so distances are left out."""
     (tmp_path / "step.py").write_text(STEP)
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
-    given = [tmp_path / "step.py", tmp_path / "two", *folders]
-    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", *map(str, given)]
-    subprocess.run(launch, env=environment, check=True, timeout=100, capture_output=True)
-    given[1] = tmp_path / "one"
-    subprocess.run([sys.executable, *map(str, given)], env=environment, check=True, timeout=100)
+    environment |= {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}  # as torchrun does
+    command = [sys.executable, *map(str, (tmp_path / "step.py", tmp_path / "two", *folders))]
+    ranks = [subprocess.Popen(command, env=environment | {"RANK": str(rank)}) for rank in range(2)]
+    monkeypatch.setattr(sys, "argv", ["step.py", str(tmp_path / "one"), *map(str, folders)])
+    runpy.run_path(str(tmp_path / "step.py"))
+    assert [rank.wait(timeout=100) for rank in ranks] == [0, 0]
     one, losses = load_tensors(tmp_path / "one0")
     for rank in ("two0", "two1"):
         two, theirs = load_tensors(tmp_path / rank)

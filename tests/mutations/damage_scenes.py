@@ -10,7 +10,7 @@ from tests.mutations.case import Attempt
 from tests.mutations.damage_bytes import damage
 from tests.mutations.generated import generated
 from tests.mutations.nasty import ESCAPES
-from tests.mutations.valid import Valid
+from tests.mutations.valid import SCENE, Valid
 
 NUMBERS = (
     "nan",
@@ -29,26 +29,6 @@ NUMBERS = (
     "",
     "1 2 3 4 5 6 7",
 )
-SCENE = """<mujoco model="small">
-<compiler angle="degree"/>
-<custom><numeric name="flight_bounds" data="-3 -3 0.5 3 3 2.5"/></custom>
-<asset>
-<mesh name="rock" vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="1 1 1"/>
-<hfield name="hill" nrow="3" ncol="3" size="1 1 0.5 0.1" elevation="0 0 0 0 1 0 0 0 0"/>
-<texture name="paint" type="2d" builtin="flat" width="8" height="8" rgb1="1 0 0"/>
-<material name="red" texture="paint"/>
-</asset>
-<worldbody>
-<geom name="floor" type="plane" size="4 4 0.1" material="red"/>
-<geom name="box" type="box" size="0.3 0.4 0.5" pos="2 0 0.5" euler="0 0 30"/>
-<geom name="ball" type="sphere" size="0.5" pos="-2 0 1"/>
-<geom name="rod" type="capsule" fromto="0 2 0 0 2 2" size="0.1"/>
-<geom name="stone" type="mesh" mesh="rock" pos="0 -2 0"/>
-<geom name="ground" type="hfield" hfield="hill" pos="2 2 0"/>
-<body name="cart" pos="-2 2 0.5" quat="1 0 0 0"><geom name="lid" type="ellipsoid" size="0.3 0.2 0.1"/></body>
-</worldbody>
-</mujoco>
-"""
 DEEP = 20_000
 ADDED = {
     "asset": (

@@ -32,6 +32,26 @@ SCENE_RECIPE = {
     "lidar": RECIPE["lidar"],
     "grid": RECIPE["grid"],
 }
+SCENE = """<mujoco model="small">
+<compiler angle="degree"/>
+<custom><numeric name="flight_bounds" data="-3 -3 0.5 3 3 2.5"/></custom>
+<asset>
+<mesh name="rock" vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="1 1 1"/>
+<hfield name="hill" nrow="3" ncol="3" size="1 1 0.5 0.1" elevation="0 0 0 0 1 0 0 0 0"/>
+<texture name="paint" type="2d" builtin="flat" width="8" height="8" rgb1="1 0 0"/>
+<material name="red" texture="paint"/>
+</asset>
+<worldbody>
+<geom name="floor" type="plane" size="4 4 0.1" material="red"/>
+<geom name="box" type="box" size="0.3 0.4 0.5" pos="2 0 0.5" euler="0 0 30"/>
+<geom name="ball" type="sphere" size="0.5" pos="-2 0 1"/>
+<geom name="rod" type="capsule" fromto="0 2 0 0 2 2" size="0.1"/>
+<geom name="stone" type="mesh" mesh="rock" pos="0 -2 0"/>
+<geom name="ground" type="hfield" hfield="hill" pos="2 2 0"/>
+<body name="cart" pos="-2 2 0.5" quat="1 0 0 0"><geom name="lid" type="ellipsoid" size="0.3 0.2 0.1"/></body>
+</worldbody>
+</mujoco>
+"""
 GENERATE = (
     *("generate", "--recipe", "recipe.toml", "--n", "4", "--val", "2", "--test", "2", "--shard-samples", "2"),
     *("--workers", "1", "--quiet", "--out"),
@@ -71,6 +91,9 @@ def make_valid(folder: Path) -> Valid:
     (folder / "scene.toml").write_text(to_toml(SCENE_RECIPE))
     run(*GENERATE, "d")
     run(*GENERATE, "c", "--compact")
+    (folder / "scene.xml").write_text(SCENE)
+    of_one = ("--n", "1", "--val", "0", "--test", "0", "--workers", "1", "--quiet")
+    run("generate", "--scene", "scene.xml", "--recipe", "scene.toml", *of_one, "--out", "s")
     _write_networks(folder)
     points = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 3))
     np.save("scan.npy", points)

@@ -6,7 +6,7 @@ from scenegen.publish.lock import closure, environment_lock
 
 
 def test_it_pins_what_scenegen_needs_and_no_extras() -> None:
-    found = closure("scenegen")
+    found = closure("scenegen-lidar")
     for name in ("numpy", "mujoco", "h5py", "pydantic-core"):
         assert found[name] == importlib.metadata.version(name)
     assert not {"pytest", "pyvista", "scenegen", "huggingface-hub"} & set(found)

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import mujoco
 import numba
@@ -65,7 +66,7 @@ class Shape:
     pos: Floats = field(default_factory=lambda: np.zeros(3))
     quat: Floats = field(default_factory=lambda: np.array([1.0, 0, 0, 0]))
 
-    @property
+    @cached_property
     def rot(self) -> Floats:
         return rotation(self.quat)
 
