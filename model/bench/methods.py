@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from lidarsim import GridSpec
+from scenegen.errors import printable
 from scenegen.model.complete import MapCompleter, Prediction, PredictionError, check_prediction
 from scenegen.sample import Sample
 
@@ -39,8 +40,8 @@ class Completed:
 
     @property
     def name(self) -> str:
-        """The completer's."""
-        return self.completer.name
+        """The completer's, in one line: a network's comes from its file's name."""
+        return printable(self.completer.name)
 
     def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
         """See `Method.completion`. Raises PredictionError where the completer gives what is no prediction."""

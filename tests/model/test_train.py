@@ -79,7 +79,7 @@ def uninterrupted(folders: list[Path], tmp_path_factory: pytest.TempPathFactory)
 @pytest.fixture(autouse=True)
 def undrawn(uninterrupted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the uninterrupted run draws its curve: pictures take longer than the training here."""
-    monkeypatch.setattr("model.runfolder.draw_curve", lambda rows: None)
+    monkeypatch.setattr("scenegen.model.runfolder.draw_curve", lambda rows: None)
 
 
 def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path, folders: list[Path]) -> None:

@@ -47,6 +47,12 @@ class Nothing:
         )
 
 
+def test_a_rows_name_prints_no_line_of_its_own() -> None:
+    completer = Nothing()
+    completer.name = "a\nwritten: \x1b[2J"
+    assert Completed(completer).name == "a written: \\x1b[2J"
+
+
 class Copied:
     """The truth, through what a completer may say: found by the observed voxels, which no two samples share."""
 

@@ -198,6 +198,22 @@ def swell(task: object) -> None:
     bytearray(2 << 30)
 
 
+def test_structures_that_overlap_are_not_read_over_and_over(made: Path, tmp_path: Path) -> None:
+    """Sixty blocks of a header, each beginning 32 bytes after the other and 64 KB long."""
+    path = tmp_path / "x.h5"
+    content = bytearray((made / "test-00000.h5").read_bytes()[:96])
+    root, first, blocks, length = 96, 136, 60, 1 << 16
+    content += struct.pack("<BxHIIIHHBxxxQQ", 1, 1, 1, 24, 0, 0x10, 16, 0, first, length)
+    for n in reversed(range(blocks)):  # to the next block, and past the others' beginnings
+        content += struct.pack("<HHBxxxQQHHBxxx", 0x10, 16, 0, first + 32 * (blocks - n), length, 0, 32 * n, 0)
+    content += bytes(length)
+    struct.pack_into("<Q", content, 40, len(content))
+    struct.pack_into("<Q", content, 64, root)
+    path.write_bytes(content)
+    with pytest.raises(Hdf5Error, match="overlap"):
+        by_walk(path)
+
+
 @pytest.mark.parametrize(("does", "said"), [(hang, "took too long"), (swell, "MemoryError")])
 def test_a_library_that_hangs_or_swells_does_so_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, does: object, said: str
