@@ -19,6 +19,8 @@ def run_command(app: Any) -> NoReturn:
     """Run the click group `app` on this process's arguments, and end."""
     stops.answer()
     stops.answer_hanging()
+    # no window is ever opened; else importing mujoco starts a process of its own, which a stop would not reach
+    os.environ.setdefault("MUJOCO_GL", "disable")
     open_streams()
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # those of libraries, about their own code and to its authors
