@@ -1,0 +1,75 @@
+"""Things by name: those that come with the toolkit, and a user's own as ``module:Object``.
+
+SENSORS = Registry("sensor", {"raster": "lidarsim.sensors.raster:Raster"}, needs={"shape": "a tuple of counts"})
+SENSORS.find("raster")  # imported now, and not before
+SENSORS.find("my_sensors:Rosette")  # from a file my_sensors.py where the user stands, or from an installed package
+"""
+
+import difflib
+import importlib
+import importlib.util
+import os
+import sys
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+MOST_NAMED = 100
+"""Characters of a name that an error repeats."""
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Objects of one sort, each imported when it is first asked for."""
+
+    what: str
+    """The sort in one word, for errors: "sensor"."""
+    known: Mapping[str, str]
+    """Names of those that come with the toolkit, each with its ``module:Object``."""
+    needs: Mapping[str, str] = field(default_factory=dict)
+    """Attributes that every object has to have, each with what it is: {"cast": "a method: (origins, …) -> ranges"}."""
+
+    def find(self, name: str) -> Any:
+        """The object called `name`. Raises ValueError, in one line, for a name that leads to none, or to one that lacks
+        what it needs."""
+        place = self.known.get(name, name)
+        module, colon, attribute = place.partition(":")
+        if not (colon and attribute.isidentifier() and all(part.isidentifier() for part in module.split("."))):
+            near = difflib.get_close_matches(name[:MOST_NAMED], self.known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(self.known)}"
+            raise ValueError(f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)")
+        found = importlib.import_module(module) if name in self.known else self._imported(module, name)
+        try:
+            chosen = getattr(found, attribute)
+        except AttributeError:
+            there = ", ".join(item for item in vars(found) if not item.startswith("_")) or "nothing"
+            where = getattr(found, "__file__", None) or "no file"
+            raise ValueError(f"{self.what} {name}: {where} has no {attribute}; it has {there[:MOST_NAMED]}") from None
+        self.check(chosen, name)
+        return chosen
+
+    def check(self, chosen: Any, name: str) -> None:
+        """Raise ValueError, naming what is missing, unless `chosen` has all that it needs."""
+        for attribute, meaning in self.needs.items():
+            # a dataclass's field without a default is no attribute of the class yet
+            if not hasattr(chosen, attribute) and attribute not in getattr(chosen, "__annotations__", {}):
+                raise ValueError(f"{self.what} {name}: lacks `{attribute}`, {meaning}")
+
+    def _imported(self, module: str, name: str) -> Any:
+        """A user's module: an installed one, or a file in the folder where the user stands."""
+        here = os.getcwd()  # noqa: PTH109 (sys.path holds strings)
+        if here not in sys.path:
+            sys.path.append(here)  # last, so that no file of the user's takes the place of a library's
+        try:
+            if importlib.util.find_spec(module) is None:
+                raise ModuleNotFoundError(module, name=module.partition(".")[0])
+            return importlib.import_module(module)
+        except Exception as error:
+            if isinstance(error, ModuleNotFoundError) and module.startswith(str(error.name)):
+                raise ValueError(
+                    f"{self.what} {name}: there is no module {module}, neither installed nor in {here}"
+                ) from None
+            own = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.startswith(here)]
+            at = f" (line {own[-1].lineno} of {os.path.relpath(own[-1].filename)})" if own else ""
+            raise ValueError(f"{self.what} {name}: importing it fails{at}: {error!r}") from None

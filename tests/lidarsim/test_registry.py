@@ -1,0 +1,77 @@
+"""Things by name: the toolkit's, and a user's own."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from lidarsim.registry import Registry
+
+ENGINES = Registry("engine", {"plain": "lidarsim.scan:cast"}, needs={"__call__": "so that it can be called"})
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A user's folder, with modules of the user's own."""
+    before = list(sys.path), set(sys.modules)
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    sys.path[:] = before[0]
+    for name in set(sys.modules) - before[1]:
+        del sys.modules[name]
+
+
+def test_what_is_known_is_imported_by_its_name() -> None:
+    from lidarsim.scan import cast
+
+    assert ENGINES.find("plain") is cast
+
+
+def test_a_users_own_is_found_where_the_user_stands(here: Path) -> None:
+    (here / "own_engines.py").write_text("def fast(): return 7")
+    (here / "shed").mkdir()
+    (here / "shed" / "engines.py").write_text("def slow(): return 8")
+    assert ENGINES.find("own_engines:fast")() == 7
+    assert ENGINES.find("shed.engines:slow")() == 8
+
+
+def test_no_file_of_the_users_takes_the_place_of_a_librarys(here: Path) -> None:
+    (here / "own.py").write_text("import colorsys\ncalled = colorsys.rgb_to_hsv")
+    (here / "colorsys.py").write_text("rgb_to_hsv = 'not this one'")
+    sys.modules.pop("colorsys", None)
+    assert callable(ENGINES.find("own:called"))
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("plian", "unknown engine 'plian'; did you mean 'plain'?"),
+        ("lidar\n", "unknown engine 'lidar\\n'; known: plain (or one's own, as module:Object)"),
+        ("os.system('ls'):x", "unknown engine"),
+        ("absent:Engine", "engine absent:Engine: there is no module absent, neither installed nor in"),
+        ("absent.deep:Engine", "engine absent.deep:Engine: there is no module absent.deep"),
+        ("own:Missing", "own.py has no Missing; it has here, Empty"),
+        ("own:here", "engine own:here: lacks `__call__`, so that it can be called"),
+        ("broken:Engine", "engine broken:Engine: importing it fails (line 2 of broken.py): ZeroDivisionError("),
+        ("needy:Engine", "engine needy:Engine: importing it fails (line 1 of needy.py): ModuleNotFoundError("),
+    ],
+)
+def test_what_is_missing_is_told_in_one_line(here: Path, name: str, told: str) -> None:
+    (here / "own.py").write_text("here = 1\nclass Empty: pass")
+    (here / "broken.py").write_text("\n1 / 0")
+    (here / "needy.py").write_text("import not_installed_anywhere")
+    with pytest.raises(ValueError) as caught:
+        ENGINES.find(name)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_field_without_a_default_counts_as_there(here: Path) -> None:
+    (here / "own.py").write_text(
+        "from dataclasses import dataclass\n@dataclass\nclass Sensor:\n    shape: tuple\nclass Other: pass"
+    )
+    sensors = Registry("sensor", {}, needs={"shape": "a tuple of counts"})
+    assert sensors.find("own:Sensor")
+    with pytest.raises(ValueError, match="lacks `shape`, a tuple of counts"):
+        sensors.find("own:Other")
