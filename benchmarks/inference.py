@@ -15,9 +15,10 @@ from typing import Any
 import torch
 
 from lidarsim import GridSpec
+from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.device import autocast, resolve_precision
 from scenegen.model.export import export_onnx
-from scenegen.model.network import VARIANTS, Network, NetworkConfig
+from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, load_onnx
 
 ROUNDS = 10

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import torch
 
+from scenegen.model.config import VARIANTS, NetworkConfig, TrainConfig
 from scenegen.model.data import Maps, TudfOf, epoch_batches, load
 from scenegen.model.device import Group, choose_device
-from scenegen.model.network import VARIANTS, Network, NetworkConfig
-from scenegen.model.train import Step, TrainConfig
+from scenegen.model.network import Network
+from scenegen.model.train import Step
 
 ROUNDS = 5
 

@@ -18,7 +18,8 @@ from lidarsim import GridSpec
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
-from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
 
 FORMAT = "scenegen-network"
 VERSION = 1

@@ -3,41 +3,15 @@
 All losses take (B, X, Y, Z) tensors and are computed in float32, whatever the network computed in.
 """
 
-from dataclasses import dataclass
-
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor
 
-from lidarsim.parameters import check, number
+from scenegen.model.config import LossConfig
 from scenegen.model.network import Output
 
 ROOT_EPSILON = 1e-8
 """Under the root of the gradient's length, so that a flat field has a finite derivative."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LossConfig:
-    """Weights of the objective. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
-    open."""
-
-    occupancy: float = number(0.1, least=0)
-    """lambda_occ (paper)."""
-    tudf: float = number(1.0, least=0)
-    """lambda_tudf (paper)."""
-    eikonal: float = number(0.05, least=0)
-    """lambda_eik (paper)."""
-    occupied_weight: float = number(5.0, least=0)
-    """w^o of occupied voxels; free ones have 1 (paper)."""
-    near_weight: float = number(2.0, least=0)
-    """w^t of voxels near a surface; others have 1 (paper)."""
-    near_m: float = number(0.5, least=0)
-    """How near, metres (paper)."""
-    beta_m: float = number(1.0, above=0)
-    """Where Smooth-L1 turns from a parabola into a line, metres (ours)."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def objective(

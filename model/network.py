@@ -11,74 +11,13 @@ For a map of 80 x 80 x 40 voxels and width 8 (channels x cells):
 Equations are numbered as in docs/network.md, which holds them against this file.
 """
 
-import math
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
 
-from lidarsim.parameters import check, number
-from scenegen.errors import short
-from scenegen.limits import MOST_FEATURES, MOST_WIDTH
-
-Variant = Literal["proposed", "occ", "tudf", "dual", "shared"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
-"""Both branches, coupled · occupancy alone · distances alone · both, uncoupled · one decoder with two heads."""
-LEVELS = 3
-TASKS = ("tudf", "occupancy")
-
-
-@dataclass(frozen=True, kw_only=True)
-class NetworkConfig:
-    """What a network looks like. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
-    open."""
-
-    variant: Variant = "proposed"
-    """Which of the paper's three networks, or of the two baselines that it leaves out."""
-    width: int = number(8, least=1, most=MOST_WIDTH, whole=True)
-    """Channels at the first level; they double from level to level (paper)."""
-    stem_stride: Literal[1, 2] = 2
-    """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second, after one at full
-    resolution (ours)."""
-    heads: int = number(4, least=1, whole=True)
-    """Of the self-attention (ours)."""
-
-    def __post_init__(self) -> None:
-        check(self)
-        if self.variant not in VARIANTS:
-            raise ValueError(f"variant = {short(self.variant)} must be one of {', '.join(VARIANTS)}")
-        if self.stem_stride not in (1, 2):
-            raise ValueError(f"stem_stride = {short(self.stem_stride)} must be 1 or 2")
-        if self.width * 2 ** (LEVELS - 1) % self.heads:
-            raise ValueError(
-                f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width must be a multiple "
-                "of the heads"
-            )
-
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """What is predicted: of "tudf" and "occupancy", in this order."""
-        return {"occ": TASKS[1:], "tudf": TASKS[:1]}.get(self.variant, TASKS)
-
-    @property
-    def stride(self) -> int:
-        """Every edge of a map must be a multiple of this many voxels."""
-        return int(2**LEVELS)
-
-    def check_map(self, shape: tuple[int, ...]) -> None:
-        """Raise ValueError where a network of this kind cannot complete maps of `shape`."""
-        if any(edge % self.stride for edge in shape):
-            raise ValueError(
-                f"maps of {shape} voxels; the network halves them three times, so every edge must be a multiple of "
-                f"{self.stride}"
-            )
-        if math.prod(shape) * self.width > MOST_FEATURES:
-            raise ValueError(
-                f"maps of {shape} voxels at width {self.width}: expected {MOST_FEATURES // self.width} voxels at most; "
-                "use a smaller grid, or a smaller --width"
-            )
+from scenegen.model.config import LEVELS, TASKS, NetworkConfig
 
 
 class Output(NamedTuple):

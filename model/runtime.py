@@ -19,7 +19,8 @@ from scenegen.errors import DatasetError, GuardError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.model.checkpoint import CheckpointError, network_from
-from scenegen.model.network import NetworkConfig, Output
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Output
 from scenegen.workers import guarded
 
 INPUT = "observed"

@@ -8,7 +8,8 @@ from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
-from scenegen.model.network import VARIANTS, Network, NetworkConfig
+from scenegen.model.config import VARIANTS, NetworkConfig
+from scenegen.model.network import Network
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,19 +5,18 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
-from lidarsim.parameters import check, number
 from scenegen.errors import DatasetError, StoppedError
-from scenegen.limits import MOST_BATCH, MOST_EPOCHS
 from scenegen.model.bench.methods import empty_split
+from scenegen.model.config import TrainConfig
 from scenegen.model.data import LoaderError, Maps, TudfOf, epoch_batches, load
 from scenegen.model.device import (
     Group,
@@ -28,49 +27,14 @@ from scenegen.model.device import (
     is_out_of_memory,
     resolve_precision,
 )
-from scenegen.model.losses import LossConfig, objective
-from scenegen.model.network import Network, NetworkConfig, Output
+from scenegen.model.losses import objective
+from scenegen.model.network import Network, Output
 from scenegen.model.provenance import commit, versions
 from scenegen.model.runfolder import Progress, RunFolder
 from scenegen.model.validate import validate
 
 SAVE_EVERY_S = 60.0
 """How much work a kill may cost, seconds."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainConfig:
-    """All that a run's outcome depends on besides its datasets. "Paper" is the paper's section "Implementation
-    Details"; "ours" is what it leaves open."""
-
-    network: NetworkConfig = field(default_factory=NetworkConfig)
-    loss: LossConfig = field(default_factory=LossConfig)
-    epochs: int = number(100, least=1, most=MOST_EPOCHS, whole=True)
-    """At most; the learning rate falls to 0 by the last (ours)."""
-    batch: int = number(8, least=1, most=MOST_BATCH, whole=True)
-    """Maps a step, over all devices (ours)."""
-    lr: float = number(1e-3, above=0)
-    """Of AdamW, after the warm-up; then down a cosine (ours)."""
-    warmup_share: float = number(0.02, least=0, below=1)
-    """Share of all steps over which the learning rate rises from 0 (ours)."""
-    weight_decay: float = number(0.01, least=0)
-    """Of AdamW (ours)."""
-    clip: float = number(1.0, above=0)
-    """Largest norm of a step's gradient (ours)."""
-    patience: int = number(10, least=1, whole=True)
-    """Epochs without a lower validation loss after which training ends (paper)."""
-    augment: bool = False
-    """Whether maps are turned and mirrored about the sensor at random (ours)."""
-    seed: int = number(0, least=0, whole=True)
-    """Of the first weights and the order of samples."""
-    precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Of the network's arithmetic; losses and weights are float32. Auto: bfloat16 where the device has instructions for
-    it."""
-    compile: bool = False
-    """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,10 +5,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.device import TrainingError, choose_device
-from scenegen.model.losses import LossConfig
-from scenegen.model.network import NetworkConfig
-from scenegen.model.train import TrainConfig, Watcher, train
+from scenegen.model.train import Watcher, train
 from scenegen.workers import cores
 
 

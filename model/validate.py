@@ -8,9 +8,10 @@ import torch
 
 from scenegen.model.bench.reconstruction import METRICS, ReconstructionConfig, measure
 from scenegen.model.complete import Prediction, Thresholds
+from scenegen.model.config import LossConfig
 from scenegen.model.data import Maps, TudfOf, load
 from scenegen.model.device import Group, autocast
-from scenegen.model.losses import LossConfig, objective
+from scenegen.model.losses import objective
 from scenegen.model.network import Network
 
 

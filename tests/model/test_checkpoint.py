@@ -12,7 +12,8 @@ import torch
 from lidarsim import GridSpec
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_network, save_tensors
-from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
 
 GRID = GridSpec(shape=(16, 16, 8), voxel_m=0.1, truncation_m=1.0)
 

@@ -11,7 +11,8 @@ from lidarsim import GridSpec
 from scenegen.model.checkpoint import CheckpointError, save_network
 from scenegen.model.complete import PredictionError
 from scenegen.model.completer import Completer
-from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
 
 GRID = GridSpec(shape=(16, 24, 8))
 

@@ -15,8 +15,9 @@ import torch
 from lidarsim import GridSpec
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completer import Completer
+from scenegen.model.config import NetworkConfig
 from scenegen.model.export import export_onnx
-from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, examine, load_onnx, read_graph
 
 GRID = GridSpec(shape=(16, 24, 8))

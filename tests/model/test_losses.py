@@ -8,7 +8,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from scenegen.model.losses import LossConfig, eikonal_loss, objective, occupancy_loss, regression_loss  # noqa: E402
+from scenegen.model.config import LossConfig  # noqa: E402
+from scenegen.model.losses import eikonal_loss, objective, occupancy_loss, regression_loss  # noqa: E402
 from scenegen.model.network import Output  # noqa: E402
 
 SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike

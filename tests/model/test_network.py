@@ -4,7 +4,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from scenegen.model.network import VARIANTS, CrossFusion, FinalUp, Network, NetworkConfig
+from scenegen.model.config import VARIANTS, NetworkConfig
+from scenegen.model.network import CrossFusion, FinalUp, Network
 from scenegen.model.summary import cost
 
 SHAPE = (16, 24, 8)

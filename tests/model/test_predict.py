@@ -15,7 +15,8 @@ from scenegen.model.bench.predicted import Predicted
 from scenegen.model.checkpoint import save_network
 from scenegen.model.complete import Thresholds
 from scenegen.model.completer import Completer
-from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
 from scenegen.model.predict import predict_scan, predict_split
 from tests.model.conftest import make_dataset
 

@@ -21,12 +21,13 @@ from scenegen import files
 from scenegen.errors import DatasetError, StoppedError
 from scenegen.model.card import SHOWN
 from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_tensors
+from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.data import Maps, TudfOf
 from scenegen.model.device import TrainingError, device_name
-from scenegen.model.losses import LossConfig, objective
-from scenegen.model.network import Network, NetworkConfig
+from scenegen.model.losses import objective
+from scenegen.model.network import Network
 from scenegen.model.runfolder import Progress, RunFolder
-from scenegen.model.train import TrainConfig, Watcher, learning_rate, train
+from scenegen.model.train import Watcher, learning_rate, train
 from tests.model.conftest import make_dataset
 
 SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")

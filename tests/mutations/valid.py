@@ -175,7 +175,8 @@ def _write_networks(folder: Path) -> None:
     import torch
 
     from scenegen.model.checkpoint import save_network
-    from scenegen.model.network import Network, NetworkConfig
+    from scenegen.model.config import NetworkConfig
+    from scenegen.model.network import Network
     from tests.mutations.onnx_files import write_onnx
 
     torch.set_num_threads(1)

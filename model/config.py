@@ -1,0 +1,128 @@
+"""The settings of a network, of its objective and of a run: the only place where the paper's numbers of them stand.
+
+Nothing heavy is imported here, so that the command line can read its options from these fields.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from lidarsim.parameters import check, number
+from scenegen.errors import short
+from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_WIDTH
+
+Variant = Literal["proposed", "occ", "tudf", "dual", "shared"]
+VARIANTS: tuple[Variant, ...] = get_args(Variant)
+"""Both branches, coupled · occupancy alone · distances alone · both, uncoupled · one decoder with two heads."""
+LEVELS = 3
+TASKS = ("tudf", "occupancy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig:
+    """What a network looks like. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
+    open."""
+
+    variant: Variant = "proposed"
+    """Which of the paper's three networks, or of the two baselines that it leaves out."""
+    width: int = number(8, least=1, most=MOST_WIDTH, whole=True)
+    """Channels at the first level; they double from level to level (paper)."""
+    stem_stride: Literal[1, 2] = 2
+    """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second, after one at full
+    resolution (ours)."""
+    heads: int = number(4, least=1, whole=True)
+    """Of the self-attention (ours)."""
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.variant not in VARIANTS:
+            raise ValueError(f"variant = {short(self.variant)} must be one of {', '.join(VARIANTS)}")
+        if self.stem_stride not in (1, 2):
+            raise ValueError(f"stem_stride = {short(self.stem_stride)} must be 1 or 2")
+        if self.width * 2 ** (LEVELS - 1) % self.heads:
+            raise ValueError(
+                f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width must be a multiple "
+                "of the heads"
+            )
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """What is predicted: of "tudf" and "occupancy", in this order."""
+        return {"occ": TASKS[1:], "tudf": TASKS[:1]}.get(self.variant, TASKS)
+
+    @property
+    def stride(self) -> int:
+        """Every edge of a map must be a multiple of this many voxels."""
+        return int(2**LEVELS)
+
+    def check_map(self, shape: tuple[int, ...]) -> None:
+        """Raise ValueError where a network of this kind cannot complete maps of `shape`."""
+        if any(edge % self.stride for edge in shape):
+            raise ValueError(
+                f"maps of {shape} voxels; the network halves them three times, so every edge must be a multiple of "
+                f"{self.stride}"
+            )
+        if math.prod(shape) * self.width > MOST_FEATURES:
+            raise ValueError(
+                f"maps of {shape} voxels at width {self.width}: expected {MOST_FEATURES // self.width} voxels at most; "
+                "use a smaller grid, or a smaller --width"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LossConfig:
+    """Weights of the objective. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
+    open."""
+
+    occupancy: float = number(0.1, least=0)
+    """lambda_occ (paper)."""
+    tudf: float = number(1.0, least=0)
+    """lambda_tudf (paper)."""
+    eikonal: float = number(0.05, least=0)
+    """lambda_eik (paper)."""
+    occupied_weight: float = number(5.0, least=0)
+    """w^o of occupied voxels; free ones have 1 (paper)."""
+    near_weight: float = number(2.0, least=0)
+    """w^t of voxels near a surface; others have 1 (paper)."""
+    near_m: float = number(0.5, least=0)
+    """How near, metres (paper)."""
+    beta_m: float = number(1.0, above=0)
+    """Where Smooth-L1 turns from a parabola into a line, metres (ours)."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """All that a run's outcome depends on besides its datasets. "Paper" is the paper's section "Implementation
+    Details"; "ours" is what it leaves open."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    epochs: int = number(100, least=1, most=MOST_EPOCHS, whole=True)
+    """At most; the learning rate falls to 0 by the last (ours)."""
+    batch: int = number(8, least=1, most=MOST_BATCH, whole=True)
+    """Maps a step, over all devices (ours)."""
+    lr: float = number(1e-3, above=0)
+    """Of AdamW, after the warm-up; then down a cosine (ours)."""
+    warmup_share: float = number(0.02, least=0, below=1)
+    """Share of all steps over which the learning rate rises from 0 (ours)."""
+    weight_decay: float = number(0.01, least=0)
+    """Of AdamW (ours)."""
+    clip: float = number(1.0, above=0)
+    """Largest norm of a step's gradient (ours)."""
+    patience: int = number(10, least=1, whole=True)
+    """Epochs without a lower validation loss after which training ends (paper)."""
+    augment: bool = False
+    """Whether maps are turned and mirrored about the sensor at random (ours)."""
+    seed: int = number(0, least=0, whole=True)
+    """Of the first weights and the order of samples."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Of the network's arithmetic; losses and weights are float32. Auto: bfloat16 where the device has instructions for
+    it."""
+    compile: bool = False
+    """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
+
+    def __post_init__(self) -> None:
+        check(self)
