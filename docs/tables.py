@@ -1,0 +1,89 @@
+"""Write the tables of parameters that stand in the docs, from the dataclasses that hold them.
+
+    python docs/tables.py          # rewrites the pages
+    python docs/tables.py --check  # ends with 1 where a page is not what would be written
+
+A page asks for a table by two comments, between which it goes:
+
+    <!-- parameters of scenegen.flight:Flight -->
+    <!-- end -->
+"""
+
+import ast
+import dataclasses
+import importlib
+import inspect
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from lidarsim.parameters import BOUNDS, Bounds
+
+PAGES = Path(__file__).parent
+ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)", re.S)
+
+
+def meanings(kind: type) -> dict[str, str]:
+    """The docstring of every field of a dataclass, its bases' included, on one line."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        try:
+            (body,) = ast.parse(inspect.cleandoc("\n" + inspect.getsource(base))).body
+        except (OSError, TypeError):  # a base without source, such as ABC in C
+            continue
+        assert isinstance(body, ast.ClassDef)
+        for item, after in zip(body.body, body.body[1:], strict=False):
+            match item, after:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                    found[name] = " ".join(text.split())
+    return found
+
+
+def table(kind: type) -> str:
+    """The parameters of a dataclass: name, default, the values allowed, and the meaning. Fields that are such
+    dataclasses themselves are left out: they have tables of their own."""
+    said = meanings(kind)
+    lines = ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+    for item in dataclasses.fields(kind):
+        if item.default_factory is dataclasses.MISSING:
+            allowed = str(item.metadata.get(BOUNDS, Bounds())).replace("a finite number", "").replace("a ", "").strip()
+            cells = (f"`{item.name}`", _value(item.default), allowed, said[item.name].replace("|", "/"))
+            lines.append(f"| {' | '.join(cells)} |")
+    for name in ("flight", "accept"):
+        for parameter, value in getattr(kind, f"{name}_defaults", {}).items():
+            lines.append(f"| `[{name}] {parameter}` | {_value(value)} | | The preset of this kind differs here. |")
+    return "\n".join(lines) + "\n"
+
+
+def _value(value: Any) -> str:
+    """A default as TOML writes it."""
+    if value is dataclasses.MISSING:
+        return "none"
+    if isinstance(value, tuple):
+        return f"`[{', '.join(_value(one).strip('`') for one in value)}]`"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
+
+
+def filled(page: str) -> str:
+    """A page with every table that it asks for."""
+
+    def fill(found: re.Match[str]) -> str:
+        kind = getattr(importlib.import_module(found[2]), found[3])
+        return f"{found[1]}{table(kind)}{found[4]}"
+
+    return ASKED.sub(fill, page)
+
+
+if __name__ == "__main__":
+    stale = []
+    for path in sorted(PAGES.glob("*.md")):
+        text = path.read_text()
+        if filled(text) != text:
+            stale.append(path.name)
+            if "--check" not in sys.argv:
+                path.write_text(filled(text))
+    if stale and "--check" in sys.argv:
+        sys.exit(f"{', '.join(stale)}: not as the code says; run python docs/tables.py")

@@ -1,0 +1,27 @@
+"""The tables of parameters in the docs are those of the dataclasses."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "scenes").glob("*.md"))]
+
+spec = importlib.util.spec_from_file_location("tables", ROOT / "docs" / "tables.py")
+assert spec is not None
+assert spec.loader is not None
+tables = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(tables)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_tables_of_parameters_are_those_of_the_code(page: Path) -> None:
+    text = page.read_text()
+    assert text.count("<!-- parameters of") == len(tables.ASKED.findall(text))
+    assert tables.filled(text) == text, "run python docs/tables.py"
+
+
+def test_the_recipes_page_lists_every_table_of_a_recipe() -> None:
+    asked = {name for _, _, name, _ in tables.ASKED.findall((ROOT / "docs" / "recipes.md").read_text())}
+    assert asked == {"Pillar", "Geometric", "Flight", "Acceptance", "Lidar", "GridSpec"}
