@@ -18,7 +18,7 @@ HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
 LN_2 = (0.6931471805599453, 2.3190468138462996e-17, 5.707708438416212e-34)
 """The logarithm of 2 as a sum."""
 TERMS = 28
-"""Of every power series, more than enough for 2^-107."""
+"""Terms of every power series: more than enough for 2^-107."""
 
 
 def sin_cos(angle: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

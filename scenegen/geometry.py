@@ -77,7 +77,7 @@ def _ordered(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _mesh_digest(triangles: NDArray[np.float64], filled: bool) -> bytes:
-    """Of a soup of triangles (T, 3, 3), whatever their order and that of their corners: sums have none."""
+    """A digest of a soup of triangles (T, 3, 3) that does not depend on the order of triangles or of their corners."""
     rounded = (np.rint(triangles / ROUND_M) + 0.0).astype(np.int64).view(np.uint64)
     corners = _mixed(rounded[..., 0] + _mixed(rounded[..., 1] + _mixed(rounded[..., 2])))
     total = int(_mixed(corners.sum(axis=1)).sum())

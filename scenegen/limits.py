@@ -4,105 +4,106 @@ part of scenegen writes, every other part takes."""
 from collections.abc import Mapping
 
 MOST_VOXELS = 1 << 26
-"""In a grid: a distance field of this size takes 256 MB."""
+"""The most voxels of a grid: a distance field of this size takes 256 MB."""
 MOST_VIEWPOINTS = 10_000
-"""Of one flight."""
+"""The most viewpoints of one flight."""
 MOST_VOXELS_IN_FLIGHT = 1 << 30
-"""Of all maps of one flight: its samples are in memory together, some eight bytes a voxel."""
+"""The most voxels in all maps of one flight together: they are in memory at once, with some eight bytes a voxel."""
 MOST_CANDIDATES = 100_000
-"""Places along one flight at which a scan may be tried."""
+"""The most places along one flight at which a scan is tried."""
 MOST_DRAWS = 10_000
-"""Of one world."""
+"""The most draws of one world."""
 MOST_FLIGHTS = 1000
-"""Tried in one world."""
+"""The most flights tried in one world."""
 MOST_ITERATIONS = 10**6
-"""Of one search for a flight: some ten seconds."""
+"""The most iterations of one search for a flight: they take some ten seconds."""
 MOST_SEARCHED = 10**9
-"""Iterations over all draws of one world and all flights in each: some hours, after which there is none."""
+"""The most iterations over all draws of one world and all flights in each: they take some hours."""
 MOST_SEED = 2**63 - 1
-"""What every reader of JSON takes as a whole number."""
+"""The largest seed: every reader of JSON takes it as a whole number."""
 MOST_SAMPLES = 10**9
-"""Of a split."""
+"""The most samples of a split."""
 MOST_WORKERS = 1024
-"""Processes."""
+"""The most worker processes."""
 MOST_SAMPLES_IN_SHARD = 10**5
-"""A shard is made in memory: some eight gigabytes of maps of the default size."""
+"""The most samples of a shard, which is made in memory: with default maps, these take some eight gigabytes."""
 MOST_OBJECTS = 64
-"""In a shard's HDF5, and attributes of it."""
+"""The most HDF5 objects in a shard, and the most attributes of each."""
 MOST_BLOCKS, MOST_BLOCK_BYTES = 64, 1 << 16
-"""Of an HDF5 object's header."""
+"""The most blocks in an HDF5 object's header, and the most bytes of a block."""
 MOST_HEAP_BYTES = 1 << 20
-"""Of the heaps that hold names and texts in HDF5."""
+"""The most bytes of the heaps that hold names and texts in HDF5."""
 MOST_SHARDS = 99_999
-"""In a split: what five digits can number."""
+"""The most shards of a split: five digits number them."""
 MOST_MANIFEST_BYTES = 64 << 20
-"""Of `dataset.json`; some 200,000 shards."""
+"""The most bytes of `dataset.json`: it then lists some 200,000 shards."""
 MOST_RECIPE_BYTES = 64 << 10
-"""Of a recipe's TOML file: every parameter takes two kilobytes, and the time to parse grows faster than the size."""
+"""The most bytes of a recipe's TOML file. Every parameter may take two kilobytes; the time to parse grows faster than
+the size."""
 
 MOST_GEOMS = 50_000
-"""In a world: MuJoCo takes five seconds over so many, and four times as long over twice as many."""
+"""The most geoms of a world: MuJoCo takes five seconds to compile these, and four times as long for twice as many."""
 MOST_DRAWN_SOLIDS = 20_000
-"""In a world that a recipe draws, of all sorts together: MuJoCo takes a second over so many, twice a world, and
-`verify` gives a shard of a hundred worlds three minutes."""
+"""The most solids, of all sorts together, in a world that a recipe draws. MuJoCo takes a second to compile these,
+twice a world, and `verify` gives a shard of a hundred worlds three minutes."""
 MOST_DRAWN_M = 1e4
-"""Lengths in a recipe, metres: MJCF's six digits then place solids to a decimetre, and whatever is stacked or scattered
-stays within `MOST_LENGTH_M`."""
+"""The largest length in a recipe, metres: MJCF's six digits then place solids to a decimetre, and what is stacked or
+scattered stays within a world's largest length."""
 LEAST_DRAWN_M = 1e-3
-"""Steps and distances of flights, metres: how finely motions are checked."""
+"""The smallest step or distance of a flight, metres: motions are checked as finely as this."""
 MOST_ELEMENTS = 200_000
-"""In an MJCF document."""
+"""The most elements of an MJCF document."""
 MOST_DEPTH = 200
-"""Levels of elements in an MJCF document, or of anything that nests in JSON and TOML."""
+"""The most levels to which MJCF, JSON or TOML may nest."""
 MOST_CELLS = 1 << 24
-"""Of a height field, pixels of an image, or numbers of an MJCF attribute."""
+"""The most cells of a height field, pixels of an image, or numbers in an MJCF attribute."""
 MOST_TRIANGLES = 5_000_000
-"""Of all meshes and height fields of a world, each counted as often as a geom uses it: 360 MB."""
+"""The most triangles of a world's meshes and height fields, each counted as often as a geom uses it: 360 MB."""
 MOST_BUILTIN = 300
-"""A parameter of a mesh that MuJoCo makes by itself, such as its resolution: some 100,000 vertices then."""
+"""The largest parameter of a mesh that MuJoCo makes by itself, such as its resolution: some 100,000 vertices."""
 MOST_LENGTH_M = 1e6
-"""Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
+"""The largest size or coordinate in a world, metres: float64 then keeps a tenth of a nanometre."""
 MOST_DOCUMENT_BYTES = 16 << 20
-"""Of an MJCF document."""
+"""The most bytes of an MJCF document."""
 MOST_ASSET_BYTES = 64 << 20
-"""Of one file that a world refers to."""
+"""The most bytes of one file that a world refers to."""
 MOST_ARCHIVE_BYTES = 1 << 30
-"""Of all members of a shard's archive, unpacked."""
+"""The most bytes of all members of a shard's archive together, unpacked."""
 MOST_MEMBERS = 65_000
-"""Of a shard's archive."""
+"""The most members of a shard's archive."""
 
 SCENE_SECONDS, SCENE_BYTES = 60.0, 4 << 30
-"""What reading one MJCF file of a stranger's may take: time, and memory of the process that does it."""
+"""The time, seconds, and the memory that the process which reads a stranger's MJCF file may take."""
 
 MOST_ASKED: Mapping[str, int] = {
     **{"memory": 1 << 30, "njmax": 1 << 20, "nconmax": 1 << 20, "nstack": 1 << 27, "nkey": 1000},
     **{"nuserdata": 1 << 20, "nrow": MOST_CELLS, "ncol": MOST_CELLS, "width": MOST_CELLS, "height": MOST_CELLS},
     **{f"nuser_{what}": 100 for what in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")},
 }
-"""MJCF attributes for which MuJoCo takes as much memory as they say, and the most that they may say."""
+"""MJCF attributes for which MuJoCo takes as much memory as they say, each with the largest value that it may have."""
 
 MOST_WIDTH = 128
-"""Channels at a network's first level: it then has 77 million parameters, 308 MB."""
+"""The most channels at a network's first level: it then has 77 million parameters, 308 MB."""
 MOST_FEATURES = 1 << 27
-"""Voxels of a network's map times its channels at the first level: completing one map takes a few GB."""
+"""The most voxels of a network's map times its channels at the first level: completing one map then takes a few GB."""
 MOST_BATCH = 4096
-"""Maps a step of training, or completed at once."""
+"""The most maps in a step of training, or completed at once."""
 MOST_WEIGHTS_BYTES = 1 << 30
-"""Of a .safetensors or .onnx file; a training state of the widest network has 924 MB."""
+"""The most bytes of a .safetensors or .onnx file; a training state of the widest network has 924 MB."""
 MOST_EPOCHS = 10_000
-"""Of a training run: their figures stand in the header of its state, some kilobyte each."""
+"""The most epochs of a training run: the header of its state holds some kilobyte of figures for each."""
 MOST_LINE_BYTES = 4096
-"""Of a text that lists points."""
+"""The most bytes of a line in a text file that lists points."""
 MOST_HEADER_BYTES = 16 << 20
-"""Of a .safetensors file's header, a run's settings, or a point cloud's header."""
+"""The most bytes of a .safetensors file's header, a run's settings, or a point cloud's header."""
 MOST_SCAN_BYTES = 256 << 20
-"""Of a file of points."""
+"""The most bytes of a file of points."""
 MOST_POINTS = 20_000_000
-"""Of a scan: 480 MB as float64."""
+"""The most points of a scan: they take 480 MB as float64."""
 MOST_CHUNK_BYTES = 256 << 20
-"""Of a predictions file, unpacked: a map of `MOST_VOXELS` in float32."""
+"""The most bytes of a chunk of a predictions file, unpacked: a map of `MOST_VOXELS` in float32."""
 
 GUARD_S = 60.0
-"""How long a library may look at a stranger's file before it counts as hung, seconds, beside what its size explains."""
+"""How long a library may read a stranger's file before it counts as hung, seconds; the file's size adds to it."""
 GUARD_BYTES = 4 << 30
-"""Address space it may take meanwhile, beside what its size explains."""
+"""How much address space the library may take meanwhile; the file's size adds to it."""

@@ -110,8 +110,9 @@ def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
 
 
 def former_date(out: Path, content: bytes) -> str | None:
-    """The date of the folder in `out`, if it publishes the dataset with the manifest `content`: a run that goes on
-    sends what the stopped one sent."""
+    """The date of publication in the folder `out`, if that folder publishes the dataset with the manifest `content`.
+
+    A run that goes on after a stop takes this date, so that it sends the same files as the stopped one."""
     try:
         if (out / manifest.NAME).read_bytes() == content:
             return str(json.loads((out / "croissant.json").read_text(encoding="utf-8"))["datePublished"])

@@ -28,15 +28,15 @@ class Publication:
     repository: str
     """user/name on the Hub."""
     tag: str
-    """The revision that this content is to have."""
+    """The revision of the repository that will name this content."""
     licence: Licence
     date: str
-    """Of publication, YYYY-MM-DD."""
+    """The day of publication, YYYY-MM-DD."""
     manifest: Mapping[str, Any]
     statistics: Mapping[str, Any]
-    """What `scenegen.inspect.inspect` says."""
+    """What `scenegen.inspect.inspect` says of the dataset."""
     command: str
-    """What regenerates the dataset, next to ``recipe.toml``."""
+    """The command that makes the dataset again in a folder that holds ``recipe.toml``."""
     lock: str
     """Contents of the environment lock."""
     checks: tuple[tuple[str, str], ...]
@@ -46,12 +46,12 @@ class Publication:
 
     @property
     def name(self) -> str:
-        """The repository's, without its owner."""
+        """The name of the repository without its owner."""
         return self.repository.partition("/")[2]
 
     @property
     def url(self) -> str:
-        """The dataset's page."""
+        """The address of the dataset's page on the Hub."""
         return f"https://huggingface.co/datasets/{self.repository}"
 
     @property

@@ -14,7 +14,7 @@ class Published:
 
     staged: Staged
     commit: str | None
-    """On the Hub; None for a rehearsal."""
+    """The commit on the Hub; None after a dry run."""
 
 
 def publish(
@@ -29,10 +29,10 @@ def publish(
     on_done: Callable[[int], None] = lambda samples: None,
     on_staged: Callable[[Staged], None] = lambda staged: None,
 ) -> Published:
-    """Check the dataset with `workers` processes (with `quick`, the cheap half of it), put the folder together, and,
-    unless `dry_run`, send it.
+    """Verify the dataset with `workers` processes, put the folder together, and send it unless this is a `dry_run`.
 
-    Nothing is contacted before the folder stands, nor at all in a dry run. Raises DatasetError, PublishError.
+    `quick` verifies with the cheap checks alone. No server is contacted before the folder is complete; a dry run
+    contacts none. Raises DatasetError, PublishError.
     """
     from scenegen.verify import verify
 

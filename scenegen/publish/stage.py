@@ -25,11 +25,11 @@ from scenegen.publish.publication import Publication
 from scenegen.publish.regenerate import RECIPE, check_recipe, command, recipe_text
 
 MOST_FILES = 300
-"""Of a published folder: the Hub, and people, work badly with more."""
+"""The most files of a published folder: the Hub, and people, work badly with more."""
 SHOWN = 4
-"""Samples with a picture."""
+"""How many samples are drawn as pictures."""
 _BESIDES = 12
-"""Files at most besides shards and archives, pictures included."""
+"""The most files that a published folder holds besides shards and archives."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,15 +38,16 @@ class Request:
 
     dataset: Path
     repository: str
-    """user/name on the Hub."""
+    """The repository on the Hub, as user/name."""
     out: Path
     """Where the folder is put together."""
     tag: str | None = None
-    """The revision's name; None: the format's version and the digest's beginning, so that it names the content."""
+    """The name of the revision. None stands for the format's version and the beginning of the digest, which names the
+    content."""
     licence: str = "CC-BY-4.0"
-    """SPDX name."""
+    """The SPDX name of the data's licence."""
     commit: str = "unknown"
-    """Of scenegen's own checkout."""
+    """The commit of the scenegen checkout that publishes."""
 
     def __post_init__(self) -> None:
         if not REPOSITORY.fullmatch(self.repository) or re.search(r"--|\.\.|[.-](/|$)|\.git$", self.repository):
@@ -63,12 +64,12 @@ class Staged:
     repository: str
     tag: str
     files: dict[str, int]
-    """Name to size in bytes."""
+    """Name of every file to its size in bytes."""
     digest: str
 
 
 def examine(request: Request) -> Dataset:
-    """The dataset, if it can be published as asked: everything that can be refused at once is refused here.
+    """Open the dataset, and refuse at once everything that can be refused before its samples are read.
 
     Raises DatasetError, PublishError.
     """
@@ -131,7 +132,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
 
 
 def _draw(dataset: Dataset, draft: Path) -> tuple[tuple[str, str], ...]:
-    """Pictures of a few training samples, evenly spread: name and caption of each."""
+    """Draw a few evenly spread samples. Returns the name and the caption of each picture."""
     (draft / "pictures").mkdir()
     split: Any = next(found for name in SPLITS if len(found := dataset.split(name)))
     pictures = []
