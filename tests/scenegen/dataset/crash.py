@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from scenegen import files
-from scenegen.dataset import manifest
+from scenegen.dataset import manifest, shard
 from scenegen.dataset.build import Plan, build, plan_dataset
 from scenegen.source import DrawnWorlds
 from tests.conftest import picky_recipe
@@ -102,9 +102,22 @@ def run_killed(folder: Path, at: int) -> int | None:
     return int(said)
 
 
+def remember_draws() -> None:
+    """Draw every unit once for all runs: what a flight gives depends on its arguments alone, which others test."""
+    draw, drawn = shard.draw_unit, {}
+
+    def remembered(*given: Any, split: str, unit: int, **more: Any) -> Any:
+        if (split, unit) not in drawn:
+            drawn[split, unit] = draw(*given, split=split, unit=unit, **more)
+        return drawn[split, unit]
+
+    shard.draw_unit = remembered
+
+
 def main(root: Path) -> None:
+    remember_draws()
     whole = build(plan_at(root / "whole"))
-    rejected = [shard.rejected for shard in map(read, plan_at(root / "whole").shards)]
+    rejected = [report.rejected for report in map(read, plan_at(root / "whole").shards)]
     result: dict[str, Any] = {
         "digest": whole.digest,
         "manifest": manifest.read(root / "whole"),
@@ -128,10 +141,8 @@ def main(root: Path) -> None:
     print(json.dumps(result))
 
 
-def read(shard: Any) -> Any:
-    from scenegen.dataset.shard import read_report
-
-    return read_report(shard)
+def read(spec: Any) -> Any:
+    return shard.read_report(spec)
 
 
 def readable(path: Path) -> bool:
