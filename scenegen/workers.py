@@ -93,7 +93,7 @@ def run(
                     yield result
             for task in waiting:
                 assert limits is not None
-                yield limits.given_up(task, "was not begun: too many before it ended badly")
+                yield limits.given_up(task, "was not examined: too many before it failed")
         finally:
             for worker in busy:
                 worker.end()

@@ -50,4 +50,4 @@ def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch: pytest.Monk
     results = list(run(work, ["die"] * 5, 1, limits=LIMITS))
     assert len(results) == 5
     assert "crashed" in results[1]
-    assert "was not begun" in results[-1]
+    assert "was not examined" in results[-1]
