@@ -16,10 +16,10 @@ import torch
 
 from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.device import autocast, resolve_precision
 from scenegen.model.export import export_onnx
 from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, load_onnx
+from scenegen.model.training.device import autocast, resolve_precision
 
 ROUNDS = 10
 GRID = GridSpec()

@@ -11,10 +11,10 @@ from pathlib import Path
 import torch
 
 from scenegen.model.config import VARIANTS, NetworkConfig, TrainConfig
-from scenegen.model.data import Maps, TudfOf, epoch_batches, load
-from scenegen.model.device import Group, choose_device
 from scenegen.model.network import Network
-from scenegen.model.train import Step
+from scenegen.model.training.data import Maps, TudfOf, epoch_batches, load
+from scenegen.model.training.device import Group, choose_device
+from scenegen.model.training.loop import Step
 
 ROUNDS = 5
 

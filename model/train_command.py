@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
-from scenegen.model.device import TrainingError, choose_device
-from scenegen.model.train import Watcher, train
+from scenegen.model.training.device import TrainingError, choose_device
+from scenegen.model.training.loop import Watcher, train
 from scenegen.workers import cores
 
 
@@ -37,7 +37,7 @@ def run_train(
 ) -> None:
     """Train, showing the loss of the last steps, the rate, the time left, and a line an epoch.
 
-    Raises TrainingError for options that no run can have; for the rest see `scenegen.model.train.train`.
+    Raises TrainingError for options that no run can have; for the rest see `scenegen.model.training.loop.train`.
     """
     try:
         config = TrainConfig(

@@ -11,12 +11,12 @@ from typing import Any, Protocol
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError, needs
 from scenegen.files import write_whole
-from scenegen.model.bench.methods import Completed, Method, Truth
-from scenegen.model.bench.predicted import Predicted
-from scenegen.model.bench.reconstruction import METRICS
-from scenegen.model.bench.report import PLAN_METRICS, build_report, to_markdown
-from scenegen.model.bench.run import BenchConfig, bench
-from scenegen.model.complete import UNLEARNED, PredictionError
+from scenegen.model.completion.protocol import UNLEARNED, PredictionError
+from scenegen.model.evaluation.methods import Completed, Method, Truth
+from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.reconstruction import METRICS
+from scenegen.model.evaluation.report import PLAN_METRICS, build_report, to_markdown
+from scenegen.model.evaluation.run import BenchConfig, bench
 from scenegen.model.provenance import commit
 
 QUICK_SAMPLES, QUICK_TRIALS = 50, 200
@@ -109,7 +109,7 @@ def choose_methods(names: Sequence[str]) -> list[Method]:
 def _network(weights: str) -> Method:
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
     try:
-        from scenegen.model.pretrained import Pretrained
+        from scenegen.model.evaluation.pretrained import Pretrained
     except ImportError:
         raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
     return Completed(Pretrained(weights))

@@ -14,7 +14,7 @@ import torch
 
 from lidarsim import GridSpec
 from scenegen.model.checkpoint import CheckpointError
-from scenegen.model.completer import Completer
+from scenegen.model.completion.completer import Completer
 from scenegen.model.config import NetworkConfig
 from scenegen.model.export import export_onnx
 from scenegen.model.network import Network
@@ -199,7 +199,7 @@ def watch(event, given):
         os.write(1, f"{event} {given}\\n".encode())
 sys.addaudithook(watch)
 import numpy as np
-from scenegen.model.completer import Completer
+from scenegen.model.completion.completer import Completer
 completer = Completer.from_pretrained(sys.argv[1])
 completer(np.zeros(completer.grid.shape, bool))
 assert not hasattr(sys.modules.get("openvino_telemetry"), "Telemetry")
