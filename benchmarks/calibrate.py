@@ -18,7 +18,7 @@ import numpy as np
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
-from scenegen.model.completion.protocol import Returns
+from scenegen.model.completion.unlearned import Returns
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.paper import PLANNING
 from scenegen.model.evaluation.planning.config import PlanConfig

@@ -5,17 +5,44 @@ Nothing heavy is imported here, so that the command line can read its options fr
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 from lidarsim.parameters import check, number
 from scenegen.errors import short
 from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_WIDTH
+from scenegen.model.inputs import INPUTS
 
-Variant = Literal["proposed", "occ", "tudf", "dual", "shared"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
-"""Both branches, coupled · occupancy alone · distances alone · both, uncoupled · one decoder with two heads."""
 LEVELS = 3
 TASKS = ("tudf", "occupancy")
+SHARED = ("shared",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """What sets a network apart from the others."""
+
+    tasks: tuple[str, ...]
+    """What it predicts, with a head for each: some of `TASKS`, in their order."""
+    decoders: tuple[str, ...]
+    """Its decoders: one for each task, or `SHARED`."""
+    coupled: bool = False
+    """Whether its two decoders inform each other after every stage."""
+    meaning: str
+    """What it is, for docs/network.md."""
+
+
+VARIANTS = {
+    "proposed": Variant(tasks=TASKS, decoders=TASKS, coupled=True, meaning="the paper's network"),
+    "occ": Variant(tasks=("occupancy",), decoders=("occupancy",), meaning="the paper's OCC-only"),
+    "tudf": Variant(tasks=("tudf",), decoders=("tudf",), meaning="the paper's TUDF-only"),
+    "dual": Variant(tasks=TASKS, decoders=TASKS, meaning="what is left of `proposed` without CrossFusion"),
+    "shared": Variant(tasks=TASKS, decoders=SHARED, meaning="the cheapest network with both outputs"),
+}
+"""Every variant by its name; `scenegen.model.network` builds what is said here."""
+if TYPE_CHECKING:
+    VariantName = str
+else:  # the command line reads its choices from a field's type
+    VariantName = Literal[tuple(VARIANTS)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +50,10 @@ class NetworkConfig:
     """What a network looks like. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
     open."""
 
-    variant: Variant = "proposed"
+    variant: VariantName = "proposed"
     """Which of the paper's three networks, or of the two baselines that it leaves out."""
+    inputs: tuple[str, ...] = ("observed",)
+    """Names of the channels that the network takes, in their order (paper: the voxels that hold a return, alone)."""
     width: int = number(8, least=1, most=MOST_WIDTH, whole=True)
     """Channels at the first level; they double from level to level (paper)."""
     stem_stride: Literal[1, 2] = 2
@@ -37,6 +66,8 @@ class NetworkConfig:
         check(self)
         if self.variant not in VARIANTS:
             raise ValueError(f"variant = {short(self.variant)} must be one of {', '.join(VARIANTS)}")
+        if not self.inputs or len(set(self.inputs)) < len(self.inputs) or not set(self.inputs) <= INPUTS.keys():
+            raise ValueError(f"inputs = {short(self.inputs)} must be one or more of {', '.join(INPUTS)}, each once")
         if self.stem_stride not in (1, 2):
             raise ValueError(f"stem_stride = {short(self.stem_stride)} must be 1 or 2")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
@@ -47,8 +78,8 @@ class NetworkConfig:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """What is predicted: of "tudf" and "occupancy", in this order."""
-        return {"occ": TASKS[1:], "tudf": TASKS[:1]}.get(self.variant, TASKS)
+        """What is predicted: some of `TASKS`, in their order."""
+        return VARIANTS[self.variant].tasks
 
     @property
     def stride(self) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.training.data import opened
 from scenegen.model.training.device import TrainingError, choose_device
 from scenegen.model.training.loop import Watcher, train
 from scenegen.workers import cores
@@ -77,7 +78,8 @@ def run_train(
 
     begin = time.monotonic()
     rows = train(
-        folders,
+        opened(folders, "train"),
+        opened(folders, "val"),
         config,
         out,
         device=str(device),

@@ -11,7 +11,7 @@ import h5py
 import pytest
 import torch
 
-from scenegen.model.training.card import SHOWN
+from scenegen.model.evaluation.metrics import METRICS
 from tests.test_cli import run
 from tests.test_cli_bench import here
 
@@ -123,7 +123,7 @@ def test_the_same_command_goes_on_after_a_signal(
     assert (ended, "epochs is 1000 there, 999 asked for" in error) == (1, True)
     begun = len((here / "runs" / "proposed" / "metrics.csv").read_text().splitlines()) - 1
     monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
-    fixed = dict.fromkeys((name.removeprefix("val_") for name in SHOWN), 0.0)
+    fixed = dict.fromkeys(METRICS, 0.0)
     monkeypatch.setattr(
         "scenegen.model.training.loop.validate", lambda *given: {**fixed, "loss": 1e9}
     )  # patience runs out

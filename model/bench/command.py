@@ -11,11 +11,12 @@ from typing import Any, Protocol
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError, needs
 from scenegen.files import write_whole
-from scenegen.model.completion.protocol import UNLEARNED, PredictionError
+from scenegen.model.completion.protocol import PredictionError
+from scenegen.model.completion.unlearned import UNLEARNED
 from scenegen.model.evaluation.methods import Completed, Method, Truth
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.predicted import Predicted
-from scenegen.model.evaluation.reconstruction import METRICS
-from scenegen.model.evaluation.report import PLAN_METRICS, build_report, to_markdown
+from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import BenchConfig, bench
 from scenegen.model.provenance import commit
 
@@ -79,7 +80,7 @@ def run_bench(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DatasetError(f"{out}: cannot be made: {error.strerror}; choose another folder with --out") from None
-    write_whole(out / "report.json", (json.dumps(report, indent=1) + "\n").encode())
+    write_whole(out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
     write_whole(out / "report.md", to_markdown(report).encode())
     return report
 
@@ -112,7 +113,7 @@ def _network(weights: str) -> Method:
         from scenegen.model.evaluation.pretrained import Pretrained
     except ImportError:
         raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
-    return Completed(Pretrained(weights))
+    return Pretrained(weights)
 
 
 def tables(report: dict[str, Any]) -> str:

@@ -1,1 +1,1 @@
-"""Partial maps become whole ones: what a completion is, methods that need no learning, networks, files of predictions."""
+"""Partial maps become whole ones: methods without learning, networks, and predictions on disk."""

@@ -6,9 +6,9 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -20,13 +20,15 @@ from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.errors import needs
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
+from scenegen.model.inputs import INPUTS
 from scenegen.model.network import Output
 from scenegen.model.runtime import load_onnx
 
 BUNDLED = Path(__file__).parents[1] / "weights"
 """Where the networks lie that come with scenegen."""
 HUB = "hf://"
-NAMES_IN_FOLDER = ("best.safetensors", "scenegen.model.safetensors")
+Maps: TypeAlias = NDArray[Any] | Tensor
+NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 """What a run's folder, or a repository, calls its network."""
 
 
@@ -35,16 +37,19 @@ class Completer:
 
     def __init__(
         self,
-        forward: Callable[[Tensor], Output],
+        forward: Callable[[Mapping[str, Tensor]], Output],
         grid: GridSpec,
         *,
         name: str,
+        inputs: Sequence[str] = ("observed",),
         about: Mapping[str, Any] | None = None,
         batch: int = 8,
     ):
         self.grid = grid
         self.name = name
         """How the network is called in tables."""
+        self.inputs = tuple(inputs)
+        """What it has to be shown of a map: names of `scenegen.model.inputs`."""
         self.about = dict(about or {})
         """What is known of its training: settings, versions, validation figures."""
         self._forward = forward
@@ -63,53 +68,73 @@ class Completer:
         path = locate(name)
         title = called(name, path)
         if path.suffix == ".onnx":
-            run, grid, about = load_onnx(path, threads=threads)
-            return cls(run, grid, name=title, about=about, batch=batch)
+            run, found = load_onnx(path, threads=threads)
+            return cls(run, found.grid, name=title, inputs=found.config.inputs, about=found.about, batch=batch)
         network, grid, about = load_network(path)
         network.to(device, memory_format=torch.channels_last_3d)
 
-        def forward(observed: Tensor) -> Output:
-            return Output(*network(observed.to(device).float()))
+        def forward(maps: Mapping[str, Tensor]) -> Output:
+            return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
-        return cls(forward, grid, name=title, about=about, batch=batch)
+        return cls(forward, grid, name=title, inputs=network.config.inputs, about=about, batch=batch)
 
-    def __call__(self, observed: NDArray[Any] | Tensor) -> Prediction:
-        """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape), from their observed voxels.
+    def __call__(self, maps: Maps | Mapping[str, Maps]) -> Prediction:
+        """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
 
-        Numbers 0 and 1, or bool. What comes back has the same shape and is float32, numpy for numpy and torch for
-        torch (where `observed` is); distances are metres, at most the truncation; what the network's variant does not
-        predict is None. Raises ValueError for another grid, or for values that are neither 0 nor 1; PredictionError
-        where the network says NaN, or what is no probability or distance.
+        `maps` are the observed voxels, or a named batch where the network has other `inputs`: numpy or torch, numbers 0
+        and 1 or bool where an input is binary. What comes back has the same shape and is float32, numpy for numpy and
+        torch for torch (on the same device); distances are metres, at most the truncation; what the network's variant
+        does not predict is None. Raises ValueError where an input is missing, for another grid, or for values that an
+        input cannot hold; PredictionError where the network says NaN, or what is no probability or distance.
         """
-        given = observed if isinstance(observed, Tensor) else torch.from_numpy(np.ascontiguousarray(observed))
-        if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
-            raise ValueError(
-                f"observed has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, *{self.grid.shape}): "
-                f"{self.name} completes maps of voxels of {self.grid.voxel_m} m, indexed x, y, z"
-            )
-        if given.dtype != torch.bool and not ((given == 0) | (given == 1)).all():
-            raise ValueError("observed holds values other than 0 and 1; give the voxels that hold a return")
-        maps = given.reshape(-1, *self.grid.shape)
-        if not len(maps):
-            raise ValueError("observed holds no map; give at least one")
-        parts = [self._complete(part) for part in maps.split(self._batch)]
-        joined = [
-            None if part[0] is None else torch.cat(part).reshape(given.shape) for part in zip(*parts, strict=True)
-        ]
-        check_prediction(Prediction(*joined), tuple(given.shape), self.name)
-        if isinstance(observed, Tensor):
-            return Prediction(*(None if part is None else part.to(observed.device) for part in joined))
+        batch: Mapping[str, Maps] = maps if isinstance(maps, Mapping) else {"observed": maps}
+        if missing := [name for name in self.inputs if name not in batch]:
+            raise ValueError(f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not given")
+        given = {name: self._checked(name, batch[name]) for name in self.inputs}
+        shapes = {tuple(values.shape) for values in given.values()}
+        if len(shapes) > 1:
+            raise ValueError(f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one")
+        (shape,) = shapes
+        flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
+        split = [values.split(self._batch) for values in flat.values()]
+        parts = [self._complete(dict(zip(flat, part, strict=True))) for part in zip(*split, strict=True)]
+        joined = [None if part[0] is None else torch.cat(part).reshape(shape) for part in zip(*parts, strict=True)]
+        check_prediction(Prediction(*joined), shape, self.name)
+        first = batch[self.inputs[0]]
+        if isinstance(first, Tensor):
+            return Prediction(*(None if part is None else part.to(first.device) for part in joined))
         return Prediction(*(None if part is None else part.numpy(force=True) for part in joined))
 
     def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
-        """See `MapCompleter.complete`; `free` is not looked at. Raises ValueError for another grid."""
+        """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network takes other inputs."""
+        self.check_grid(grid)
+        return self({"observed": observed, "free": free})
+
+    def check_grid(self, grid: GridSpec) -> None:
+        """Raise ValueError unless the network completes maps on `grid`."""
         if grid != self.grid:
             raise ValueError(f"{self.name} completes maps on {self.grid}, these are on {grid}")
-        return self(observed)
+
+    def _checked(self, name: str, maps: Maps) -> Tensor:
+        """An input as a tensor, if it can be one."""
+        given = maps if isinstance(maps, Tensor) else torch.from_numpy(np.ascontiguousarray(maps))
+        if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
+            raise ValueError(
+                f"{name} has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, *{self.grid.shape}): "
+                f"{self.name} completes maps of voxels of {self.grid.voxel_m} m, indexed x, y, z"
+            )
+        if not given.numel():
+            raise ValueError(f"{name} holds no map; give at least one")
+        if INPUTS[name].binary:
+            if given.dtype != torch.bool and not ((given == 0) | (given == 1)).all():
+                raise ValueError(f"{name} holds values other than 0 and 1; expected a mask of voxels")
+        elif not given.isfinite().all():
+            raise ValueError(f"{name} holds NaN or infinity; expected finite numbers")
+        return given
 
     @torch.inference_mode()
-    def _complete(self, observed: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        output = self._forward(observed)
+    def _complete(self, maps: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None]:
+        output = self._forward(maps)
         probability = None if output.logits is None else output.logits.sigmoid()
         tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
         return probability, tudf

@@ -12,15 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
-from scenegen.errors import DatasetError, GuardError
+from scenegen.errors import DatasetError, GuardError, empty_split
 from scenegen.files import open_bounded, whole, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_LENGTH_M
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.points import read_points
-from scenegen.model.completion.protocol import Prediction, Thresholds
-from scenegen.model.evaluation.methods import empty_split
-from scenegen.model.evaluation.predicted import FIELDS
-from scenegen.model.training.data import Maps, load
+from scenegen.model.completion.protocol import PARTS, Prediction, Thresholds
+from scenegen.model.inputs import PointScan, fields_for, of_sample, of_scan
 from scenegen.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
@@ -50,7 +48,6 @@ def predict_split(
     out: Path,
     *,
     batch: int = 8,
-    workers: int = 0,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> None:
@@ -62,19 +59,25 @@ def predict_split(
     check_output(out)
     dataset = Dataset(folder)
     check_grid(completer, dataset.grid, folder)
-    maps = Maps([folder], split)
-    if not len(maps):
+    samples, fields = dataset.split(split), fields_for(completer.inputs)
+    if not len(samples):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
-    names = dataset.split(split).names
-    batches = [list(range(n, min(n + batch, len(maps)))) for n in range(0, len(maps), batch)]
-    on_start(len(maps))
+    names = samples.names
+
+    def maps(row: int) -> dict[str, NDArray[Any]]:
+        stored = dict(zip(fields, samples.stored(row, *fields), strict=True))
+        return of_sample(completer.inputs, stored, dataset.grid, dataset.lidar)
+
+    on_start(len(samples))
     with whole(out) as draft, h5py.File(draft, "w") as file:
         file.attrs.update({"dataset": dataset.manifest["digest"], "split": split, "method": completer.name})
         file["world"] = np.array([world for _, world, _ in names], dtype=np.int64)
         file["viewpoint"] = np.array([viewpoint for _, _, viewpoint in names], dtype=np.int64)
-        for rows, (observed, _) in zip(batches, load(maps, batches, workers=workers, pinned=False), strict=True):
-            _write(file, completer(observed.numpy()), rows[0], len(maps))
-            on_done(len(rows))
+        for first in range(0, len(samples), batch):
+            read = [maps(row) for row in range(first, min(first + batch, len(samples)))]
+            stacked = {name: np.stack([one[name] for one in read]) for name in completer.inputs}
+            _write(file, completer(stacked), first, len(samples))
+            on_done(len(read))
 
 
 def predict_scan(
@@ -82,9 +85,9 @@ def predict_scan(
 ) -> Used:
     """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor` (3,).
 
-    `out` is HDF5 (``.h5``: `observed`, what is predicted, and the grid) or a point cloud (``.ply``: the centres of the
-    voxels that are occupied at `thresholds`, in the scan's frame). Raises DatasetError for files that are not such,
-    and where `out` is something else already.
+    `out` is HDF5 (``.h5``: the network's inputs, what is predicted, and the grid) or a point cloud (``.ply``: the
+    centres of the voxels that are occupied at `thresholds`, in the scan's frame). Raises DatasetError for files that
+    are not such, and where `out` is something else already.
     """
     if out.suffix not in WRITERS:
         raise DatasetError(f"{out}: expected a name that ends in {' or '.join(WRITERS)}")
@@ -94,15 +97,15 @@ def predict_scan(
         raise DatasetError(f"--sensor {place.tolist()}: expected metres within {MOST_LENGTH_M:g} of the origin")
     points = read_points(scan)
     returned = points[np.isfinite(points).all(axis=1)]
-    origin = completer.grid.origin_at(place)
-    observed, inside = mark(returned, origin, completer.grid)
-    used = Used(points=len(points), returned=len(returned), inside=inside)
-    if not inside:
+    seen = PointScan(points=returned, sensor=place, grid=completer.grid)
+    used = Used(points=len(points), returned=len(returned), inside=len(seen.voxels))
+    if not used.inside:
         raise DatasetError(
             f"{scan}: {used}, a map of {completer.grid.extent_m} m around the sensor at {place.tolist()}; "
             "give --sensor, and metres"
         )
-    WRITERS[out.suffix](out, completer, origin, observed, completer(observed), thresholds)
+    maps = of_scan(completer.inputs, seen)
+    WRITERS[out.suffix](CompletedScan(completer.name, seen, maps, completer(maps), thresholds), out)
     return used
 
 
@@ -139,18 +142,8 @@ def check_grid(completer: Completer, grid: GridSpec, where: Path) -> None:
         )
 
 
-def mark(points: NDArray[np.float64], origin: NDArray[np.float64], grid: GridSpec) -> tuple[NDArray[np.bool_], int]:
-    """The voxels, (*grid.shape), that hold one of the finite `points` (N, 3), and how many points lie in the map."""
-    near = points[(np.abs(points) <= 2 * MOST_LENGTH_M).all(axis=1)]  # voxels of those beyond have no whole numbers
-    index = grid.index(near, origin)
-    inside = ((index >= 0) & (index < grid.shape)).all(axis=1)
-    observed = np.zeros(grid.shape, dtype=np.bool_)
-    observed[tuple(index[inside].T)] = True
-    return observed, int(inside.sum())
-
-
 def _write(file: h5py.File, prediction: Prediction, row: int, total: int) -> None:
-    for name in FIELDS:
+    for name in PARTS:
         values: Any = getattr(prediction, name)
         if values is None:
             continue
@@ -163,34 +156,33 @@ def _write(file: h5py.File, prediction: Prediction, row: int, total: int) -> Non
             file[name].id.write_direct_chunk((row + n, 0, 0, 0), compress(value))
 
 
-def _write_h5(
-    out: Path,
-    completer: Completer,
-    origin: NDArray[np.float64],
-    observed: NDArray[np.bool_],
-    prediction: Prediction,
-    thresholds: Thresholds,
-) -> None:
-    with whole(out) as draft, h5py.File(draft, "w") as file:
-        file.attrs.update({"method": completer.name, "origin": origin, "voxel": completer.grid.voxel_m})
-        file["observed"] = observed
-        for name in FIELDS:
-            if getattr(prediction, name) is not None:
-                file[name] = getattr(prediction, name)
+@dataclass(frozen=True)
+class CompletedScan:
+    """One scan, and what `method` says of its map."""
+
+    method: str
+    scan: PointScan
+    maps: dict[str, NDArray[Any]]
+    """What the method was shown, by name."""
+    prediction: Prediction
+    thresholds: Thresholds
+
+    def write_h5(self, out: Path) -> None:
+        """Write everything as HDF5."""
+        with whole(out) as draft, h5py.File(draft, "w") as file:
+            file.attrs.update({"method": self.method, "origin": self.scan.origin, "voxel": self.scan.grid.voxel_m})
+            for name, values in self.maps.items():
+                file[name] = values
+            for name in PARTS:
+                if getattr(self.prediction, name) is not None:
+                    file[name] = getattr(self.prediction, name)
+
+    def write_ply(self, out: Path) -> None:
+        """Write the centres of the voxels that are occupied as a cloud of points in the scan's frame."""
+        centres = self.scan.grid.centres(self.scan.origin)[self.prediction.occupied(self.thresholds)]
+        header = f"element vertex {len(centres)}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+        write_whole(out, PLY_HEAD + header.encode() + b"end_header\n" + centres.astype("<f4").tobytes())
 
 
-def _write_ply(
-    out: Path,
-    completer: Completer,
-    origin: NDArray[np.float64],
-    observed: NDArray[np.bool_],
-    prediction: Prediction,
-    thresholds: Thresholds,
-) -> None:
-    centres = completer.grid.centres(origin)[prediction.occupied(thresholds)]
-    header = f"element vertex {len(centres)}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
-    write_whole(out, PLY_HEAD + header.encode() + b"end_header\n" + centres.astype("<f4").tobytes())
-
-
-WRITERS = {".h5": _write_h5, ".ply": _write_ply}
+WRITERS = {".h5": CompletedScan.write_h5, ".ply": CompletedScan.write_ply}
 """File types of a completed scan."""

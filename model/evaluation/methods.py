@@ -1,7 +1,7 @@
-"""What the bench compares: completers and the truth itself; `scenegen.model.evaluation.predicted` holds those on disk."""
+"""What the bench compares: completers, and the truth itself. `predicted` and `pretrained` hold other rows."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,8 +19,8 @@ class Method(Protocol):
         """How the method is called in tables."""
         ...
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
-        """What the method says about a sample's map."""
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+        """What the method says about a sample's map, on `grid`, as seen by the sensor `lidar`."""
         ...
 
 
@@ -43,7 +43,7 @@ class Completed:
         """The completer's, in one line: a network's comes from its file's name."""
         return printable(self.completer.name)
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
         """See `Method.completion`. Raises PredictionError where the completer gives what is no prediction."""
         found = self.completer.complete(sample.observed, sample.free, grid=grid)
         return check_prediction(found, grid.shape, self.name)
@@ -55,12 +55,6 @@ class Truth:
 
     name: str = "truth"
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
         """See `Method.completion`."""
         return Prediction(occupancy_probability=sample.occupancy.astype(np.float32), tudf=sample.tudf)
-
-
-def empty_split(split: str) -> str:
-    """What to do about a split without samples."""
-    option = "--n" if split == "train" else f"--{split}"
-    return f"its {split} split is empty; generate with {option} (scenes are split by world: give three or more)"

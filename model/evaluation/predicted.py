@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import h5py
 import isal.isal_zlib
@@ -15,12 +16,10 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, GuardError, printable, short
 from scenegen.files import open_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
-from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
+from scenegen.model.completion.protocol import PARTS, Prediction, PredictionError, check_prediction
 from scenegen.sample import Sample
 from scenegen.workers import guarded
 
-FIELDS = ("occupancy_probability", "tudf")
-"""Names of a prediction's parts in a predictions file."""
 WHO = ("world", "viewpoint")
 """Names of the columns that say which sample a row predicts."""
 
@@ -59,7 +58,7 @@ class Predicted:
         with h5py.File(self.path, "r") as file:
             return {(str(file.attrs["split"]), *pair): row for row, pair in enumerate(_pairs(file))}
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec) -> Prediction:
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
         """See `Method.completion`. Raises KeyError for a sample that the file does not predict."""
         row = self._rows[split, int(sample.world), int(sample.viewpoint)]
         with h5py.File(self.path, "r") as file:
@@ -101,11 +100,11 @@ def _check_names(file: h5py.File, wanted: _Wanted) -> None:
         )
     if split != wanted.split:
         raise DatasetError(f"predicts split {short(split)}, expected {wanted.split!r}")
-    links = {name: file.get(name, getlink=True) for name in (*WHO, *FIELDS)}
+    links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS)}
     held = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
     if not set(WHO) < set(held) or any(link is not None for name, link in links.items() if name not in held):
         raise DatasetError(
-            f"expected world, viewpoint, and at least one of {', '.join(FIELDS)}, none of them a link; found {held}"
+            f"expected world, viewpoint, and at least one of {', '.join(PARTS)}, none of them a link; found {held}"
         )
     for name in held:
         maps = () if name in WHO else wanted.shape
@@ -157,4 +156,4 @@ def _pairs(file: h5py.File) -> list[tuple[int, int]]:
 
 
 def _prediction(file: h5py.File, row: int) -> Prediction:
-    return Prediction(**{name: file[name][row].astype(np.float32) for name in FIELDS if name in file})
+    return Prediction(**{name: file[name][row].astype(np.float32) for name in PARTS if name in file})

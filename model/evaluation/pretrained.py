@@ -1,16 +1,17 @@
 """A network as a row of the bench: it travels to worker processes by name, and each opens it once."""
 
 from functools import cache
+from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from lidarsim import GridSpec
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, printable
 from scenegen.model.completion.completer import Completer, called, locate
 from scenegen.model.completion.protocol import Prediction
+from scenegen.model.inputs import fields_for, of_sample
 from scenegen.model.runtime import examine
+from scenegen.sample import Sample
 
 
 class Pretrained:
@@ -24,14 +25,17 @@ class Pretrained:
         self._path = locate(weights)
         if self._path.suffix == ".onnx":  # the workers must not start processes of their own
             examine(self._path)
-        self.name = called(weights, self._path)
-        """How the network is called in tables."""
+        self.name = printable(called(weights, self._path))
+        """How the network is called in tables, in one line."""
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
-        """See `MapCompleter.complete`. Raises DatasetError for another grid."""
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+        """See `Method.completion`. Raises DatasetError for another grid."""
         torch.set_num_threads(1)
+        completer = _opened(str(self._path))
+        fields = {name: getattr(sample, name) for name in fields_for(completer.inputs)}
         try:
-            return _opened(str(self._path)).complete(observed, free, grid=grid)
+            completer.check_grid(grid)
+            return completer(of_sample(completer.inputs, fields, grid, lidar))
         except ValueError as error:
             raise DatasetError(str(error)) from None
 

@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 from lidarsim.jit import kernel
 from lidarsim.parameters import check, number
-
-METRICS = ("rmse", "mae", "near_rmse", "near_mae", "bias", "near_bias", "iou", "f1", "precision", "recall")
-"""The paper's ten, section "Quantitative Reconstruction Results". Distances in metres, predicted less true."""
+from scenegen.model.evaluation.metrics import METRICS, Sums
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +18,7 @@ class ReconstructionConfig:
     near_m: float = number(1.0, least=0)
     """Voxels whose true distance is at most this are near an obstacle, metres."""
     strict: bool = False
-    """Leave out those exactly at `near_m`, an eighth of them on the default grid."""
+    """Whether voxels exactly at `near_m` are not near; on the default grid they are an eighth of the near ones."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -44,7 +42,7 @@ def measure(
     nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of nothing to nothing is 0. Distance
     metrics over no voxel are NaN.
     """
-    sums = np.zeros((class_count, 11))
+    sums = np.zeros((class_count, len(Sums._fields)))
     near = np.float32(config.near_m)
     if config.strict:
         near = np.nextafter(near, np.float32(0))
@@ -61,35 +59,14 @@ def measure(
 
 
 def _metrics(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The ten metrics from the sums of `_accumulate`, (11,)."""
-    voxels, error, size, square, near, near_error, near_size, near_square, hits, alarms, misses = sums.tolist()
-    nothing = hits + alarms + misses == 0
-
-    def share(part: float, whole: float) -> float:
-        return 1.0 if nothing else part / whole if whole else 0.0
-
-    def mean(total: float, count: float) -> float:
-        return total / count if count else float("nan")
-
-    return np.array(
-        [
-            mean(square, voxels) ** 0.5,
-            mean(size, voxels),
-            mean(near_square, near) ** 0.5,
-            mean(near_size, near),
-            mean(error, voxels),
-            mean(near_error, near),
-            share(hits, hits + alarms + misses),
-            share(2 * hits, 2 * hits + alarms + misses),
-            share(hits, hits + alarms),
-            share(hits, hits + misses),
-        ]
-    )
+    """All metrics from the sums of `_accumulate`, (11,)."""
+    added = Sums(*sums.tolist())
+    return np.array([metric.of(added) for metric in METRICS.values()], dtype=np.float64)
 
 
 @kernel
 def _accumulate(occupied, distance, true_occupancy, true_distance, classes, near, sums):
-    """Add up, by class: voxels, errors, their sizes, their squares, the same near obstacles, hits, alarms, misses."""
+    """Add up, by class, what `Sums` names, in its order."""
     for v in range(len(classes)):
         row = sums[classes[v]]
         error = float(distance[v]) - float(true_distance[v])

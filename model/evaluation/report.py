@@ -1,36 +1,28 @@
 """The report: both tables, with the paper's figures beside ours, as JSON for machines and Markdown for people."""
 
 import dataclasses
-import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from scenegen.model.bench import paper
+from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.difficulty import DESCRIPTORS
-from scenegen.model.evaluation.reconstruction import METRICS
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import holm, paired_p, summarize
 from scenegen.model.evaluation.visibility import CLASSES
 
-PLAN_METRICS = ("success", "length", "min_clearance", "avg_clearance")
-TESTED = {
-    "near_rmse": (0, "near_rmse"),
-    "near_mae": (0, "near_mae"),
-    "iou": (0, "iou"),
-    "f1": (0, "f1"),
-    "unobserved_iou": (1, "iou"),
-}
-"""What methods are tested on in pairs, beside success in planning: name, to row and metric of the reconstruction."""
+REGIONS = ("map", "unobserved")
+"""Rows of a sample's reconstruction before those of the classes of voxels."""
 
 
 def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any]) -> dict[str, Any]:
     """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``, each {mean, std,
     low, high, n}, at the paper's thresholds; variants under their own keys beside them; `about` as it is. Where there
-    is one world, low and high are None."""
+    is one world, low and high are None; where nothing was measured, mean and std are, too."""
     report: dict[str, Any] = {**about, "reconstruction": {}, "planning": {}, "tests": {}, "datasets": {}}
     for result in results:
         rng = np.random.default_rng(seed)
@@ -70,14 +62,10 @@ def _reconstruction(found: MethodResult, result: DatasetResult, rng: np.random.G
 
 
 def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generator) -> dict[str, Any]:
-    columns = {
-        "success": np.array([trial.success for trial in found.trials], dtype=np.float64),
-        "length": np.array([trial.length_m for trial in found.trials]),
-        "min_clearance": np.array([trial.min_clearance_m for trial in found.trials]),
-        "avg_clearance": np.array([trial.mean_clearance_m for trial in found.trials]),
-        "waypoints_clear": np.array([trial.waypoints_clear for trial in found.trials], dtype=np.float64),
-    }
-    succeeded = columns["success"] == 1
+    metrics = PLAN_METRICS | PLAN_READINGS
+    columns = {name: _of_trials(metric, found) for name, metric in metrics.items()}
+    on_paths = [name for name, metric in metrics.items() if metric.needs == "path"]
+    succeeded = np.array([trial.success for trial in found.trials], dtype=bool)
 
     def figures(names: Sequence[str], chosen: np.ndarray) -> dict[str, Any]:
         return {
@@ -88,10 +76,15 @@ def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generat
     everywhere = np.all([[trial.success for trial in other.trials] for other in result.methods.values()], axis=0)
     return {
         **figures(tuple(columns), np.ones(len(succeeded), dtype=bool)),
-        "successes": figures(PLAN_METRICS[1:], succeeded),
-        "all_succeed": figures(PLAN_METRICS[1:], everywhere),
+        "successes": figures(on_paths, succeeded),
+        "all_succeed": figures(on_paths, everywhere),
         "failures": dict(Counter(trial.cause for trial in found.trials if trial.cause is not None)),
     }
+
+
+def _of_trials(metric: Metric, found: MethodResult) -> np.ndarray:
+    """A planning metric of every trial, (trials,)."""
+    return np.array([metric.of(trial) for trial in found.trials], dtype=np.float64)
 
 
 def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -99,12 +92,15 @@ def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, An
     corrected over all of them."""
     rows: list[tuple[str, str, str, np.ndarray, np.ndarray, np.ndarray]] = []
     for (first, one), (second, other) in combinations(result.methods.items(), 2):
-        for name, (row, metric) in TESTED.items():
-            m = METRICS.index(metric)
-            a, b = one.reconstruction[:, row, m], other.reconstruction[:, row, m]
-            rows.append((first, second, name, a, b, result.worlds))
-        a, b = (np.array([trial.success for trial in found.trials], dtype=float) for found in (one, other))
-        rows.append((first, second, "success", a, b, result.trial_worlds))
+        for row, region in enumerate(REGIONS):
+            for m, (name, metric) in enumerate(METRICS.items()):
+                if region in metric.tested:
+                    a, b = one.reconstruction[:, row, m], other.reconstruction[:, row, m]
+                    rows.append((first, second, name if region == "map" else f"{region}_{name}", a, b, result.worlds))
+        for name, metric in PLAN_METRICS.items():
+            if metric.tested:
+                a, b = _of_trials(metric, one), _of_trials(metric, other)
+                rows.append((first, second, name, a, b, result.trial_worlds))
     paired = [summarize(a - b, worlds, rng=rng) for *_, a, b, worlds in rows]
     raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
     return [
@@ -138,14 +134,15 @@ def to_markdown(report: Mapping[str, Any]) -> str:
         ]
         lines += ["", "### Difficulty", "", *_head(DESCRIPTORS)]
         lines.append("| truth | " + " | ".join(_cell(about["difficulty"][name]) for name in DESCRIPTORS) + " |")
-        for title, table, reference, names in (
+        for title, table, reference, metrics in (
             ("Reconstruction", report["reconstruction"][kind], paper.RECONSTRUCTION.get(kind, {}), METRICS),
             ("Planning", report["planning"][kind], paper.PLANNING.get(kind, {}), PLAN_METRICS),
         ):
-            lines += ["", f"### {title}", "", *_head(names)]
-            lines += [f"| {name} | " + " | ".join(_cell(row[m]) for m in names) + " |" for name, row in table.items()]
+            lines += ["", f"### {title}", "", *_head(metrics)]
+            lines += [f"| {name} | " + " | ".join(_cell(row[m]) for m in metrics) + " |" for name, row in table.items()]
             for name, row in reference.items():
-                lines.append(f"| *{name}* | " + " | ".join(f"*{_spread(*row[m])}*" for m in names) + " |")
+                cells = (f"*{_spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items())
+                lines.append(f"| *{name}* | " + " | ".join(cells) + " |")
         lines += ["", "### Failures", ""]
         for name, row in report["planning"][kind].items():
             counted = ", ".join(f"{cause} {count}" for cause, count in sorted(row["failures"].items()))
@@ -166,7 +163,7 @@ def to_markdown(report: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _head(names: Sequence[str]) -> list[str]:
+def _head(names: Collection[str]) -> list[str]:
     return [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
 
 
@@ -177,6 +174,8 @@ def _cell(figure: Mapping[str, float]) -> str:
 
 
 def _difference(test: Mapping[str, Any]) -> str:
+    if test["difference"] is None:
+        return "–"
     return f"{test['difference']:+.3f} {_interval(test, '+.3f')}"
 
 
@@ -186,4 +185,4 @@ def _interval(figure: Mapping[str, Any], form: str) -> str:
 
 
 def _spread(mean: float, std: float | None) -> str:
-    return f"{mean:.3f}" if std is None or math.isnan(std) else f"{mean:.3f} ± {std:.3f}"
+    return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from lidarsim.parameters import check, number
 from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, empty_split
 from scenegen.model.completion.protocol import Thresholds
 from scenegen.model.evaluation.difficulty import describe
-from scenegen.model.evaluation.methods import Method, empty_split
+from scenegen.model.evaluation.methods import Method
+from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.planning.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import Measurement, run_trial
 from scenegen.model.evaluation.planning.trials import draw_trials
-from scenegen.model.evaluation.reconstruction import METRICS, ReconstructionConfig, measure
+from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
 from scenegen.model.evaluation.tuning import tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify
 from scenegen.workers import run as run_workers
@@ -149,7 +150,7 @@ def _work(task: _Task) -> _Outcome:
         found.difficulty.append(describe(sample, grid=grid, config=config.plan))
         rows, tuned_rows, trials = [], [], []
         for method, tuned in zip(task.methods, task.tuned, strict=True):
-            completion = method.completion(sample, split=config.split, grid=grid)
+            completion = method.completion(sample, split=config.split, grid=grid, lidar=dataset.lidar)
             occupied, distance = completion.occupied(config.thresholds), completion.distance(config.thresholds, grid)
             truth = sample.occupancy, sample.tudf
             measured = partial(

@@ -15,9 +15,10 @@ FLIPS = 20000
 class Figure:
     """A mean over samples, with their spread, and a 95 % interval for the mean."""
 
-    mean: float
-    std: float
-    """Of the samples: spread, not error."""
+    mean: float | None
+    """None where no sample has a value."""
+    std: float | None
+    """Standard deviation of the samples: their spread, not the mean's error."""
     low: float | None
     """Lower end of the interval; None where the samples are of one world, which says nothing of others."""
     high: float | None
@@ -34,7 +35,7 @@ def summarize(values: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator)
     values = np.asarray(values, dtype=np.float64)
     held = np.isfinite(values)
     if not held.any():
-        return Figure(mean=np.nan, std=np.nan, low=None, high=None, n=0)
+        return Figure(mean=None, std=None, low=None, high=None, n=0)
     sums, counts = _by_world(values[held], np.asarray(worlds)[held])
     weights = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), DRAWS)
     low, high = np.percentile((weights @ sums) / np.maximum(weights @ counts, 1), [2.5, 97.5])

@@ -25,7 +25,7 @@ def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds)
     for index in np.unique(np.linspace(0, len(split) - 1, min(most, len(split))).astype(int)):
         sample = split[int(index)]
         try:
-            completion = method.completion(sample, split="val", grid=dataset.grid)
+            completion = method.completion(sample, split="val", grid=dataset.grid, lidar=dataset.lidar)
         except KeyError:  # a file that predicts the test split alone
             return thresholds
         if completion.occupancy_probability is None:

@@ -2,13 +2,15 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from lidarsim import GridSpec, Lidar, Pose, Scan, voxelize
 from scenegen.sample import Sample
 
 CLASSES = ("observed", "crossed", "occluded", "interior", "out_of_view")
-"""observed: holds a return · crossed: free by some ray · interior: never seen, inside a solid, all six neighbours
-occupied · occluded: a ray would come by if nothing stood in its way · out_of_view: no ray of the sensor comes by."""
+"""How a voxel was seen. An `observed` voxel holds a return. A `crossed` one holds none, and some ray passes through it.
+All others are unknown: an `interior` voxel is occupied, and so are its six neighbours; an `occluded` one lies on the
+way of some ray that ended before it; an `out_of_view` one lies on the way of none."""
 UNOBSERVED = tuple(CLASSES.index(name) for name in ("occluded", "interior", "out_of_view"))
 """The classes of unknown voxels: neither observed nor crossed."""
 
@@ -18,18 +20,9 @@ def classify(sample: Sample, *, lidar: Lidar, grid: GridSpec) -> NDArray[np.uint
     nothing = np.full((lidar.rows, lidar.columns), np.inf, dtype=np.float32)
     within_view = voxelize(Scan(nothing, Pose(sample.position, sample.quaternion), lidar), grid, sample.origin).free
     classes = np.where(within_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view")))
-    classes[_interior(sample.occupancy)] = CLASSES.index("interior")
+    six = ndimage.generate_binary_structure(3, 1)
+    inside = ndimage.binary_erosion(sample.occupancy, six, border_value=1)  # beyond the map counts as occupied
+    classes[inside] = CLASSES.index("interior")
     classes[sample.free] = CLASSES.index("crossed")
     classes[sample.observed] = CLASSES.index("observed")
     return classes
-
-
-def _interior(occupancy: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Occupied voxels whose six neighbours are occupied; beyond the map counts as occupied."""
-    inside = occupancy.copy()
-    for axis in range(3):
-        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
-        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-        inside[tuple(behind)] &= occupancy[tuple(ahead)]
-        inside[tuple(ahead)] &= occupancy[tuple(behind)]
-    return inside

@@ -4,26 +4,21 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from scenegen.model.config import VARIANTS
+from scenegen.model.evaluation.metrics import METRICS, Metric
+
 FULL_EPOCHS = 100
-"""Of the full protocol, which ends when validation no longer improves."""
-SHOWN = {
-    "val_loss": "loss",
-    "val_iou": "IoU",
-    "val_f1": "F1",
-    "val_precision": "precision",
-    "val_recall": "recall",
-    "val_rmse": "RMSE, m",
-    "val_mae": "MAE, m",
-    "val_near_rmse": "Near-RMSE, m",
-    "val_near_mae": "Near-MAE, m",
-    "val_bias": "bias, m",
-}
+"""Epochs of the full protocol at most; it ends when validation no longer improves."""
+GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated distance, metres"}
+"""What a network predicts, by task."""
 
 
 def card(name: str, about: Mapping[str, Any]) -> str:
     """The card of a network, as Markdown, from what its file's header says `about` it."""
     settings, figures = about["settings"], about["figures"]
     network = settings["network"]
+    shown = {"val_loss": "loss"} | {f"val_{name}": metric.label for name, metric in _occupancy_first()}
+    shown = {key: label for key, label in shown.items() if key in figures}
     data = ", ".join(
         f"{kind} {digest[:16]}…" for kind, digest in zip(settings["kinds"], settings["datasets"], strict=True)
     )
@@ -32,8 +27,8 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         f"# {name}",
         "",
         f"A completion network of scenegen: variant `{network['variant']}`, width {network['width']}, stem stride "
-        f"{network['stem_stride']}. It takes the observed voxels of one scan and gives "
-        + " and ".join(_gives(network["variant"]))
+        f"{network['stem_stride']}. It takes the {' and '.join(network['inputs'])} voxels of one scan and gives "
+        + " and ".join(GIVES[task] for task in GIVES if task in VARIANTS[network["variant"]].tasks)
         + ".",
         "",
         "| trained | |",
@@ -47,9 +42,9 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         "",
         "Means over the validation split at the paper's thresholds, whole maps:",
         "",
-        "| " + " | ".join(SHOWN.values()) + " |",
-        "|---" * len(SHOWN) + "|",
-        "| " + " | ".join(f"{figures[key]:.3f}" for key in SHOWN) + " |",
+        "| " + " | ".join(shown.values()) + " |",
+        "|---" * len(shown) + "|",
+        "| " + " | ".join(f"{figures[key]:.3f}" for key in shown) + " |",
         "",
     ]
     if settings["epochs"] < FULL_EPOCHS:
@@ -59,17 +54,16 @@ def card(name: str, about: Mapping[str, Any]) -> str:
             "",
         ]
     lines += [
-        "Limits: it knows the worlds, the sensor and the grid that it was trained on, and nothing else; it takes one "
-        "scan and no history; what no ray came near it fills with what was usual in training; probabilities are not "
-        "calibrated (occupied voxels weighed "
-        f"{settings['loss']['occupied_weight']:g} times as much as free ones).",
+        "Limits: the network knows the worlds, the sensor and the grid that it was trained on, and nothing else. It "
+        "takes one scan and no history. Where no ray came near, it repeats what was usual in training. Its "
+        "probabilities are not calibrated: occupied voxels weighed "
+        f"{settings['loss']['occupied_weight']:g} times as much as free ones.",
     ]
     return "\n".join(lines) + "\n"
 
 
-def _gives(variant: str) -> list[str]:
-    gives = {"occ": ["the probability of occupancy"], "tudf": ["the truncated distance, metres"]}
-    return gives.get(variant, gives["occ"] + gives["tudf"])
+def _occupancy_first() -> list[tuple[str, Metric]]:
+    return sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
 
 
 def _full(command: str, epochs: int) -> str:

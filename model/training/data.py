@@ -1,9 +1,9 @@
-"""Datasets as torch sees them: maps by number, batches in a seeded order, distances derived where the batch is."""
+"""Samples as torch sees them: named maps by number, batches in a seeded order, distances derived where the batch is."""
 
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -13,80 +13,112 @@ from torch.utils.data import DataLoader, Dataset
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError
+from scenegen.model.inputs import INPUTS, SYMMETRIES, fields_for, of_sample, turned
 from scenegen.truth import distance_field
 
-SYMMETRIES = 8
-"""Rotations by quarter turns about the sensor's vertical axis, each with and without a mirror."""
+Batch = dict[str, Tensor]
+"""A named batch: the network's inputs and the true ``occupancy``, (B, *grid.shape) each."""
 
 
 class LoaderError(DatasetError):
     """A process that reads samples is gone."""
 
 
-class Maps(Dataset):
-    """The samples of one split of one or more datasets: ``maps[n]`` is (observed, occupancy), bool (*grid.shape) each.
+class Samples(Protocol):
+    """What can be trained on: numbered samples with named fields. A split of a dataset is one; so is anything else that
+    has these, and travels to processes that read."""
 
-    ``maps[n, s]`` is the same turned by symmetry `s`. Files are opened in the process that reads, so any number of
-    loader workers is safe. Raises DatasetError for datasets that do not go together.
+    grid: GridSpec
+    lidar: Any
+    name: str
+    """Where the samples are from, for errors."""
+    kind: str
+    """Kind of their worlds, for the network's card."""
+    digest: str
+    """What tells these samples from all others: a run with another digest is another run."""
+
+    def __len__(self) -> int: ...
+
+    def stored(self, index: int, *names: str) -> tuple[Any, ...]:
+        """Fields of one sample by their names in docs/format.md."""
+        ...
+
+
+class SplitSamples:
+    """The samples of a dataset's split. Files are opened in the process that reads them."""
+
+    def __init__(self, dataset: SampleDataset, split: str):
+        self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
+        self.kind, self.digest = str(dataset.manifest["kind"]), str(dataset.manifest["digest"])
+        self._split = dataset.split(split)
+        self.stored = self._split.stored
+
+    def __len__(self) -> int:
+        return len(self._split)
+
+
+def opened(folders: Sequence[Path | str], split: str) -> list[Samples]:
+    """The samples of one split of every dataset in `folders`. Raises DatasetError for a folder that holds none."""
+    return [SplitSamples(SampleDataset(folder), split) for folder in folders]
+
+
+class Maps(Dataset):
+    """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`, (*grid.shape) each, and the
+    true ``occupancy``, by name.
+
+    ``maps[n, s]`` is the same turned by symmetry `s`. `split` is what the samples are called in errors. Raises
+    DatasetError for sources that do not go together.
     """
 
-    def __init__(self, folders: Sequence[Path | str], split: str):
-        if not folders:
+    def __init__(self, sources: Sequence[Samples], split: str, inputs: Sequence[str] = ("observed",)):
+        if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
+        check_alike(sources)
         self.split = split
-        self.datasets = [SampleDataset(folder) for folder in folders]
-        check_alike(self.datasets)
-        self.grid = self.datasets[0].grid
-        self._splits = [dataset.split(split) for dataset in self.datasets]
-        self._start = np.cumsum([0, *map(len, self._splits)])
+        self.sources, self.inputs = tuple(sources), tuple(inputs)
+        self.grid = sources[0].grid
+        self._start = np.cumsum([0, *map(len, sources)])
 
     def __len__(self) -> int:
         return int(self._start[-1])
 
-    def __getitem__(self, key: int | tuple[int, int]) -> tuple[Tensor, Tensor]:
+    def __getitem__(self, key: int | tuple[int, int]) -> Batch:
         index, symmetry = key if isinstance(key, tuple) else (key, 0)
-        part, row = self._place(index)
-        observed, occupancy = part.stored(row, "observed", "occupancy")
-        return torch.from_numpy(turned(observed, symmetry)), torch.from_numpy(turned(occupancy, symmetry))
+        source, row = self._place(index)
+        names = tuple(dict.fromkeys((*fields_for(self.inputs), "occupancy")))
+        fields = dict(zip(names, source.stored(row, *names), strict=True))
+        maps = of_sample(self.inputs, fields, source.grid, source.lidar)
+        maps = {name: turned(values, symmetry if INPUTS[name].turns else 0) for name, values in maps.items()}
+        maps["occupancy"] = turned(fields["occupancy"], symmetry)
+        return {name: torch.from_numpy(values) for name, values in maps.items()}
 
     def name(self, index: int) -> str:
-        """Who sample `index` is, for people: folder, split, number."""
-        part, row = self._place(index)
-        return f"{part.dataset.folder}, {self.split} sample {row}"
+        """Who sample `index` is, for people: source, split, number."""
+        source, row = self._place(index)
+        return f"{source.name}, {self.split} sample {row}"
 
-    def _place(self, index: int) -> tuple[Any, int]:
+    def _place(self, index: int) -> tuple[Samples, int]:
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)}")
         number = int(np.searchsorted(self._start, index, side="right")) - 1
-        return self._splits[number], index - int(self._start[number])
+        return self.sources[number], index - int(self._start[number])
 
 
-def check_alike(datasets: Sequence[SampleDataset]) -> None:
-    """Raise DatasetError unless all `datasets` have one grid and one sensor, and none is there twice."""
-    first = datasets[0]
-    for other in datasets[1:]:
+def check_alike(sources: Sequence[Samples]) -> None:
+    """Raise DatasetError unless all `sources` have one grid and one sensor, and none is there twice."""
+    first = sources[0]
+    for other in sources[1:]:
         for what in ("grid", "lidar"):
             if getattr(other, what) != getattr(first, what):
                 raise DatasetError(
-                    f"{other.folder}: its {what} is {getattr(other, what)}, that of {first.folder} is "
+                    f"{other.name}: its {what} is {getattr(other, what)}, that of {first.name} is "
                     f"{getattr(first, what)}; one network takes one {what}: train on datasets that share it"
                 )
-    seen: dict[str, Path] = {}
-    for dataset in datasets:
-        digest = str(dataset.manifest["digest"])
-        if digest in seen:
-            raise DatasetError(f"{dataset.folder}: holds the same samples as {seen[digest]}; name one of the two")
-        seen[digest] = dataset.folder
-
-
-def turned(grid: np.ndarray, symmetry: int) -> np.ndarray:
-    """A map (X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z, mirrored in y from 4 on.
-
-    The sensor's place, the centre, stays where it is. Odd turns need a map as long in x as in y.
-    """
-    if symmetry >= SYMMETRIES // 2:
-        grid = grid[:, ::-1]
-    return np.ascontiguousarray(np.rot90(grid, symmetry % 4, axes=(0, 1)))
+    seen: dict[str, str] = {}
+    for source in sources:
+        if source.digest in seen:
+            raise DatasetError(f"{source.name}: holds the same samples as {seen[source.digest]}; name one of the two")
+        seen[source.digest] = source.name
 
 
 def epoch_batches(
@@ -106,11 +138,9 @@ def epoch_batches(
     return [keys[n * batch : (n + 1) * batch] for n in range(count)]
 
 
-def load(
-    maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: bool
-) -> Iterator[tuple[Tensor, Tensor]]:
-    """(observed, occupancy) of every batch in turn, bool (B, *grid.shape) each, read by `workers` processes; 0 for
-    none. Raises DatasetError for what cannot be read, LoaderError where such a process dies."""
+def load(maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: bool) -> Iterator[Batch]:
+    """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what cannot be read,
+    LoaderError where such a process dies."""
     loader: DataLoader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)
     try:
         yield from loader

@@ -10,17 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
-from scenegen.errors import DatasetError, StoppedError
+from scenegen.errors import DatasetError, StoppedError, empty_split
 from scenegen.model.config import TrainConfig
-from scenegen.model.evaluation.methods import empty_split
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
 from scenegen.model.provenance import commit, versions
-from scenegen.model.training.data import LoaderError, Maps, TudfOf, epoch_batches, load
+from scenegen.model.training.data import Batch, LoaderError, Maps, Samples, TudfOf, epoch_batches, load
 from scenegen.model.training.device import (
     Group,
     TrainingError,
@@ -42,7 +41,7 @@ class Watcher:
     """Who is told how a run goes, and may end it."""
 
     on_start: Callable[[int, int, int], None] = lambda epoch, total, done: None
-    """Called at the begin of every epoch with its number from 0, its maps, and how many of them are done."""
+    """Called when an epoch begins, with its number from 0, its maps, and how many of them are done."""
     on_step: Callable[[int, float], None] = lambda maps, loss: None
     """Called with the maps and the loss of every step."""
     on_epoch: Callable[[dict[str, float]], None] = lambda row: None
@@ -52,7 +51,8 @@ class Watcher:
 
 
 def train(
-    folders: Sequence[Path],
+    training: Sequence[Samples],
+    checking: Sequence[Samples],
     config: TrainConfig,
     out: Path,
     *,
@@ -61,7 +61,7 @@ def train(
     command: str = "",
     watcher: Watcher | None = None,
 ) -> list[dict[str, float]]:
-    """Train on the train splits of `folders`, validate on their val splits, keep the best network in `out`.
+    """Train on the samples in `training`, validate on those in `checking`, keep the best network in `out`.
 
     A run with the same settings that `out` holds already goes on where it was; one that is finished stays as it is.
     Under ``torchrun`` every process takes its part of each batch. Returns the figures of every epoch. Raises
@@ -72,7 +72,8 @@ def train(
     where = choose_device(device)
     group = Group(where)
     with group, closing(RunFolder(out)) as folder:
-        maps, checks = Maps(folders, "train"), Maps(folders, "val")
+        maps = Maps(training, "train", config.network.inputs)
+        checks = Maps(checking, "val", config.network.inputs)
         check_maps(maps, checks, config, group.size)
         precision = resolve_precision(config.precision, where)
         torch.manual_seed(config.seed)
@@ -97,7 +98,7 @@ def train(
             loaded = load(maps, mine, workers=workers, pinned=where.type == "cuda")
             for batch in batches:
                 try:
-                    observed, occupancy = next(loaded)
+                    maps_read = next(loaded)
                 except LoaderError:
                     if not watcher.stop():
                         raise
@@ -105,7 +106,7 @@ def train(
                         folder.save(progress, network, optimizer)
                     raise StoppedError(stopped) from None
                 rate = learning_rate(config, progress.epoch * steps + progress.step, config.epochs * steps)
-                losses = learn(observed, occupancy, rate)
+                losses = learn(maps_read, rate)
                 if not all(map(math.isfinite, losses.values())):
                     raise TrainingError(_diverged(maps, batch, progress, losses))
                 progress.add(losses)
@@ -156,7 +157,7 @@ class Step:
             model = DistributedDataParallel(model)
         self._model = torch.compile(model) if config.compile else model
 
-    def __call__(self, observed: Tensor, occupancy: Tensor, rate: float) -> dict[str, float]:
+    def __call__(self, batch: Batch, rate: float) -> dict[str, float]:
         """The losses of a batch and the norm of their gradient, before learning from it: means over all processes.
 
         Raises TrainingError, which says what would fit, where memory runs out.
@@ -164,18 +165,18 @@ class Step:
         for parameters in self._optimizer.param_groups:
             parameters["lr"] = rate
         try:
-            return self._group.mean(self._learn(observed, occupancy))
+            return self._group.mean(self._learn(batch))
         except (RuntimeError, MemoryError) as error:
             if not is_out_of_memory(error):
                 raise
-        raise TrainingError(self._too_large(observed, occupancy))
+        raise TrainingError(self._too_large(batch))
 
-    def _learn(self, observed: Tensor, occupancy: Tensor) -> dict[str, float]:
-        observed = observed.to(self._device, non_blocking=True).float()
-        occupancy = occupancy.to(self._device, non_blocking=True)
+    def _learn(self, batch: Batch) -> dict[str, float]:
+        batch = {name: values.to(self._device, non_blocking=True) for name, values in batch.items()}
+        occupancy = batch["occupancy"]
         self._optimizer.zero_grad(set_to_none=True)
         with self._autocast():
-            output = Output(*self._model(observed))
+            output = Output(*self._model(batch))
         losses = objective(
             output,
             occupancy,
@@ -190,19 +191,19 @@ class Step:
             self._optimizer.step()
         return {**{name: value.item() for name, value in losses.items()}, "gradient": norm.item()}
 
-    def _too_large(self, observed: Tensor, occupancy: Tensor) -> str:
+    def _too_large(self, batch: Batch) -> str:
         """Which batch would fit, found by trying."""
-        processes = self._group.size
-        said = f"out of memory: a batch of {len(observed) * processes} does not fit"
+        processes, maps = self._group.size, len(batch["occupancy"])
+        said = f"out of memory: a batch of {maps * processes} does not fit"
         if processes > 1:  # trying would wait for the others, who are not trying
             return f"{said}; give a smaller --batch"
-        fits = len(observed) // 2
+        fits = maps // 2
         while fits:
             try:
                 self._optimizer.zero_grad(set_to_none=True)
                 if self._device.type == "cuda":
                     torch.cuda.empty_cache()
-                self._learn(observed[:fits], occupancy[:fits])
+                self._learn({name: values[:fits] for name, values in batch.items()})
                 return f"{said}; --batch {fits * processes} does"
             except (RuntimeError, MemoryError):
                 fits //= 2
@@ -210,7 +211,7 @@ class Step:
 
 
 def learning_rate(config: TrainConfig, step: int, steps: int) -> float:
-    """Of step `step` of `steps`: up a line, then down a cosine to 0."""
+    """The rate of step `step` of `steps`: up a line, then down a cosine to 0."""
     warmup = math.ceil(config.warmup_share * steps)
     if step < warmup:
         return config.lr * (step + 1) / warmup
@@ -221,12 +222,12 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
     """Raise DatasetError or TrainingError where these splits cannot be trained on."""
     for split in (maps, checks):
         if not len(split):
-            folders = ", ".join(str(dataset.folder) for dataset in split.datasets)
-            raise DatasetError(f"{folders}: {empty_split(split.split)}")
+            names = ", ".join(source.name for source in split.sources)
+            raise DatasetError(f"{names}: {empty_split(split.split)}")
     try:
         config.network.check_map(maps.grid.shape)
     except ValueError as error:
-        raise DatasetError(f"{maps.datasets[0].folder}: {error}") from None
+        raise DatasetError(f"{maps.sources[0].name}: {error}") from None
     if len(maps) < processes:
         raise TrainingError(f"{len(maps)} training samples do not go round {processes} processes; use fewer")
     if config.batch % processes:
@@ -236,8 +237,8 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
 def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> dict[str, Any]:
     """What decides a run: a run with another description is another run."""
     return {
-        "datasets": [str(dataset.manifest["digest"]) for dataset in maps.datasets],
-        "kinds": [str(dataset.manifest["kind"]) for dataset in maps.datasets],
+        "datasets": [source.digest for source in maps.sources],
+        "kinds": [source.kind for source in maps.sources],
         "samples": len(maps),
         **dataclasses.asdict(config),
         "precision": str(precision).removeprefix("torch."),

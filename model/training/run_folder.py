@@ -18,10 +18,14 @@ from scenegen.errors import DatasetError, printable, short
 from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
+from scenegen.model.config import NetworkConfig
+from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.network import Network
-from scenegen.model.training.card import SHOWN, card
+from scenegen.model.training.card import card
 
-CONFIG, METRICS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
+CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
+FIGURES = frozenset({"val_loss"} | {f"val_{name}" for name, metric in METRICS.items() if metric.paper})
+"""What every epoch's row holds, whichever version wrote it."""
 BEST, LAST = "best.safetensors", "last.safetensors"
 
 
@@ -37,9 +41,9 @@ class Progress:
     """The epoch of the best validation loss; -1 for none yet."""
     best_loss: float = float("inf")
     sums: dict[str, float] = field(default_factory=dict)
-    """Of the losses over the epoch's steps so far."""
+    """Each loss, summed over the epoch's steps so far."""
     seconds: float = 0.0
-    """Spent on the epoch so far."""
+    """How long the epoch has taken so far."""
     rows: list[dict[str, float]] = field(default_factory=list)
     """One a finished epoch: see docs/training.md."""
 
@@ -55,7 +59,7 @@ class Progress:
         numbers = [self.best_loss, self.seconds, *(value for row in figures for value in row.values())]
         if not all(isinstance(value, int | float) for value in numbers):
             raise TypeError("figures that are no numbers")
-        if any(missing := set(SHOWN) - set(row) for row in self.rows):
+        if any(missing := FIGURES - row.keys() for row in self.rows):
             raise ValueError(f"rows without {', '.join(missing)}")
 
     def add(self, losses: dict[str, float]) -> None:
@@ -123,7 +127,10 @@ class RunFolder:
     def settings(self) -> dict[str, Any]:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
-            return dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
+            settings = dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
+            if isinstance(network := settings.get("network"), dict):  # runs of earlier commits name no inputs
+                network.setdefault("inputs", list(NetworkConfig().inputs))
+            return settings
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(
                 f"{self.path / CONFIG}: cannot be read ({printable(error)[:200]}); choose another --out"
@@ -156,10 +163,11 @@ class RunFolder:
     def write_rows(self, rows: list[dict[str, float]]) -> None:
         """Write the figures of all epochs, and their picture where matplotlib is installed."""
         text = io.StringIO()
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        names = dict.fromkeys(name for row in rows for name in row)  # a later version may know more metrics
+        writer = csv.DictWriter(text, list(names), lineterminator="\n")
         writer.writeheader()
         writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
-        write_whole(self.path / METRICS, text.getvalue().encode())
+        write_whole(self.path / ROWS, text.getvalue().encode())
         picture = draw_curve(rows)
         if picture is not None:
             write_whole(self.path / CURVE, picture)

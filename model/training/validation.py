@@ -8,7 +8,8 @@ import torch
 
 from scenegen.model.completion.protocol import Prediction, Thresholds
 from scenegen.model.config import LossConfig
-from scenegen.model.evaluation.reconstruction import METRICS, ReconstructionConfig, measure
+from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
 from scenegen.model.losses import objective
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, load
@@ -37,15 +38,16 @@ def validate(
     sums: defaultdict[str, float] = defaultdict(float)
     counts: Counter[str] = Counter()
     largest = 0.0
-    for seen, true in load(maps, batches[group.rank :: group.size], workers=workers, pinned=False):
-        observed, occupancy = seen.to(device), true.to(device)
+    for read in load(maps, batches[group.rank :: group.size], workers=workers, pinned=False):
+        true, there = read["occupancy"], {name: values.to(device) for name, values in read.items()}
+        occupancy = there["occupancy"]
         tudf = tudf_of(occupancy)
         with autocast(device, precision):
-            output = network(observed.float())
+            output = network(there)
         losses = objective(output, occupancy, tudf, loss, voxel_m=grid.voxel_m, truncation_m=grid.truncation_m)
         for name, value in losses.items():
-            sums[name] += value.item() * len(seen)
-            counts[name] += len(seen)
+            sums[name] += value.item() * len(true)
+            counts[name] += len(true)
         probability = None if output.logits is None else output.logits.float().sigmoid().cpu().numpy()
         distance = None if output.tudf is None else output.tudf.float().cpu().numpy()
         largest = max(largest, 0.0 if probability is None else float(probability.max()))

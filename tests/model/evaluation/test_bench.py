@@ -14,7 +14,8 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.bench.command import choose_methods, run_bench
-from scenegen.model.completion.protocol import Prediction, Returns, Thresholds
+from scenegen.model.completion.protocol import Prediction, Thresholds
+from scenegen.model.completion.unlearned import Returns
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.planning.config import PlanConfig
 from scenegen.model.evaluation.predicted import Predicted

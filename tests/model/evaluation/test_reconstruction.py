@@ -6,7 +6,8 @@ from scipy import stats
 
 from lidarsim import GridSpec
 from scenegen.draw import draw_unit
-from scenegen.model.completion.protocol import UNLEARNED, Conservative, Extrude, Prediction, Returns, Thresholds
+from scenegen.model.completion.protocol import Prediction, Thresholds
+from scenegen.model.completion.unlearned import UNLEARNED, Conservative, Extrude, Returns
 from scenegen.model.evaluation.reconstruction import METRICS, ReconstructionConfig, measure
 from scenegen.model.evaluation.visibility import CLASSES, classify
 from scenegen.source import DrawnWorlds

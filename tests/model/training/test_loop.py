@@ -21,9 +21,9 @@ from scenegen import files
 from scenegen.errors import DatasetError, StoppedError
 from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_tensors
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import objective
 from scenegen.model.network import Network
-from scenegen.model.training.card import SHOWN
 from scenegen.model.training.data import Maps, TudfOf
 from scenegen.model.training.device import TrainingError, device_name
 from scenegen.model.training.loop import Watcher, learning_rate, train
@@ -217,7 +217,7 @@ def test_training_ends_after_so_many_epochs_without_improvement(
 ) -> None:
     """Validation losses 3 2 2 4 1 …: the second epoch is the best of the first five with patience 3."""
     losses = iter([3.0, 2.0, 2.0, 4.0, 2.5, 1.0])
-    fixed = dict.fromkeys((name.removeprefix("val_") for name in SHOWN), 0.0)
+    fixed = dict.fromkeys(METRICS, 0.0)
     monkeypatch.setattr(scenegen.model.training.loop, "validate", lambda *given: {**fixed, "loss": next(losses)})
     config = dataclasses.replace(SMALL, epochs=50, patience=3)
     rows = train(folders, config, tmp_path / "run", device="cpu")
