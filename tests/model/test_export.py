@@ -29,7 +29,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Network]:
     torch.manual_seed(0)
     network = Network(NetworkConfig(width=4))
     for _ in range(3):  # statistics that are not those of a fresh network
-        network.train()(torch.rand(4, *GRID.shape))
+        network.train()({"observed": torch.rand(4, *GRID.shape)})
     path = tmp_path_factory.mktemp("onnx") / "net.onnx"
     export_onnx(network.eval(), GRID, path, about={"seed": 0})
     return path, network
@@ -41,11 +41,11 @@ def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str,
     """onnxruntime to rounding; OpenVINO to bfloat16's, which it uses where the processor has it."""
     pytest.importorskip(runtime)
     path, network = exported
-    maps = (torch.rand(batch, *GRID.shape) < 0.1).float()
+    maps = {"observed": torch.rand(batch, *GRID.shape) < 0.1}
     with torch.no_grad():
         expected = network(maps)
-    forward, grid, about = load_onnx(path, runtime=runtime, threads=1)
-    assert (grid, about) == (GRID, {"seed": 0})
+    forward, held = load_onnx(path, runtime=runtime, threads=1)
+    assert (held.grid, held.about, held.config) == (GRID, {"seed": 0}, network.config)
     found = forward(maps)
     tolerance = 1e-4 if runtime == "onnxruntime" else 5e-2
     torch.testing.assert_close(found.logits, expected.logits, atol=tolerance, rtol=tolerance)
@@ -57,7 +57,7 @@ def test_an_onnx_file_is_a_completer(exported: tuple[Path, Network]) -> None:
     observed = np.random.default_rng(0).random(GRID.shape) < 0.1
     found = Completer.from_pretrained(path)(observed)
     with torch.no_grad():
-        expected = network(torch.from_numpy(observed[None]).float())
+        expected = network({"observed": torch.from_numpy(observed[None])})
     np.testing.assert_allclose(found.occupancy_probability, expected.logits[0].sigmoid(), atol=2e-2)
 
 
@@ -103,7 +103,7 @@ def test_outputs_go_by_name_and_not_by_place(exported: tuple[Path, Network], tmp
     pytest.importorskip(runtime)
     path = tmp_path / "swapped.onnx"
     path.write_bytes(changed(exported[0], swap_outputs))
-    maps = (torch.rand(1, *GRID.shape) < 0.1).float()
+    maps = {"observed": torch.rand(1, *GRID.shape) < 0.1}
     straight, swapped = (load_onnx(one, runtime=runtime, threads=1)[0](maps) for one in (exported[0], path))
     torch.testing.assert_close(swapped.logits, straight.logits)
     torch.testing.assert_close(swapped.tudf, straight.tudf)

@@ -34,7 +34,7 @@ def observed() -> np.ndarray:
 def test_a_batch_is_completed_as_the_network_says(tmp_path: Path, observed: np.ndarray, variant: str) -> None:
     network = save(tmp_path / "net.safetensors", variant)
     with torch.no_grad():
-        output = network(torch.from_numpy(observed).float())
+        output = network({"observed": torch.from_numpy(observed)})
     found = Completer.from_pretrained(tmp_path / "net.safetensors", batch=2)(observed)
     if variant == "tudf":
         assert found.occupancy_probability is None
@@ -132,16 +132,16 @@ def test_a_repository_is_fetched_when_asked_for(
 ) -> None:
     import huggingface_hub
 
-    save(tmp_path / "scenegen.model.safetensors")
+    save(tmp_path / "model.safetensors")
     asked = []
 
     def fetch(*given: object, **named: object) -> str:
         asked.append((given, named))
-        return str(tmp_path / "scenegen.model.safetensors")
+        return str(tmp_path / "model.safetensors")
 
     monkeypatch.setattr(huggingface_hub, "hf_hub_download", fetch)
     Completer.from_pretrained("hf://user/net@v2")
-    assert asked == [(("user/net", "scenegen.model.safetensors"), {"revision": "v2"})]
+    assert asked == [(("user/net", "model.safetensors"), {"revision": "v2"})]
 
     def fail(*given: object, **named: object) -> str:
         huggingface_hub.utils.logging.get_logger("huggingface_hub").warning("retrying in 1s")

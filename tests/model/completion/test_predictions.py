@@ -37,7 +37,10 @@ def test_a_predictions_file_is_what_the_bench_takes(folders: list[Path], tmp_pat
     method = Predicted(tmp_path / "p.h5")
     method.check(dataset, "test")
     for sample in dataset.split("test"):
-        read, direct = method.completion(sample, split="test", grid=dataset.grid), net(sample.observed)
+        read, direct = (
+            method.completion(sample, split="test", grid=dataset.grid, lidar=dataset.lidar),
+            net(sample.observed),
+        )
         np.testing.assert_allclose(read.tudf, direct.tudf, atol=1e-5)
         if variant == "tudf":
             assert read.occupancy_probability is None

@@ -17,9 +17,9 @@ from scenegen.model.bench.command import choose_methods, run_bench
 from scenegen.model.completion.protocol import Prediction, Thresholds
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.evaluation.methods import Completed, Truth
+from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.planning.config import PlanConfig
 from scenegen.model.evaluation.predicted import Predicted
-from scenegen.model.evaluation.reconstruction import METRICS
 from scenegen.model.evaluation.run import BenchConfig, bench
 from scenegen.model.evaluation.tuning import tune
 from scenegen.source import DrawnWorlds
@@ -92,8 +92,8 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset:
         np.testing.assert_array_equal(perfect.reconstruction[:, 0, 6:], 1)
     assert truth.trials == from_file.trials
     assert copied.thresholds.probability == pytest.approx(0.35)
-    assert copied.reconstruction[:, 0, METRICS.index("iou")].max() == 0, "0.6 is below the paper's threshold"
-    np.testing.assert_array_equal(copied.tuned[:, METRICS.index("iou")], 1)
+    assert copied.reconstruction[:, 0, list(METRICS).index("iou")].max() == 0, "0.6 is below the paper's threshold"
+    np.testing.assert_array_equal(copied.tuned[:, list(METRICS).index("iou")], 1)
 
 
 def test_an_empty_prediction_flies_straight_and_collides_more_often(dataset: Dataset) -> None:
@@ -103,7 +103,7 @@ def test_an_empty_prediction_flies_straight_and_collides_more_often(dataset: Dat
     assert sum(trial.success for trial in nothing) < sum(trial.success for trial in truth)
     assert {trial.cause for trial in nothing} <= {None, "initial_collides"}
     assert np.mean([trial.length_m for trial in nothing]) < np.mean([trial.length_m for trial in truth])
-    assert found.methods["nothing"].reconstruction[:, 0, METRICS.index("recall")].max() == 0
+    assert found.methods["nothing"].reconstruction[:, 0, list(METRICS).index("recall")].max() == 0
 
 
 def test_workers_and_other_rows_change_no_figure(dataset: Dataset) -> None:
@@ -284,7 +284,7 @@ def test_predictions_of_one_split_say_nothing_of_another(dataset: Dataset, tmp_p
     """Worlds are numbered from 0 in every split, so a row must go by its split, too."""
     predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
     with pytest.raises(KeyError):
-        predicted.completion(dataset.split("val")[0], split="val", grid=dataset.grid)
+        predicted.completion(dataset.split("val")[0], split="val", grid=dataset.grid, lidar=dataset.lidar)
     assert tune(predicted, dataset, most=4, thresholds=Thresholds()) == Thresholds()
 
 
@@ -355,7 +355,7 @@ def test_one_world_gives_no_interval(tmp_path: Path) -> None:
 def test_unknown_methods_and_empty_splits_are_refused(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(ScenegenError, match="known are returns"):
         choose_methods(["retruns"])
-    assert choose_methods(["tests.model.bench.test_bench:Nothing"])[0].name == "nothing"
+    assert choose_methods(["tests.model.evaluation.test_bench:Nothing"])[0].name == "nothing"
     recipe = small_recipe()
     build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 0, "test": 0}))
     with pytest.raises(DatasetError, match=r"test split is empty; generate with --test .* or give another --split"):

@@ -10,16 +10,16 @@ import torch
 
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
-from scenegen.model.training.data import LoaderError, Maps, TudfOf, load
+from scenegen.model.training.data import LoaderError, Maps, TudfOf, load, opened
 from tests.model.conftest import COUNTS, make_dataset
 
 
 def test_maps_are_the_samples_of_all_datasets_in_order(folders: list[Path]) -> None:
-    maps = Maps(folders, "train")
+    maps = Maps(opened(folders, "train"), "train")
     samples = [sample for folder in folders for sample in Dataset(folder).split("train")]
     assert len(maps) == len(samples) == 2 * COUNTS["train"]
     for number, sample in enumerate(samples):
-        observed, occupancy = maps[number]
+        observed, occupancy = maps[number]["observed"], maps[number]["occupancy"]
         assert observed.dtype == occupancy.dtype == torch.bool
         assert np.array_equal(observed, sample.observed)
         assert np.array_equal(occupancy, sample.occupancy)
@@ -30,13 +30,13 @@ def test_maps_are_the_samples_of_all_datasets_in_order(folders: list[Path]) -> N
 
 
 def test_loader_workers_read_the_same_after_their_parent_has_read(folders: list[Path]) -> None:
-    maps = Maps(folders, "train")
+    maps = Maps(opened(folders, "train"), "train")
     batches = [[5, 1, 20], [23, 0, 7], [12, 13, 3]]
     here = list(load(maps, batches, workers=0, pinned=False))
     forked = list(load(maps, batches, workers=3, pinned=False))
-    for (observed, occupancy), (seen, true) in zip(here, forked, strict=True):
-        assert torch.equal(observed, seen)
-        assert torch.equal(occupancy, true)
+    for one, other in zip(here, forked, strict=True):
+        assert one.keys() == other.keys() == {"observed", "occupancy"}
+        assert all(torch.equal(one[name], other[name]) for name in one)
 
 
 def test_fields_are_read_alone(folders: list[Path]) -> None:
@@ -79,7 +79,7 @@ def test_damage_is_named(folders: list[Path], tmp_path: Path) -> None:
     copy = shutil.copytree(folders[0], tmp_path / "copy")
     with h5py.File(copy / "train-00000.h5", "r+") as file:
         file["occupancy"].id.write_direct_chunk((1, 0, 0, 0), b"not a chunk")
-    maps = Maps([copy], "train")
+    maps = Maps(opened([copy], "train"), "train")
     maps[0]
     said = r"^\S*train-00000\.h5: sample 1: occupancy cannot be unpacked"
     with pytest.raises(DatasetError, match=said):
@@ -95,7 +95,7 @@ def test_damage_is_named(folders: list[Path], tmp_path: Path) -> None:
 def test_a_loader_process_that_dies_is_named(folders: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Maps, "__getitem__", lambda self, key: os.kill(os.getpid(), signal.SIGKILL))
     with pytest.raises(LoaderError, match="--workers 0"):
-        list(load(Maps(folders, "train"), [[0], [1]], workers=1, pinned=False))
+        list(load(Maps(opened(folders, "train"), "train"), [[0], [1]], workers=1, pinned=False))
 
 
 def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_path: Path) -> None:
@@ -103,6 +103,6 @@ def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_p
     other_sensor = make_dataset(tmp_path / "sensor", lidar={"rows": 4})
     for wrong, named in ((other_grid, "its grid is"), (other_sensor, "its lidar is"), (folders[0], "the same samples")):
         with pytest.raises(DatasetError, match=named):
-            Maps([folders[0], wrong], "train")
+            Maps(opened([folders[0], wrong], "train"), "train")
     with pytest.raises(DatasetError, match="no dataset given"):
         Maps([], "train")

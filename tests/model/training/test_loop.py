@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -24,31 +25,37 @@ from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import objective
 from scenegen.model.network import Network
-from scenegen.model.training.data import Maps, TudfOf
+from scenegen.model.training.data import Maps, TudfOf, opened
 from scenegen.model.training.device import TrainingError, device_name
-from scenegen.model.training.loop import Watcher, learning_rate, train
+from scenegen.model.training.loop import Watcher, learning_rate
 from scenegen.model.training.run_folder import Progress, RunFolder
 from tests.model.conftest import make_dataset
+
+
+def train(folders: list[Path], config: TrainConfig, out: Path, **more: Any) -> list[dict[str, float]]:
+    """Train on datasets, as the command does."""
+    return scenegen.model.training.loop.train(opened(folders, "train"), opened(folders, "val"), config, out, **more)
+
 
 SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")
 
 
 def test_one_batch_is_learned_by_heart(folders: list[Path]) -> None:
     """IoU above .99 at the paper's threshold, and distances within a tenth of a voxel on average."""
-    maps = Maps(folders, "train")
-    stacked = (torch.stack(parts) for parts in zip(maps[0], maps[12], strict=True))
-    observed, occupancy = (part[:, 4:20, 4:20] for part in stacked)
+    maps = Maps(opened(folders, "train"), "train")
+    batch = {name: torch.stack([maps[0][name], maps[12][name]])[:, 4:20, 4:20] for name in maps[0]}
+    occupancy = batch["occupancy"]
     tudf = TudfOf(GridSpec(shape=(16, 16, 16)))(occupancy)
     torch.manual_seed(0)
     network = Network(NetworkConfig())
     optimizer = torch.optim.AdamW(network.parameters(), 1e-2)
     for _ in range(120):
         optimizer.zero_grad()
-        output = network(observed.float())
+        output = network(batch)
         objective(output, occupancy, tudf, LossConfig(), voxel_m=0.2, truncation_m=2.0)["loss"].backward()
         optimizer.step()
     with torch.no_grad():
-        output = network.eval()(observed.float())
+        output = network.eval()(batch)
     occupied = output.logits.sigmoid() >= 0.85
     assert (occupied & occupancy).sum() / (occupied | occupancy).sum() > 0.99
     assert (output.tudf - tudf).abs().mean() < 0.06
@@ -90,9 +97,9 @@ def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path,
     assert float(rows[-1]["train_loss"]) < float(rows[0]["train_loss"])
     network, grid, about = load_network(uninterrupted / "best.safetensors")
     assert network.config == SMALL.network
-    assert grid == Maps(folders, "val").grid
+    assert grid == Maps(opened(folders, "val"), "val").grid
     assert about["figures"]["val_loss"] == pytest.approx(min(float(row["val_loss"]) for row in rows), rel=1e-5)
-    assert about["settings"]["datasets"] == [str(data.manifest["digest"]) for data in Maps(folders, "val").datasets]
+    assert about["settings"]["datasets"] == [source.digest for source in opened(folders, "val")]
     card = (uninterrupted / "card.md").read_text()
     assert f"{about['figures']['val_iou']:.3f}" in card
     assert "This is not the full protocol" in card
@@ -126,8 +133,8 @@ import torch
 torch.set_num_threads(1)
 import scenegen.model.training.loop
 from pathlib import Path
-from scenegen.model.training.loop import Watcher, train
-from tests.model.training.test_loop import SMALL
+from scenegen.model.training.loop import Watcher
+from tests.model.training.test_loop import SMALL, train
 scenegen.model.training.loop.SAVE_EVERY_S = 0.0
 scenegen.model.training.run_folder.draw_curve = lambda rows: None
 steps = 0
@@ -287,7 +294,7 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(
     def full(path: Path, mode: str) -> object:
         raise OSError(28, "No space left on device", str(path))
 
-    network, grid = Network(SMALL.network), Maps(folders, "val").grid
+    network, grid = Network(SMALL.network), Maps(opened(folders, "val"), "val").grid
     monkeypatch.setattr(files, "open", full, raising=False)
     with pytest.raises(DatasetError, match="the disk is full"):
         RunFolder(out).save(Progress(), network, torch.optim.AdamW(network.parameters()))
@@ -351,7 +358,7 @@ import torch
 
 import scenegen.model.training.loop
 from scenegen.model.checkpoint import save_tensors
-from scenegen.model.training.data import Maps
+from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.device import Group
 from scenegen.model.network import Network
 from scenegen.model.training.loop import Step
@@ -359,13 +366,13 @@ from tests.model.training.test_loop import SMALL
 torch.set_num_threads(1)
 device = torch.device("cpu")
 with Group(device) as group:
-    maps = Maps([Path(name) for name in sys.argv[2:]], "train")
+    maps = Maps(opened(sys.argv[2:], "train"), "train")
     torch.manual_seed(0)
     network = Network(replace(SMALL.network, variant='occ')).eval()  # or each process has statistics of its own
     optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
     learn = Step(network, optimizer, SMALL, maps.grid, device, torch.float32, group)
     mine = [maps[n] for n in range(4)][group.rank :: group.size]
-    losses = learn(*(torch.stack(parts) for parts in zip(*mine)), 1.0)
+    losses = learn({name: torch.stack([one[name] for one in mine]) for name in mine[0]}, 1.0)
     save_tensors(Path(sys.argv[1] + str(group.rank)), network.state_dict(), losses)
 """
 

@@ -10,7 +10,8 @@ from scipy import ndimage
 torch = pytest.importorskip("torch")
 
 from lidarsim import GridSpec  # noqa: E402
-from scenegen.model.training.data import TudfOf, epoch_batches, turned  # noqa: E402
+from scenegen.model.inputs import turned  # noqa: E402
+from scenegen.model.training.data import TudfOf, epoch_batches  # noqa: E402
 
 ALL = range(8)
 SQUARE = GridSpec(shape=(8, 8, 4))
