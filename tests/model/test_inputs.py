@@ -18,38 +18,13 @@ from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, Metric
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.pretrained import Pretrained
-from scenegen.model.export import export_onnx
-from scenegen.model.inputs import INPUTS, Input, PointScan
+from scenegen.model.inputs import INPUTS, Input
 from scenegen.model.network import Network
-from scenegen.model.runtime import load_onnx, read_graph
 from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.loop import train
-from scenegen.sample import derive_free
 
 GRID = GridSpec(shape=(16, 24, 8))
-POSE = ("ranges", "position", "quaternion", "origin")
 BOTH = ("observed", "free")
-
-
-def crossed(scan: PointScan) -> np.ndarray:
-    """The voxels on the way from the sensor to every point, less those of the points."""
-    free = np.zeros(scan.grid.shape, bool)
-    for share in np.linspace(0.0, 1.0, 200):
-        index = scan.grid.index(scan.sensor + share * (scan.points - scan.sensor), scan.origin)
-        free[tuple(index[((index >= 0) & (index < scan.grid.shape)).all(axis=1)].T)] = True
-    free[tuple(scan.voxels.T)] = False
-    return free
-
-
-@pytest.fixture
-def free(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Registers what some ray crossed."""
-    entry = Input(
-        stored=POSE,
-        of_sample=lambda fields, grid, sensor: derive_free(*(fields[name] for name in POSE), lidar=sensor, grid=grid),
-        of_scan=crossed,
-    )
-    monkeypatch.setitem(INPUTS, "free", entry)
 
 
 def test_a_new_channel_and_a_new_metric_go_all_the_way(
@@ -95,20 +70,6 @@ def test_a_new_channel_and_a_new_metric_go_all_the_way(
         held = {name: file[name][:] for name in (*BOTH, "tudf")}
     assert held["free"].any()
     np.testing.assert_allclose(completer(held).tudf, held["tudf"], atol=1e-5)
-
-
-def test_a_new_channel_is_exported_by_its_name(free: None, tmp_path: Path) -> None:
-    pytest.importorskip("onnxscript")
-    pytest.importorskip("onnxruntime")
-    torch.manual_seed(0)
-    network = Network(NetworkConfig(width=4, variant="occ", inputs=BOTH)).eval()
-    export_onnx(network, GRID, tmp_path / "net.onnx", about={})
-    assert read_graph((tmp_path / "net.onnx").read_bytes())["network"]["inputs"] == list(BOTH)
-    forward, found = load_onnx(tmp_path / "net.onnx", runtime="onnxruntime", threads=1)
-    maps = {name: torch.rand(2, *GRID.shape) < 0.1 for name in reversed(BOTH)}
-    with torch.no_grad():
-        torch.testing.assert_close(forward(maps).logits, network(maps).logits, atol=1e-4, rtol=1e-4)
-    assert found.config == network.config
 
 
 def test_channels_turn_with_their_map_unless_they_are_tied_to_its_axes(

@@ -47,11 +47,11 @@ def test_a_metric_that_the_paper_lacks_is_in_every_table(
         better="lower",
         tested=("map",),
     )
-    turns = Metric(
-        title="least share", of=lambda t: t.min_clearance_m / t.mean_clearance_m, needs="path", better="higher"
+    evenness = Metric(
+        title="evenness", of=lambda t: t.min_clearance_m / t.mean_clearance_m, needs="path", better="higher"
     )
     monkeypatch.setitem(METRICS, "alarms", alarms)
-    monkeypatch.setitem(PLAN_METRICS, "evenness", turns)
+    monkeypatch.setitem(PLAN_METRICS, "evenness", evenness)
     report = report_of(dataset, tmp_path, names=("conservative", "truth"))
     row = report["reconstruction"]["pillar"]["conservative"]
     assert row["alarms"]["mean"] == pytest.approx(1 - row["precision"]["mean"]) != 0

@@ -4,12 +4,13 @@ import csv
 import dataclasses
 import fcntl
 import math
+import multiprocessing
 import os
-import runpy
 import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,8 @@ from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import objective
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, opened
-from scenegen.model.training.device import TrainingError, device_name
-from scenegen.model.training.loop import Watcher, learning_rate
+from scenegen.model.training.device import Group, TrainingError, device_name
+from scenegen.model.training.loop import Step, Watcher, learning_rate
 from scenegen.model.training.run_folder import Progress, RunFolder
 from tests.model.conftest import make_dataset
 
@@ -106,18 +107,17 @@ def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path,
     assert (uninterrupted / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("stops", [(6,), (4, 7, 12)])
 def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
-    folders: list[Path], tmp_path: Path, uninterrupted: Path, stops: tuple[int, ...]
+    folders: list[Path], tmp_path: Path, uninterrupted: Path
 ) -> None:
-    """Bit for bit on one thread: stopped in the middle of an epoch, at its last step, and several times."""
+    """Bit for bit on one thread, stopped four times: in the middle of an epoch, at its last step and at its first."""
     steps = 0
 
     def count(maps: int, loss: float) -> None:
         nonlocal steps
         steps += 1
 
-    for stop in stops:
+    for stop in (4, 6, 7, 12):
         watcher = Watcher(on_step=count, stop=lambda stop=stop: steps >= stop)
         with pytest.raises(StoppedError, match="the same command goes on"):
             train(folders, SMALL, tmp_path / "run", device="cpu", watcher=watcher)
@@ -127,34 +127,37 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
     assert figures(tmp_path / "run") == figures(uninterrupted)
 
 
-KILLED = """
-import os, signal, sys
-import torch
-torch.set_num_threads(1)
-import scenegen.model.training.loop
-from pathlib import Path
-from scenegen.model.training.loop import Watcher
-from tests.model.training.test_loop import SMALL, train
-scenegen.model.training.loop.SAVE_EVERY_S = 0.0
-scenegen.model.training.run_folder.draw_curve = lambda rows: None
-steps = 0
-def count(maps, loss):
-    global steps
-    steps += 1
-    if steps == 9:
-        os.kill(os.getpid(), signal.SIGKILL)
-folders, out = [Path(name) for name in sys.argv[1:3]], Path(sys.argv[3])
-train(folders, SMALL, out, device="cpu", watcher=Watcher(on_step=count))
-"""
+def elsewhere(function: Callable[..., None], *given: Any) -> multiprocessing.Process:
+    """A process that has torch already, and runs `function`."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["scenegen.model.training.loop"])
+    process = context.Process(target=function, args=given)
+    process.start()
+    return process
+
+
+def train_and_be_killed(folders: list[Path], out: Path) -> None:
+    """SIGKILL after the ninth step, with every step saved."""
+    torch.set_num_threads(1)
+    scenegen.model.training.loop.SAVE_EVERY_S = 0.0
+    scenegen.model.training.run_folder.draw_curve = lambda rows: None
+    losses: list[float] = []
+
+    def count(maps: int, loss: float) -> None:
+        losses.append(loss)
+        if len(losses) == 9:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    train(folders, SMALL, out, device="cpu", watcher=Watcher(on_step=count))
 
 
 def test_a_killed_run_ends_where_an_uninterrupted_one_does(
     folders: list[Path], tmp_path: Path, uninterrupted: Path
 ) -> None:
     out = tmp_path / "run"
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[3]), "OMP_NUM_THREADS": "1"}
-    killed = subprocess.run([sys.executable, "-c", KILLED, *map(str, folders), str(out)], env=environment, check=False)
-    assert killed.returncode == -signal.SIGKILL
+    process = elsewhere(train_and_be_killed, folders, out)
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
     assert load_tensors(out / "last.safetensors")[1]["step"] == 2  # the third step of the second epoch was lost
     train(folders, SMALL, out, device="cpu")
     for name in ("best.safetensors", "last.safetensors"):
@@ -350,31 +353,21 @@ def test_two_processes_train_one_network(folders: list[Path], tmp_path: Path) ->
     assert again.returncode == 0, again.stderr  # complete already: no process waits for the others
 
 
-STEP = """
-import sys
-from dataclasses import replace
-from pathlib import Path
-import torch
-
-import scenegen.model.training.loop
-from scenegen.model.checkpoint import save_tensors
-from scenegen.model.training.data import Maps, opened
-from scenegen.model.training.device import Group
-from scenegen.model.network import Network
-from scenegen.model.training.loop import Step
-from tests.model.training.test_loop import SMALL
-torch.set_num_threads(1)
-device = torch.device("cpu")
-with Group(device) as group:
-    maps = Maps(opened(sys.argv[2:], "train"), "train")
-    torch.manual_seed(0)
-    network = Network(replace(SMALL.network, variant='occ')).eval()  # or each process has statistics of its own
-    optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
-    learn = Step(network, optimizer, SMALL, maps.grid, device, torch.float32, group)
-    mine = [maps[n] for n in range(4)][group.rank :: group.size]
-    losses = learn({name: torch.stack([one[name] for one in mine]) for name in mine[0]}, 1.0)
-    save_tensors(Path(sys.argv[1] + str(group.rank)), network.state_dict(), losses)
-"""
+def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> None:
+    """One step from the same first weights, whatever the number of processes; `environment` is what torchrun sets."""
+    torch.set_num_threads(1)
+    os.environ.update(environment)
+    device = torch.device("cpu")
+    with Group(device) as group:
+        maps = Maps(opened(folders, "train"), "train")
+        torch.manual_seed(0)
+        config = dataclasses.replace(SMALL.network, variant="occ")
+        network = Network(config).eval()  # or each process has statistics of its own
+        optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
+        learn = Step(network, optimizer, SMALL, maps.grid, device, torch.float32, group)
+        mine = [maps[n] for n in range(4)][group.rank :: group.size]
+        losses = learn({name: torch.stack([one[name] for one in mine]) for name in mine[0]}, 1.0)
+        save_tensors(out / f"{group.rank} of {group.size}", network.state_dict(), losses)
 
 
 def free_port() -> int:
@@ -383,25 +376,21 @@ def free_port() -> int:
         return int(listening.getsockname()[1])
 
 
-def test_two_processes_take_the_step_that_one_takes(
-    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_path: Path) -> None:
     """Gradients and losses are means over both; the Eikonal term is a mean of means, so distances are left out."""
-    (tmp_path / "step.py").write_text(STEP)
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[3]), "OMP_NUM_THREADS": "1"}
-    environment |= {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}  # as torchrun does
-    command = [sys.executable, *map(str, (tmp_path / "step.py", tmp_path / "two", *folders))]
-    ranks = [subprocess.Popen(command, env=environment | {"RANK": str(rank)}) for rank in range(2)]
+    torchrun = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
+    ranks = [elsewhere(take_a_step, folders, tmp_path, torchrun | {"RANK": str(rank)}) for rank in range(2)]
     try:
-        monkeypatch.setattr(sys, "argv", ["step.py", str(tmp_path / "one"), *map(str, folders)])
-        runpy.run_path(str(tmp_path / "step.py"))
-        assert [rank.wait(timeout=100) for rank in ranks] == [0, 0]
+        take_a_step(folders, tmp_path, {})
+        for rank in ranks:
+            rank.join(timeout=100)
+        assert [rank.exitcode for rank in ranks] == [0, 0]
     finally:
         for rank in ranks:  # one waits long for the other
             rank.kill()
-    one, losses = load_tensors(tmp_path / "one0")
-    for rank in ("two0", "two1"):
-        two, theirs = load_tensors(tmp_path / rank)
+    one, losses = load_tensors(tmp_path / "0 of 1")
+    for rank in range(2):
+        two, theirs = load_tensors(tmp_path / f"{rank} of 2")
         assert theirs == pytest.approx(losses, rel=1e-5)
         for name, tensor in one.items():
             torch.testing.assert_close(two[name], tensor, atol=1e-6, rtol=1e-5)
