@@ -60,7 +60,7 @@ class NetworkConfig:
     """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second, after one at full
     resolution (ours)."""
     heads: int = number(4, least=1, whole=True)
-    """Of the self-attention (ours)."""
+    """Heads of the self-attention (ours)."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -136,11 +136,11 @@ class TrainConfig:
     batch: int = number(8, least=1, most=MOST_BATCH, whole=True)
     """Maps a step, over all devices (ours)."""
     lr: float = number(1e-3, above=0)
-    """Of AdamW, after the warm-up; then down a cosine (ours)."""
+    """Learning rate of AdamW after the warm-up; from there it falls along a cosine (ours)."""
     warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
     weight_decay: float = number(0.01, least=0)
-    """Of AdamW (ours)."""
+    """Weight decay of AdamW (ours)."""
     clip: float = number(1.0, above=0)
     """Largest norm of a step's gradient (ours)."""
     patience: int = number(10, least=1, whole=True)
@@ -148,10 +148,10 @@ class TrainConfig:
     augment: bool = False
     """Whether maps are turned and mirrored about the sensor at random (ours)."""
     seed: int = number(0, least=0, whole=True)
-    """Of the first weights and the order of samples."""
+    """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Of the network's arithmetic; losses and weights are float32. Auto: bfloat16 where the device has instructions for
-    it."""
+    """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where the device has
+    instructions for it."""
     compile: bool = False
     """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
 

@@ -40,7 +40,7 @@ class BenchConfig:
     trials: int = number(2000, least=1, whole=True)
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
     seed: int = number(0, least=0, whole=True)
-    """Of goals, bootstraps and permutations."""
+    """Seed of goals, bootstraps and permutations."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     reconstruction: ReconstructionConfig = field(default_factory=ReconstructionConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)

@@ -48,7 +48,8 @@ def cost(waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, confi
 def gradient(
     waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig
 ) -> NDArray[np.float64]:
-    """Of `cost` by the waypoints, (n, 3), metres; 0 at the ends. On a kink of the interpolated field, one side's."""
+    """The gradient of `cost` by the waypoints, (n, 3), metres; 0 at the ends. On a kink of the interpolated field it is
+    that of one side."""
     path, tudf = _path(waypoints), checked(tudf, "tudf", grid, np.float32)
     slope = np.empty_like(path)
     _gradient(path, tudf, grid.voxel_m, config.safety_m, config.clearance_weight, slope)

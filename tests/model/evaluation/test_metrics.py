@@ -10,7 +10,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.model.bench.command import tables
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
-from tests.model.evaluation.test_bench import dataset, report_of  # noqa: F401 (a fixture)
+from tests.model.evaluation.test_bench import report_of
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -36,9 +36,7 @@ def text(name: str) -> str:
 
 
 def test_a_metric_that_the_paper_lacks_is_in_every_table(
-    dataset: Dataset,  # noqa: F811
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alarms = Metric(
         title="alarms",
@@ -68,9 +66,7 @@ def test_a_metric_that_the_paper_lacks_is_in_every_table(
 
 
 def test_a_report_is_json_where_nothing_was_measured(
-    dataset: Dataset,  # noqa: F811
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     never = Metric(title="never", of=lambda s: float("nan"), needs="distance", better="lower", tested=("map",))
     monkeypatch.setitem(METRICS, "never", never)

@@ -4,41 +4,26 @@ import csv
 import dataclasses
 import fcntl
 import math
-import multiprocessing
 import os
 import signal
-import socket
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
 import scenegen.model.training.loop
 from lidarsim import GridSpec
-from scenegen import files
 from scenegen.errors import DatasetError, StoppedError
-from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_tensors
+from scenegen.model.checkpoint import load_network, load_tensors
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import objective
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, opened
-from scenegen.model.training.device import Group, TrainingError, device_name
-from scenegen.model.training.loop import Step, Watcher, learning_rate
-from scenegen.model.training.run_folder import Progress, RunFolder
+from scenegen.model.training.device import TrainingError
+from scenegen.model.training.loop import Watcher, learning_rate
 from tests.model.conftest import make_dataset
-
-
-def train(folders: list[Path], config: TrainConfig, out: Path, **more: Any) -> list[dict[str, float]]:
-    """Train on datasets, as the command does."""
-    return scenegen.model.training.loop.train(opened(folders, "train"), opened(folders, "val"), config, out, **more)
-
-
-SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")
+from tests.model.training.runs import SMALL, elsewhere, train
 
 
 def test_one_batch_is_learned_by_heart(folders: list[Path]) -> None:
@@ -127,15 +112,6 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
     assert figures(tmp_path / "run") == figures(uninterrupted)
 
 
-def elsewhere(function: Callable[..., None], *given: Any) -> multiprocessing.Process:
-    """A process that has torch already, and runs `function`."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["scenegen.model.training.loop"])
-    process = context.Process(target=function, args=given)
-    process.start()
-    return process
-
-
 def train_and_be_killed(folders: list[Path], out: Path) -> None:
     """SIGKILL after the ninth step, with every step saved."""
     torch.set_num_threads(1)
@@ -183,43 +159,6 @@ def test_a_finished_run_given_again_stays_as_it_is(uninterrupted: Path, folders:
     )
     assert (len(rows), told) == (3, [])
     assert {path.name: path.read_bytes() for path in uninterrupted.iterdir() if path.is_file()} == before
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"epoch": "x"},
-        {"rows": 5},
-        {"step": -1},
-        {"rows": [[]]},
-        {"rows": [{"val_loss": None}]},
-        {"epoch": 9},
-        {"more": 1},
-    ],
-    ids=str,
-)
-def test_a_damaged_state_is_refused_in_one_line(uninterrupted: Path, tmp_path: Path, wrong: dict) -> None:
-    tensors, header = load_tensors(uninterrupted / "last.safetensors")
-    save_tensors(tmp_path / "last.safetensors", tensors, header | wrong)
-    network = Network(SMALL.network)
-    with pytest.raises(CheckpointError, match="not the state of this run") as caught:
-        RunFolder(tmp_path).restore(network, torch.optim.AdamW(network.parameters()))
-    assert "\n" not in str(caught.value)
-
-
-def test_a_state_that_is_no_network_says_what_to_remove(tmp_path: Path) -> None:
-    (tmp_path / "last.safetensors").write_bytes(b"\xff" * 5000)
-    network = Network(SMALL.network)
-    with pytest.raises(CheckpointError, match="remove it to begin again"):
-        RunFolder(tmp_path).restore(network, torch.optim.AdamW(network.parameters()))
-
-
-@pytest.mark.parametrize("content", ["[" * 100_000, '{"settings": 1}', "\xff", "{}", " " * 5_000_000])
-def test_settings_that_cannot_be_read_are_refused_in_one_line(tmp_path: Path, content: str) -> None:
-    (tmp_path / "config.json").write_bytes(content.encode("latin-1"))
-    with pytest.raises(DatasetError, match=r"config\.json") as caught:
-        RunFolder(tmp_path).open({"settings": {}})
-    assert "\n" not in str(caught.value)
 
 
 def test_training_ends_after_so_many_epochs_without_improvement(
@@ -287,26 +226,6 @@ def test_what_cannot_be_trained_on_is_refused(folders: list[Path], tmp_path: Pat
         train(folders, SMALL, tmp_path / "file" / "run", device="cpu")
 
 
-def test_a_full_disk_ends_the_run_and_leaves_the_last_state(
-    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "run"
-    train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu")
-    before = {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
-
-    def full(path: Path, mode: str) -> object:
-        raise OSError(28, "No space left on device", str(path))
-
-    network, grid = Network(SMALL.network), Maps(opened(folders, "val"), "val").grid
-    monkeypatch.setattr(files, "open", full, raising=False)
-    with pytest.raises(DatasetError, match="the disk is full"):
-        RunFolder(out).save(Progress(), network, torch.optim.AdamW(network.parameters()))
-    with pytest.raises(DatasetError, match="the disk is full"):
-        RunFolder(out).save_best(network, grid, {})
-    monkeypatch.undo()
-    assert before == {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
-
-
 def test_the_learning_rate_rises_then_falls_to_nothing() -> None:
     config = TrainConfig(lr=2.0, warmup_share=0.1)
     rates = [learning_rate(config, step, 100) for step in range(100)]
@@ -333,70 +252,3 @@ def test_the_learning_rate_rises_then_falls_to_nothing() -> None:
 def test_impossible_settings_are_refused(wrong: dict) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         TrainConfig(**wrong)
-
-
-@pytest.mark.slow
-def test_two_processes_train_one_network(folders: list[Path], tmp_path: Path) -> None:
-    """Under torchrun: each takes half of every batch, one writes, and what comes out is whole."""
-    out = tmp_path / "run"
-    words = ["train", *folders, "--width", 4, "--epochs", 1, "--batch", 4, "--device", "cpu", "--quiet", "--out", out]
-    words += ["--precision", "float32"]
-    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", 2]
-    root = Path(__file__).parents[3]
-    environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
-    command = [str(word) for word in [*launch, root / "cli.py", *words]]
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
-    assert ended.returncode == 0, ended.stderr
-    assert len(figures(out)) == 1
-    load_network(out / "best.safetensors")
-    again = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
-    assert again.returncode == 0, again.stderr  # complete already: no process waits for the others
-
-
-def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> None:
-    """One step from the same first weights, whatever the number of processes; `environment` is what torchrun sets."""
-    torch.set_num_threads(1)
-    os.environ.update(environment)
-    device = torch.device("cpu")
-    with Group(device) as group:
-        maps = Maps(opened(folders, "train"), "train")
-        torch.manual_seed(0)
-        config = dataclasses.replace(SMALL.network, variant="occ")
-        network = Network(config).eval()  # or each process has statistics of its own
-        optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
-        learn = Step(network, optimizer, SMALL, maps.grid, device, torch.float32, group)
-        mine = [maps[n] for n in range(4)][group.rank :: group.size]
-        losses = learn({name: torch.stack([one[name] for one in mine]) for name in mine[0]}, 1.0)
-        save_tensors(out / f"{group.rank} of {group.size}", network.state_dict(), losses)
-
-
-def free_port() -> int:
-    with socket.socket() as listening:
-        listening.bind(("127.0.0.1", 0))
-        return int(listening.getsockname()[1])
-
-
-def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_path: Path) -> None:
-    """Gradients and losses are means over both; the Eikonal term is a mean of means, so distances are left out."""
-    torchrun = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
-    ranks = [elsewhere(take_a_step, folders, tmp_path, torchrun | {"RANK": str(rank)}) for rank in range(2)]
-    try:
-        take_a_step(folders, tmp_path, {})
-        for rank in ranks:
-            rank.join(timeout=100)
-        assert [rank.exitcode for rank in ranks] == [0, 0]
-    finally:
-        for rank in ranks:  # one waits long for the other
-            rank.kill()
-    one, losses = load_tensors(tmp_path / "0 of 1")
-    for rank in range(2):
-        two, theirs = load_tensors(tmp_path / f"{rank} of 2")
-        assert theirs == pytest.approx(losses, rel=1e-5)
-        for name, tensor in one.items():
-            torch.testing.assert_close(two[name], tensor, atol=1e-6, rtol=1e-5)
-
-
-def test_a_gpu_is_called_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
-    assert device_name(torch.device("cuda", 1)) == "GPU 1"
-    assert "threads" in device_name(torch.device("cpu"))
