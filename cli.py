@@ -311,10 +311,10 @@ def complete(source: Path | str, weights: str, output: Path | None, quiet: bool,
     """Complete a dataset's split, or one scan (.ply, .xyz, .npy: points in metres, z up, sensor at the origin)."""
     from scenegen.dataset.locate import locate
     from scenegen.files import make_parent
-    from scenegen.model.complete import Thresholds
-    from scenegen.model.completer import Completer
-    from scenegen.model.device import choose_device
-    from scenegen.model.predict import predict_scan, predict_split
+    from scenegen.model.completion.completer import Completer
+    from scenegen.model.completion.predictions import predict_scan, predict_split
+    from scenegen.model.completion.protocol import Thresholds
+    from scenegen.model.training.device import choose_device
 
     completer = Completer.from_pretrained(weights, device=choose_device(options["device"]), batch=options["batch"])
     found = locate(source, shown=not quiet)
@@ -350,7 +350,7 @@ def export(weights: str, output: Path | None) -> None:
     """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
     from scenegen.files import make_parent
     from scenegen.model.checkpoint import load_network
-    from scenegen.model.completer import locate
+    from scenegen.model.completion.completer import locate
     from scenegen.model.export import export_onnx
 
     network, grid, about = load_network(locate(weights))

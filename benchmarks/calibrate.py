@@ -18,11 +18,11 @@ import numpy as np
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
-from scenegen.model.bench.methods import Completed, Truth
-from scenegen.model.bench.paper import PLANNING
-from scenegen.model.bench.run import BenchConfig, bench
-from scenegen.model.complete import Returns
-from scenegen.model.planning.config import PlanConfig
+from scenegen.model.completion.unlearned import Returns
+from scenegen.model.evaluation.methods import Completed, Truth
+from scenegen.model.evaluation.paper import PLANNING
+from scenegen.model.evaluation.planning.config import PlanConfig
+from scenegen.model.evaluation.run import BenchConfig, bench
 from scenegen.recipe import make_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds

@@ -16,10 +16,10 @@ import torch
 
 from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.device import autocast, resolve_precision
 from scenegen.model.export import export_onnx
 from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, load_onnx
+from scenegen.model.training.device import autocast, resolve_precision
 
 ROUNDS = 10
 GRID = GridSpec()
@@ -43,16 +43,16 @@ def main() -> None:
             print(f"{variant:<9} stem {stride}:  {cells}", flush=True)
 
 
-def runners(network: Network, threads: int, *, compiled: bool) -> dict[str, Callable[[torch.Tensor], Any]]:
+def runners(network: Network, threads: int, *, compiled: bool) -> dict[str, Callable[[dict[str, torch.Tensor]], Any]]:
     """Every way to run `network`, by name."""
     folder = Path(tempfile.mkdtemp())
     export_onnx(network, GRID, folder / "net.onnx", about={})
     network.to(memory_format=torch.channels_last_3d)
     device = torch.device("cpu")
-    ways: dict[str, Callable[[torch.Tensor], Any]] = {"eager": network}
+    ways: dict[str, Callable[[dict[str, torch.Tensor]], Any]] = {"eager": network}
     if resolve_precision("auto", device) == torch.bfloat16:
 
-        def in_bfloat16(maps: torch.Tensor) -> Any:
+        def in_bfloat16(maps: dict[str, torch.Tensor]) -> Any:
             with autocast(device, torch.bfloat16):
                 return network(maps)
 
@@ -65,9 +65,9 @@ def runners(network: Network, threads: int, *, compiled: bool) -> dict[str, Call
 
 
 @torch.inference_mode()
-def measure(ways: dict[str, Callable[[torch.Tensor], Any]]) -> dict[str, float]:
+def measure(ways: dict[str, Callable[[dict[str, torch.Tensor]], Any]]) -> dict[str, float]:
     """Median milliseconds of each; the ways take turns, so that all meet the same machine."""
-    maps = (torch.rand(1, *GRID.shape, generator=torch.Generator().manual_seed(0)) < 0.02).float()
+    maps = {"observed": (torch.rand(1, *GRID.shape, generator=torch.Generator().manual_seed(0)) < 0.02).float()}
     for run in ways.values():
         run(maps)
     times: dict[str, list[float]] = {name: [] for name in ways}

@@ -11,10 +11,10 @@ from pathlib import Path
 import torch
 
 from scenegen.model.config import VARIANTS, NetworkConfig, TrainConfig
-from scenegen.model.data import Maps, TudfOf, epoch_batches, load
-from scenegen.model.device import Group, choose_device
 from scenegen.model.network import Network
-from scenegen.model.train import Step
+from scenegen.model.training.data import Batch, Maps, TudfOf, epoch_batches, load, opened
+from scenegen.model.training.device import Group, choose_device
+from scenegen.model.training.loop import Step
 
 ROUNDS = 5
 
@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    maps = Maps(options.datasets, "train")
+    maps = Maps(opened(options.datasets, "train"), "train")
     loader(maps, options.batch)
     device = choose_device(options.device)
     batch = next(load(maps, epoch_batches(maps, batch=options.batch, seed=0, epoch=0)[:1], workers=0, pinned=False))
@@ -52,21 +52,21 @@ def loader(maps: Maps, batch: int) -> None:
     batches = epoch_batches(maps, batch=batch, seed=0, epoch=0)[:60]
     for name, tudf_of in (("observed, occupancy", None), ("and distances", TudfOf(maps.grid))):
         begin, cpu = time.perf_counter(), time.process_time()
-        for _, occupancy in load(maps, batches, workers=0, pinned=False):
+        for read in load(maps, batches, workers=0, pinned=False):
             if tudf_of is not None:
-                tudf_of(occupancy)
+                tudf_of(read["occupancy"])
         count = len(batches) * batch
         wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
         print(f"loader, one process, {name}: {count / wall:.0f} samples/s, {count / cpu:.0f} per second of CPU time")
 
 
-def step_ms(learn: Step, batch: tuple[torch.Tensor, torch.Tensor]) -> float:
+def step_ms(learn: Step, batch: Batch) -> float:
     """Median milliseconds a map of a whole step: to the device, forward, losses, backward, update."""
     times = []
     for _ in range(ROUNDS + 2):
         begin = time.perf_counter()
-        learn(*batch, 1e-3)
-        times.append((time.perf_counter() - begin) * 1e3 / len(batch[0]))
+        learn(batch, 1e-3)
+        times.append((time.perf_counter() - begin) * 1e3 / len(batch["occupancy"]))
     return statistics.median(times[2:])
 
 

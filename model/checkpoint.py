@@ -107,7 +107,10 @@ def load_network(path: Path) -> tuple[Network, GridSpec, dict[str, Any]]:
 def network_from(header: Mapping[str, Any]) -> tuple[NetworkConfig, GridSpec]:
     """The network and the grid that a header names. Raises KeyError, TypeError or ValueError where it names none, or
     one that is too large."""
-    config = NetworkConfig(**header["network"])
+    settings = dict(header["network"])  # files of earlier commits name no inputs: they take the default
+    if "inputs" in settings:
+        settings["inputs"] = tuple(settings["inputs"])
+    config = NetworkConfig(**settings)
     grid = GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
     config.check_map(grid.shape)
     return config, grid

@@ -5,17 +5,44 @@ Nothing heavy is imported here, so that the command line can read its options fr
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 from lidarsim.parameters import check, number
 from scenegen.errors import short
 from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_WIDTH
+from scenegen.model.inputs import INPUTS
 
-Variant = Literal["proposed", "occ", "tudf", "dual", "shared"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
-"""Both branches, coupled · occupancy alone · distances alone · both, uncoupled · one decoder with two heads."""
 LEVELS = 3
 TASKS = ("tudf", "occupancy")
+SHARED = ("shared",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """What sets a network apart from the others."""
+
+    tasks: tuple[str, ...]
+    """What it predicts, with a head for each: some of `TASKS`, in their order."""
+    decoders: tuple[str, ...]
+    """Its decoders: one for each task, or `SHARED`."""
+    coupled: bool = False
+    """Whether its two decoders inform each other after every stage."""
+    meaning: str
+    """What it is, for docs/network.md."""
+
+
+VARIANTS = {
+    "proposed": Variant(tasks=TASKS, decoders=TASKS, coupled=True, meaning="the paper's network"),
+    "occ": Variant(tasks=("occupancy",), decoders=("occupancy",), meaning="the paper's OCC-only"),
+    "tudf": Variant(tasks=("tudf",), decoders=("tudf",), meaning="the paper's TUDF-only"),
+    "dual": Variant(tasks=TASKS, decoders=TASKS, meaning="what is left of `proposed` without CrossFusion"),
+    "shared": Variant(tasks=TASKS, decoders=SHARED, meaning="the cheapest network with both outputs"),
+}
+"""Every variant by its name; `scenegen.model.network` builds what is said here."""
+if TYPE_CHECKING:
+    VariantName = str
+else:  # the command line reads its choices from a field's type
+    VariantName = Literal[tuple(VARIANTS)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,20 +50,24 @@ class NetworkConfig:
     """What a network looks like. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
     open."""
 
-    variant: Variant = "proposed"
+    variant: VariantName = "proposed"
     """Which of the paper's three networks, or of the two baselines that it leaves out."""
+    inputs: tuple[str, ...] = ("observed",)
+    """Names of the channels that the network takes, in their order (paper: the voxels that hold a return, alone)."""
     width: int = number(8, least=1, most=MOST_WIDTH, whole=True)
     """Channels at the first level; they double from level to level (paper)."""
     stem_stride: Literal[1, 2] = 2
     """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second, after one at full
     resolution (ours)."""
     heads: int = number(4, least=1, whole=True)
-    """Of the self-attention (ours)."""
+    """Heads of the self-attention (ours)."""
 
     def __post_init__(self) -> None:
         check(self)
         if self.variant not in VARIANTS:
             raise ValueError(f"variant = {short(self.variant)} must be one of {', '.join(VARIANTS)}")
+        if not self.inputs or len(set(self.inputs)) < len(self.inputs) or not set(self.inputs) <= INPUTS.keys():
+            raise ValueError(f"inputs = {short(self.inputs)} must be one or more of {', '.join(INPUTS)}, each once")
         if self.stem_stride not in (1, 2):
             raise ValueError(f"stem_stride = {short(self.stem_stride)} must be 1 or 2")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
@@ -47,8 +78,8 @@ class NetworkConfig:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """What is predicted: of "tudf" and "occupancy", in this order."""
-        return {"occ": TASKS[1:], "tudf": TASKS[:1]}.get(self.variant, TASKS)
+        """What is predicted: some of `TASKS`, in their order."""
+        return VARIANTS[self.variant].tasks
 
     @property
     def stride(self) -> int:
@@ -105,11 +136,11 @@ class TrainConfig:
     batch: int = number(8, least=1, most=MOST_BATCH, whole=True)
     """Maps a step, over all devices (ours)."""
     lr: float = number(1e-3, above=0)
-    """Of AdamW, after the warm-up; then down a cosine (ours)."""
+    """Learning rate of AdamW after the warm-up; from there it falls along a cosine (ours)."""
     warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
     weight_decay: float = number(0.01, least=0)
-    """Of AdamW (ours)."""
+    """Weight decay of AdamW (ours)."""
     clip: float = number(1.0, above=0)
     """Largest norm of a step's gradient (ours)."""
     patience: int = number(10, least=1, whole=True)
@@ -117,10 +148,10 @@ class TrainConfig:
     augment: bool = False
     """Whether maps are turned and mirrored about the sensor at random (ours)."""
     seed: int = number(0, least=0, whole=True)
-    """Of the first weights and the order of samples."""
+    """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Of the network's arithmetic; losses and weights are float32. Auto: bfloat16 where the device has instructions for
-    it."""
+    """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where the device has
+    instructions for it."""
     compile: bool = False
     """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
 

@@ -15,7 +15,7 @@ from scenegen.errors import needs
 from scenegen.files import write_whole
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.network import Network
-from scenegen.model.runtime import HEADER, INPUT, NAMES
+from scenegen.model.runtime import HEADER, NAMES
 
 
 class _Traced(nn.Module):
@@ -25,13 +25,14 @@ class _Traced(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, observed: Tensor) -> tuple[Tensor, ...]:
-        output = self.network(observed)
+    def forward(self, *channels: Tensor) -> tuple[Tensor, ...]:
+        output = self.network(dict(zip(self.network.config.inputs, channels, strict=True)))
         return tuple(part for part in (output.logits, output.tudf) if part is not None)
 
 
 def export_onnx(network: Network, grid: GridSpec, path: Path, *, about: dict[str, Any]) -> None:
-    """Write `network` as ONNX: float32 ``observed`` (B, *grid.shape) → ``logits`` and/or ``tudf``, the same shape.
+    """Write `network` as ONNX: its inputs by name, float32 (B, *grid.shape) each → ``logits`` and/or ``tudf``, the same
+    shape.
 
     Raises CheckpointError for a name that does not end in .onnx, and where onnx is not installed; DatasetError where
     the disk refuses.
@@ -43,15 +44,16 @@ def export_onnx(network: Network, grid: GridSpec, path: Path, *, about: dict[str
         import onnxscript  # noqa: F401 (torch's exporter imports it)
     except ImportError:
         raise CheckpointError(f"{path}: exporting {needs('onnx and onnxscript', 'export')}") from None
+    inputs, batch = network.config.inputs, torch.export.Dim("batch", min=1, max=4096)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of torch's own code, and of the torchvision that is not there
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         program = torch.onnx.export(
             _Traced(network.cpu()).eval(),
-            (torch.zeros(1, *grid.shape),),
-            input_names=[INPUT],
+            tuple(torch.zeros(1, *grid.shape) for _ in inputs),
+            input_names=list(inputs),
             output_names=[name for task, name in NAMES.items() if task in network.config.tasks],
-            dynamic_shapes=({0: torch.export.Dim("batch", min=1, max=4096)},),
+            dynamic_shapes=(tuple({0: batch} for _ in inputs),),
             dynamo=True,
             verbose=False,
         )

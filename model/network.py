@@ -11,13 +11,14 @@ For a map of 80 x 80 x 40 voxels and width 8 (channels x cells):
 Equations are numbered as in docs/network.md, which holds them against this file.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
 
-from scenegen.model.config import LEVELS, TASKS, NetworkConfig
+from scenegen.model.config import LEVELS, TASKS, VARIANTS, NetworkConfig
 
 
 class Output(NamedTuple):
@@ -30,27 +31,27 @@ class Output(NamedTuple):
 
 
 class Network(nn.Module):
-    """Maps observed voxels, (B, X, Y, Z) as numbers 0 and 1, to an `Output` (the paper, section "Coupled
-    TUDF-Occupancy Learning")."""
+    """Maps a named batch, (B, X, Y, Z) for each of the network's inputs, to an `Output` (the paper, section "Coupled
+    TUDF-Occupancy Learning"). Other names in the batch are not looked at."""
 
     def __init__(self, config: NetworkConfig):
         super().__init__()
         self.config = config
         widths = [config.width * 2**level for level in range(LEVELS)]
-        self.preprocess = Preprocess(widths[0], config.stem_stride)
+        self.preprocess = Preprocess(len(config.inputs), widths[0], config.stem_stride)
         self.encoder = nn.ModuleList(
             Encode(below, width, stride=1 if level == 0 else 2)
             for level, (below, width) in enumerate(zip([widths[0], *widths], widths, strict=False))
         )
         self.attention = SelfAttention(widths[-1], config.heads)
-        branches = ("shared",) if config.variant == "shared" else config.tasks
-        self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in branches})
-        self.fusion = nn.ModuleList(CrossFusion(width) for width in widths) if config.variant == "proposed" else None
+        variant = VARIANTS[config.variant]
+        self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in variant.decoders})
+        self.fusion = nn.ModuleList(CrossFusion(width) for width in widths) if variant.coupled else None
         self.head = nn.ModuleDict({task: FinalUp(widths[0]) for task in config.tasks})
 
-    def forward(self, observed: Tensor) -> Output:
+    def forward(self, batch: Mapping[str, Tensor]) -> Output:
         """See the class."""
-        x = self.preprocess(observed.unsqueeze(1))
+        x = self.preprocess(torch.stack([batch[name].float() for name in self.config.inputs], dim=1))
         skips = []
         for encode in self.encoder:
             x = encode(x)
@@ -70,11 +71,11 @@ class Network(nn.Module):
 
 
 class Preprocess(nn.Sequential):
-    """(B, 1, X, Y, Z) → (B, width, X/2, Y/2, Z/2)."""
+    """(B, inputs, X, Y, Z) → (B, width, X/2, Y/2, Z/2)."""
 
-    def __init__(self, width: int, stride: int):
+    def __init__(self, inputs: int, width: int, stride: int):
         super().__init__(
-            *_convolution(1, width, stride=stride),
+            *_convolution(inputs, width, stride=stride),
             *_convolution(width, width, stride=2 // stride),
         )
 

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -23,7 +23,6 @@ from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Output
 from scenegen.workers import guarded
 
-INPUT = "observed"
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
 """Outputs of an ONNX file, by task."""
 HEADER = "scenegen"
@@ -43,14 +42,16 @@ BYTES_A_FEATURE = 100
 Runtime = Literal["openvino", "onnxruntime"]
 RUNTIMES: tuple[Runtime, ...] = ("openvino", "onnxruntime")
 """Fastest first (docs/training.md)."""
-Run = Callable[[NDArray[np.float32]], Sequence[Any]]
+Run = Callable[[Mapping[str, NDArray[np.float32]]], Sequence[Any]]
+"""From a named batch to the outputs, in their order."""
 
 
 def load_onnx(
     path: Path, *, runtime: Runtime | None = None, threads: int = 0
-) -> tuple[Callable[[Tensor], Output], GridSpec, dict[str, Any]]:
-    """A function (B, *grid.shape) → `Output`, the grid, and what is said of the network; `threads` 0 for all cores.
+) -> tuple[Callable[[Mapping[str, Tensor]], Output], "Examined"]:
+    """A function from a named batch, (B, *grid.shape) each, to its `Output`, and what the file holds.
 
+    It runs on `threads` threads, 0 for all cores.
     The fastest runtime that is installed runs it, unless `runtime` names one: OpenVINO computes in bfloat16 where the
     processor can, onnxruntime in float32. Raises CheckpointError for a file that `export_onnx` did not write; see
     `examine`.
@@ -59,15 +60,17 @@ def load_onnx(
     outputs = found.outputs
     run = _open(content, found.runtime, outputs, threads)
 
-    def forward(observed: Tensor) -> Output:
-        values = dict(zip(outputs, run(observed.float().numpy(force=True)), strict=True))
+    def forward(batch: Mapping[str, Tensor]) -> Output:
+        given = {name: batch[name].float().numpy(force=True) for name in found.config.inputs}
+        shape = given[found.config.inputs[0]].shape
+        values = dict(zip(outputs, run(given), strict=True))
         for name, value in values.items():
-            if value.shape != tuple(observed.shape):
-                raise CheckpointError(f"{path}: {name} has shape {value.shape} for maps of {tuple(observed.shape)}")
+            if value.shape != shape:
+                raise CheckpointError(f"{path}: {name} has shape {value.shape} for maps of {shape}")
         logits, tudf = (torch.from_numpy(values[name]) if name in values else None for name in NAMES.values())
         return Output(logits, tudf)
 
-    return forward, found.grid, found.about
+    return forward, found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,8 +153,8 @@ def read_graph(content: bytes) -> dict[str, Any]:
     for name, values in weights.items():
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise CheckpointError(f"{printable(name)[:100]} holds NaN or infinity; export it again")
-    tasks = network_from(header)[0].tasks
-    wanted = {INPUT}, {name for task, name in NAMES.items() if task in tasks}
+    config, _ = network_from(header)
+    wanted = set(config.inputs), {name for task, name in NAMES.items() if task in config.tasks}
     named = {one.name for one in graph.input} - set(weights), {one.name for one in graph.output}
     if named != wanted:
         shown = [", ".join(sorted(names)) or "nothing" for names in (*named, *wanted)]
@@ -190,7 +193,7 @@ def _try(task: tuple[bytes, Examined]) -> None:
     content, found = task
     try:
         run = _open(content, found.runtime, found.outputs, threads=1)
-        values = run(np.zeros((1, *found.grid.shape), np.float32))
+        values = run({name: np.zeros((1, *found.grid.shape), np.float32) for name in found.config.inputs})
     except Exception as error:  # each runtime has its own
         raise CheckpointError(f"{found.runtime} cannot run it: {printable(error)[:200]}") from None
     for name, value in zip(found.outputs, values, strict=True):
@@ -213,8 +216,8 @@ def _openvino(content: bytes, outputs: Sequence[str], threads: int) -> Run:
     core = openvino.Core()
     compiled = core.compile_model(core.read_model(content, b""), "CPU", hints)
 
-    def run(observed: NDArray[np.float32]) -> Sequence[Any]:
-        found = compiled(observed)
+    def run(batch: Mapping[str, NDArray[np.float32]]) -> Sequence[Any]:
+        found = compiled(dict(batch))
         return [np.array(found[name]) for name in outputs]
 
     return run
@@ -227,4 +230,4 @@ def _onnxruntime(content: bytes, outputs: Sequence[str], threads: int) -> Run:
     options.intra_op_num_threads = threads
     options.log_severity_level = 4  # what goes wrong is raised
     session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    return lambda observed: session.run(list(outputs), {INPUT: observed})
+    return lambda batch: session.run(list(outputs), dict(batch))

@@ -14,7 +14,7 @@ from scenegen.model.network import Network
 
 @dataclass(frozen=True, kw_only=True)
 class Cost:
-    """Of one network, for one map."""
+    """What one network costs for one map."""
 
     variant: str
     stem_stride: int
@@ -38,7 +38,7 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> Cost:
     for parameter in network.parameters():  # weights are kept anyway
         kept[parameter.untyped_storage().data_ptr()] = 0
     counter = FlopCounterMode(display=False)
-    maps = torch.zeros(1, *shape)
+    maps = {name: torch.zeros(1, *shape) for name in config.inputs}
     with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), counter:  # fused attention is not counted
         network(maps)
     with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):

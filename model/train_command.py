@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
-from scenegen.model.device import TrainingError, choose_device
-from scenegen.model.train import Watcher, train
+from scenegen.model.training.data import opened
+from scenegen.model.training.device import TrainingError, choose_device
+from scenegen.model.training.loop import Watcher, train
 from scenegen.workers import cores
 
 
@@ -37,7 +38,7 @@ def run_train(
 ) -> None:
     """Train, showing the loss of the last steps, the rate, the time left, and a line an epoch.
 
-    Raises TrainingError for options that no run can have; for the rest see `scenegen.model.train.train`.
+    Raises TrainingError for options that no run can have; for the rest see `scenegen.model.training.loop.train`.
     """
     try:
         config = TrainConfig(
@@ -77,7 +78,8 @@ def run_train(
 
     begin = time.monotonic()
     rows = train(
-        folders,
+        opened(folders, "train"),
+        opened(folders, "val"),
         config,
         out,
         device=str(device),

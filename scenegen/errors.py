@@ -50,6 +50,12 @@ def needs(packages: str, extra: str) -> str:
     return f"needs {packages}; in scenegen's checkout: pip install -e '.[{extra}]'"
 
 
+def empty_split(split: str) -> str:
+    """What to say of a dataset whose `split` holds no samples, and how to get some."""
+    option = "--n" if split == "train" else f"--{split}"
+    return f"its {split} split is empty; generate with {option} (scenes are split by world: give three or more)"
+
+
 def printable(text: object) -> str:
     """`text` as one line that a terminal shows as it is: line ends become spaces, control characters become escapes.
 

@@ -11,7 +11,7 @@ import h5py
 import pytest
 import torch
 
-from scenegen.model.card import SHOWN
+from scenegen.model.evaluation.metrics import METRICS
 from tests.test_cli import run
 from tests.test_cli_bench import here
 
@@ -122,9 +122,11 @@ def test_the_same_command_goes_on_after_a_signal(
     ended, _, error = run(capsys, "train", "--epochs", 999, "--patience", 3, *QUICK)
     assert (ended, "epochs is 1000 there, 999 asked for" in error) == (1, True)
     begun = len((here / "runs" / "proposed" / "metrics.csv").read_text().splitlines()) - 1
-    monkeypatch.setattr("scenegen.model.runfolder.draw_curve", lambda rows: None)
-    fixed = dict.fromkeys((name.removeprefix("val_") for name in SHOWN), 0.0)
-    monkeypatch.setattr("scenegen.model.train.validate", lambda *given: {**fixed, "loss": 1e9})  # patience runs out
+    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+    fixed = dict.fromkeys(METRICS, 0.0)
+    monkeypatch.setattr(
+        "scenegen.model.training.loop.validate", lambda *given: {**fixed, "loss": 1e9}
+    )  # patience runs out
     ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK)
     assert (ended, f"epoch {begun + 1}:" in said, "epoch 1:" in said) == (0, True, begun == 0)
     for words in ((), ("--resume",)):

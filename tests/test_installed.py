@@ -20,7 +20,7 @@ USERS = {
 SCRIPT = """
 import cli, data, docs.notes, model, tests.helpers
 assert [cli.mine, data.mine, docs.notes.mine, model.mine, tests.helpers.mine]
-from scenegen.model.complete import Extrude
+from scenegen.model.completion.unlearned import Extrude
 import lidarsim, scenegen
 print(Extrude.name, scenegen.__version__)
 """

@@ -11,12 +11,13 @@ from typing import Any, Protocol
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError, needs
 from scenegen.files import write_whole
-from scenegen.model.bench.methods import Completed, Method, Truth
-from scenegen.model.bench.predicted import Predicted
-from scenegen.model.bench.reconstruction import METRICS
-from scenegen.model.bench.report import PLAN_METRICS, build_report, to_markdown
-from scenegen.model.bench.run import BenchConfig, bench
-from scenegen.model.complete import UNLEARNED, PredictionError
+from scenegen.model.completion.protocol import PredictionError
+from scenegen.model.completion.unlearned import UNLEARNED
+from scenegen.model.evaluation.methods import Completed, Method, Truth
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.report import build_report, to_markdown
+from scenegen.model.evaluation.run import BenchConfig, bench
 from scenegen.model.provenance import commit
 
 QUICK_SAMPLES, QUICK_TRIALS = 50, 200
@@ -79,7 +80,7 @@ def run_bench(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DatasetError(f"{out}: cannot be made: {error.strerror}; choose another folder with --out") from None
-    write_whole(out / "report.json", (json.dumps(report, indent=1) + "\n").encode())
+    write_whole(out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
     write_whole(out / "report.md", to_markdown(report).encode())
     return report
 
@@ -109,10 +110,10 @@ def choose_methods(names: Sequence[str]) -> list[Method]:
 def _network(weights: str) -> Method:
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
     try:
-        from scenegen.model.pretrained import Pretrained
+        from scenegen.model.evaluation.pretrained import Pretrained
     except ImportError:
         raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
-    return Completed(Pretrained(weights))
+    return Pretrained(weights)
 
 
 def tables(report: dict[str, Any]) -> str:

@@ -31,7 +31,7 @@ def test_what_is_saved_comes_back(saved: tuple[Path, Network]) -> None:
     found, grid, about = load_network(path)
     assert (found.config, grid, about) == (network.config, GRID, {"seed": 3})
     assert not found.training
-    maps = torch.rand(1, *GRID.shape)
+    maps = {"observed": torch.rand(1, *GRID.shape)}
     for one, other in zip(network(maps), found(maps), strict=True):
         assert torch.equal(one, other)
 

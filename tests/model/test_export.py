@@ -14,7 +14,7 @@ import torch
 
 from lidarsim import GridSpec
 from scenegen.model.checkpoint import CheckpointError
-from scenegen.model.completer import Completer
+from scenegen.model.completion.completer import Completer
 from scenegen.model.config import NetworkConfig
 from scenegen.model.export import export_onnx
 from scenegen.model.network import Network
@@ -24,12 +24,18 @@ GRID = GridSpec(shape=(16, 24, 8))
 pytest.importorskip("onnxscript")
 
 
+def seen(batch: int) -> dict[str, torch.Tensor]:
+    """Maps of noise, in another order than the network's."""
+    return {name: torch.rand(batch, *GRID.shape) < 0.1 for name in ("free", "observed")}
+
+
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Network]:
+def exported(free: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Network]:
+    """A network of two inputs, of which one is not the toolkit's, as ONNX."""
     torch.manual_seed(0)
-    network = Network(NetworkConfig(width=4))
+    network = Network(NetworkConfig(width=4, inputs=("observed", "free")))
     for _ in range(3):  # statistics that are not those of a fresh network
-        network.train()(torch.rand(4, *GRID.shape))
+        network.train()(seen(4))
     path = tmp_path_factory.mktemp("onnx") / "net.onnx"
     export_onnx(network.eval(), GRID, path, about={"seed": 0})
     return path, network
@@ -41,11 +47,11 @@ def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str,
     """onnxruntime to rounding; OpenVINO to bfloat16's, which it uses where the processor has it."""
     pytest.importorskip(runtime)
     path, network = exported
-    maps = (torch.rand(batch, *GRID.shape) < 0.1).float()
+    maps = seen(batch)
     with torch.no_grad():
         expected = network(maps)
-    forward, grid, about = load_onnx(path, runtime=runtime, threads=1)
-    assert (grid, about) == (GRID, {"seed": 0})
+    forward, held = load_onnx(path, runtime=runtime, threads=1)
+    assert (held.grid, held.about, held.config) == (GRID, {"seed": 0}, network.config)
     found = forward(maps)
     tolerance = 1e-4 if runtime == "onnxruntime" else 5e-2
     torch.testing.assert_close(found.logits, expected.logits, atol=tolerance, rtol=tolerance)
@@ -54,11 +60,11 @@ def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str,
 
 def test_an_onnx_file_is_a_completer(exported: tuple[Path, Network]) -> None:
     path, network = exported
-    observed = np.random.default_rng(0).random(GRID.shape) < 0.1
-    found = Completer.from_pretrained(path)(observed)
+    maps = seen(1)
+    found = Completer.from_pretrained(path)(maps)
     with torch.no_grad():
-        expected = network(torch.from_numpy(observed[None]).float())
-    np.testing.assert_allclose(found.occupancy_probability, expected.logits[0].sigmoid(), atol=2e-2)
+        expected = network(maps)
+    torch.testing.assert_close(found.occupancy_probability, expected.logits.sigmoid(), atol=2e-2, rtol=0)
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
@@ -103,7 +109,7 @@ def test_outputs_go_by_name_and_not_by_place(exported: tuple[Path, Network], tmp
     pytest.importorskip(runtime)
     path = tmp_path / "swapped.onnx"
     path.write_bytes(changed(exported[0], swap_outputs))
-    maps = (torch.rand(1, *GRID.shape) < 0.1).float()
+    maps = seen(1)
     straight, swapped = (load_onnx(one, runtime=runtime, threads=1)[0](maps) for one in (exported[0], path))
     torch.testing.assert_close(swapped.logits, straight.logits)
     torch.testing.assert_close(swapped.tudf, straight.tudf)
@@ -162,12 +168,15 @@ def point_outside(model: Any) -> None:
     ("change", "said"),
     [
         (set_weight(np.nan), "holds NaN or infinity"),
-        (rename_outputs, "expected observed to logits, tudf"),
+        (rename_outputs, "expected free, observed to logits, tudf"),
         (expand_a_constant, "ConstantOfShape"),
         (let_values_decide_a_size, "operations that no export has"),
         (point_outside, "is not an ONNX file"),
         (set_header(network=None), "its header is damaged"),
-        (set_header(network={"variant": "occ", "width": 4}), "expected observed to logits"),
+        (
+            set_header(network={"variant": "occ", "width": 4}),
+            "to logits, tudf, expected observed to logits",
+        ),
         (set_header(network={"width": 1024}), "width = 1024"),
         (set_header(grid={"shape": [8, 8]}), "its header is damaged"),
         (lambda model: setattr(model.metadata_props[-1], "value", "[" * 100_000), "its header is damaged"),
@@ -199,9 +208,11 @@ def watch(event, given):
         os.write(1, f"{event} {given}\\n".encode())
 sys.addaudithook(watch)
 import numpy as np
-from scenegen.model.completer import Completer
+from scenegen.model.completion.completer import Completer
+from scenegen.model.inputs import INPUTS
+INPUTS["free"] = INPUTS["observed"]
 completer = Completer.from_pretrained(sys.argv[1])
-completer(np.zeros(completer.grid.shape, bool))
+completer({name: np.zeros(completer.grid.shape, bool) for name in completer.inputs})
 assert not hasattr(sys.modules.get("openvino_telemetry"), "Telemetry")
 """
 

@@ -1,5 +1,7 @@
 """The network's shape, its equations, and what sets its variants apart."""
 
+from pathlib import Path
+
 import pytest
 import torch
 from torch import Tensor, nn
@@ -16,10 +18,15 @@ def network(**config: object) -> Network:
     return Network(NetworkConfig(**config)).eval()
 
 
+def seen(batch: int) -> dict[str, Tensor]:
+    """A batch of maps of noise."""
+    return {"observed": torch.rand(batch, *SHAPE)}
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("stem_stride", [1, 2])
 def test_every_variant_predicts_its_tasks_at_full_size(variant: str, stem_stride: int) -> None:
-    output = network(variant=variant, stem_stride=stem_stride)(torch.rand(2, *SHAPE))
+    output = network(variant=variant, stem_stride=stem_stride)(seen(2))
     tasks = {name for name, part in (("occupancy", output.logits), ("tudf", output.tudf)) if part is not None}
     assert tasks == {"occ": {"occupancy"}, "tudf": {"tudf"}}.get(variant, {"occupancy", "tudf"})
     for part in output:
@@ -30,7 +37,7 @@ def test_every_variant_predicts_its_tasks_at_full_size(variant: str, stem_stride
 def reaches(variant: str, task: str, branch: str) -> bool:
     """Whether the prediction of `task` depends on the weights of the decoder of `branch`."""
     net = network(variant=variant)
-    output = net(torch.rand(1, *SHAPE))
+    output = net(seen(1))
     part = output.logits if task == "occupancy" else output.tudf
     assert part is not None
     part.sum().backward()
@@ -94,8 +101,8 @@ def test_attention_looks_everywhere() -> None:
 
 def test_maps_of_a_batch_do_not_touch() -> None:
     net = network()
-    maps = (torch.rand(3, *SHAPE) < 0.1).float()
-    together, alone = net(maps), net(maps[1:2])
+    maps = seen(3)["observed"] < 0.1
+    together, alone = net({"observed": maps}), net({"observed": maps[1:2]})
     torch.testing.assert_close(together.logits[1:2], alone.logits, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(together.tudf[1:2], alone.tudf, atol=1e-5, rtol=1e-4)
 
@@ -122,3 +129,9 @@ def test_costs_are_what_the_layers_add_up_to() -> None:
     assert found.macs == macs
     assert found.parameters == 179_496
     assert found.activation_bytes > 4 * 10 * 8 * cells[0]
+
+
+def test_the_docs_name_every_variant_as_it_is() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "network.md").read_text(encoding="utf-8")
+    for name, one in VARIANTS.items():
+        assert f"| `{name}` | {', '.join(one.decoders)} | {', '.join(one.tasks)} | {one.meaning} |\n" in text

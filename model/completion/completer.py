@@ -1,0 +1,188 @@
+"""A trained network as one object: partial maps in, predictions out.
+
+completer = Completer.from_pretrained("proposed")
+prediction = completer(observed)  # (80, 80, 40) or (B, 80, 80, 40), bool
+prediction.occupancy_probability, prediction.tudf  # the same shape, float32; metres
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from lidarsim import GridSpec
+from scenegen.dataset.locate import client_output, without_tokens
+from scenegen.errors import needs
+from scenegen.model.checkpoint import CheckpointError, load_network
+from scenegen.model.completion.protocol import Prediction, check_prediction
+from scenegen.model.inputs import INPUTS
+from scenegen.model.network import Output
+from scenegen.model.runtime import load_onnx
+
+BUNDLED = Path(__file__).parents[1] / "weights"
+"""Where the networks lie that come with scenegen."""
+HUB = "hf://"
+Maps: TypeAlias = NDArray[Any] | Tensor
+NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
+"""What a run's folder, or a repository, calls its network."""
+
+
+class Completer:
+    """A network with the grid it was trained on. It is a `MapCompleter`, too, so it can be a row of the bench."""
+
+    def __init__(
+        self,
+        forward: Callable[[Mapping[str, Tensor]], Output],
+        grid: GridSpec,
+        *,
+        name: str,
+        inputs: Sequence[str] = ("observed",),
+        about: Mapping[str, Any] | None = None,
+        batch: int = 8,
+    ):
+        self.grid = grid
+        self.name = name
+        """How the network is called in tables."""
+        self.inputs = tuple(inputs)
+        """What it has to be shown of a map: names of `scenegen.model.inputs`."""
+        self.about = dict(about or {})
+        """What is known of its training: settings, versions, validation figures."""
+        self._forward = forward
+        self._batch = batch
+
+    @classmethod
+    def from_pretrained(
+        cls, name: str | Path, *, device: str | torch.device = "cpu", batch: int = 8, threads: int = 0
+    ) -> "Completer":
+        """The network called `name`: one that comes with scenegen ("proposed", "occ", "tudf"), a .safetensors file, a
+        run's folder, an .onnx file, which runs on the CPU, or ``hf://user/name[@revision]``, which alone is fetched.
+
+        At most `batch` maps are completed at once; an .onnx file runs on `threads` threads, 0 for all. Raises
+        CheckpointError where there is none, or it is damaged.
+        """
+        path = locate(name)
+        title = called(name, path)
+        if path.suffix == ".onnx":
+            run, found = load_onnx(path, threads=threads)
+            return cls(run, found.grid, name=title, inputs=found.config.inputs, about=found.about, batch=batch)
+        network, grid, about = load_network(path)
+        network.to(device, memory_format=torch.channels_last_3d)
+
+        def forward(maps: Mapping[str, Tensor]) -> Output:
+            return Output(*network({name: values.to(device) for name, values in maps.items()}))
+
+        return cls(forward, grid, name=title, inputs=network.config.inputs, about=about, batch=batch)
+
+    def __call__(self, maps: Maps | Mapping[str, Maps]) -> Prediction:
+        """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
+
+        `maps` are the observed voxels, or a named batch where the network has other `inputs`: numpy or torch, numbers 0
+        and 1 or bool where an input is binary. What comes back has the same shape and is float32, numpy for numpy and
+        torch for torch (on the same device); distances are metres, at most the truncation; what the network's variant
+        does not predict is None. Raises ValueError where an input is missing, for another grid, or for values that an
+        input cannot hold; PredictionError where the network says NaN, or what is no probability or distance.
+        """
+        batch: Mapping[str, Maps] = maps if isinstance(maps, Mapping) else {"observed": maps}
+        if missing := [name for name in self.inputs if name not in batch]:
+            raise ValueError(f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not given")
+        given = {name: self._checked(name, batch[name]) for name in self.inputs}
+        shapes = {tuple(values.shape) for values in given.values()}
+        if len(shapes) > 1:
+            raise ValueError(f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one")
+        (shape,) = shapes
+        flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
+        split = [values.split(self._batch) for values in flat.values()]
+        parts = [self._complete(dict(zip(flat, part, strict=True))) for part in zip(*split, strict=True)]
+        joined = [None if part[0] is None else torch.cat(part).reshape(shape) for part in zip(*parts, strict=True)]
+        check_prediction(Prediction(*joined), shape, self.name)
+        first = batch[self.inputs[0]]
+        if isinstance(first, Tensor):
+            return Prediction(*(None if part is None else part.to(first.device) for part in joined))
+        return Prediction(*(None if part is None else part.numpy(force=True) for part in joined))
+
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network takes other inputs."""
+        self.check_grid(grid)
+        return self({"observed": observed, "free": free})
+
+    def check_grid(self, grid: GridSpec) -> None:
+        """Raise ValueError unless the network completes maps on `grid`."""
+        if grid != self.grid:
+            raise ValueError(f"{self.name} completes maps on {self.grid}, these are on {grid}")
+
+    def _checked(self, name: str, maps: Maps) -> Tensor:
+        """An input as a tensor, if it can be one."""
+        given = maps if isinstance(maps, Tensor) else torch.from_numpy(np.ascontiguousarray(maps))
+        if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
+            raise ValueError(
+                f"{name} has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, *{self.grid.shape}): "
+                f"{self.name} completes maps of voxels of {self.grid.voxel_m} m, indexed x, y, z"
+            )
+        if not given.numel():
+            raise ValueError(f"{name} holds no map; give at least one")
+        if INPUTS[name].binary:
+            if given.dtype != torch.bool and not ((given == 0) | (given == 1)).all():
+                raise ValueError(f"{name} holds values other than 0 and 1; expected a mask of voxels")
+        elif not given.isfinite().all():
+            raise ValueError(f"{name} holds NaN or infinity; expected finite numbers")
+        return given
+
+    @torch.inference_mode()
+    def _complete(self, maps: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None]:
+        output = self._forward(maps)
+        probability = None if output.logits is None else output.logits.sigmoid()
+        tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
+        return probability, tudf
+
+
+def called(name: str | Path, path: Path) -> str:
+    """What the network `name`, found at `path`, is called in tables: by its file, its run, or its repository."""
+    if str(name).startswith(HUB):
+        return str(name).removeprefix(HUB).partition("@")[0].rpartition("/")[2]
+    return path.resolve().parent.name if path.name in NAMES_IN_FOLDER else path.stem
+
+
+def bundled() -> list[str]:
+    """Names of the networks that come with scenegen."""
+    return sorted(path.stem for path in BUNDLED.glob("*.safetensors"))
+
+
+def locate(name: str | Path) -> Path:
+    """The file of the network called `name`; see `Completer.from_pretrained`.
+
+    Raises CheckpointError where there is none. Only names that begin with ``hf://`` reach for the network.
+    """
+    if str(name).startswith(HUB):
+        return _fetch(str(name))
+    if str(name) in bundled():
+        return BUNDLED / f"{name}.safetensors"
+    path = Path(name)
+    if path.is_dir():
+        for inside in NAMES_IN_FOLDER:
+            if (path / inside).is_file():
+                return path / inside
+        raise CheckpointError(f"{path}: a folder without {' or '.join(NAMES_IN_FOLDER)}; give a run's folder or a file")
+    if path.is_file():
+        return path
+    hint = f"; a repository on the Hub is {HUB}{name}" if re.fullmatch(r"[\w.-]+/[\w.-]+", str(name)) else ""
+    known = f"known names are {', '.join(bundled())}" if bundled() else "none comes with this scenegen"
+    raise CheckpointError(f"{name}: no such network: {known}; or give a .safetensors file, or a run's folder{hint}")
+
+
+def _fetch(name: str) -> Path:
+    """A repository's network, through the Hub's cache."""
+    repository, _, revision = name.removeprefix(HUB).partition("@")
+    try:
+        from huggingface_hub import hf_hub_download
+    except ImportError:
+        raise CheckpointError(f"{name}: {needs('huggingface_hub', 'publish')}") from None
+    try:
+        with client_output(shown=False):
+            return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
+    except Exception as error:  # its errors share no base
+        raise CheckpointError(f"{name}: cannot be fetched: {without_tokens(error)}") from None

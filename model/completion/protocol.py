@@ -1,0 +1,104 @@
+"""What a completion is, and the one protocol of everything that completes a map.
+
+A completer sees what one scan tells of a map and says what is there. What it leaves out is derived as the paper does
+for its single-task networks: distances by the transform of the predicted occupancy, occupancy by a threshold on the
+distance.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from lidarsim.parameters import check, number
+from scenegen.errors import ScenegenError
+from scenegen.truth import distance_field
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
+
+    probability: float = number(0.85, least=0, most=1)
+    """A voxel is occupied from this probability on."""
+    distance_m: float = number(0.2, least=0)
+    """A voxel is occupied below this distance, where no probability is predicted, metres."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a method says about a map, or a batch of them; at least one of the two is given. Raises ValueError where
+    neither is."""
+
+    occupancy_probability: Any = None
+    """float32 (*shape), numpy or torch: the probability of being occupied, from 0 to 1."""
+    tudf: Any = None
+    """float32 (*shape), numpy or torch: distance to the nearest occupied voxel's centre, metres."""
+
+    def __post_init__(self) -> None:
+        if self.occupancy_probability is None and self.tudf is None:
+            raise ValueError("a completion needs a probability of occupancy, a distance, or both")
+
+    def occupied(self, thresholds: Thresholds) -> NDArray[np.bool_]:
+        """The binary map, (*shape)."""
+        if self.occupancy_probability is not None:
+            return self.occupancy_probability >= np.float32(thresholds.probability)
+        assert self.tudf is not None
+        return self.tudf < np.float32(thresholds.distance_m)
+
+    def distance(self, thresholds: Thresholds, grid: GridSpec) -> NDArray[np.float32]:
+        """The distance field, (*shape), metres, at most the truncation."""
+        if self.tudf is not None:
+            return np.minimum(self.tudf, np.float32(grid.truncation_m))
+        return distance_field(self.occupied(thresholds), grid)
+
+
+class PredictionError(ScenegenError):
+    """A method says of a map what no completion can be."""
+
+
+PARTS = {"occupancy_probability": ("a probability from 0 to 1", 1.0), "tudf": ("a distance of at least 0", np.inf)}
+"""Parts of a prediction: what each voxel's number is, and the most it may be."""
+
+
+def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction:
+    """`found`, if it is a `Prediction` whose parts are numpy or torch arrays of `shape` that hold what they should.
+
+    Every number is finite, probabilities lie in [0, 1], and no distance is negative; distances beyond the truncation
+    are allowed. Raises PredictionError, naming `who` predicts, for anything else.
+    """
+    if not isinstance(found, Prediction):
+        raise PredictionError(
+            f"{who}: gives {type(found).__name__}, expected a scenegen.model.completion.protocol.Prediction"
+        )
+    for name, (what, most) in PARTS.items():
+        values = getattr(found, name)
+        if values is None:
+            continue
+        if tuple(getattr(values, "shape", ())) != tuple(shape):
+            held = f"an array of shape {tuple(values.shape)}" if hasattr(values, "shape") else type(values).__name__
+            raise PredictionError(f"{who}: {name} is {held}, expected an array of shape {tuple(shape)}")
+        if isinstance(values, np.ndarray) and values.dtype.kind not in "fiub":
+            raise PredictionError(f"{who}: {name} holds {values.dtype}, expected float32")
+        low, high = float(values.min()), float(values.max())  # NaN, if any voxel holds it
+        if not (low >= 0 and high <= most and high < np.inf):
+            wrong = low if low < 0 else high
+            held = f"{wrong:g}" if np.isfinite(wrong) else "NaN or infinity"
+            raise PredictionError(f"{who}: {name} holds {held}, expected {what} in every voxel")
+    return found
+
+
+class MapCompleter(Protocol):
+    """Anything that completes a map. A method of your own is a class with these two."""
+
+    name: str
+    """How the method is called in tables."""
+
+    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+        """Complete one map from its observed and free voxels, (*grid.shape) each."""
+        ...

@@ -1,0 +1,105 @@
+"""Every metric once: validation, tables, tests between methods, cards and docs take from here what they say of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from scenegen.model.evaluation.planning.measure import Measurement
+
+NAN = float("nan")
+
+
+class Sums(NamedTuple):
+    """Sums over some voxels of one map; errors are predicted less true distances, metres."""
+
+    voxels: float
+    error: float
+    size: float
+    """Absolute errors."""
+    square: float
+    near: float
+    """Voxels near an obstacle; the next three are over these alone."""
+    near_error: float
+    near_size: float
+    near_square: float
+    hits: float
+    """Voxels that are occupied and predicted to be."""
+    alarms: float
+    """Voxels that are predicted to be occupied, and are not."""
+    misses: float
+    """Voxels that are occupied, and not predicted to be."""
+
+    def share(self, part: float, whole: float) -> float:
+        """`part` of `whole`; 0 of nothing, and 1 where nothing is occupied and nothing predicted."""
+        nothing = self.hits + self.alarms + self.misses == 0
+        return 1.0 if nothing else part / whole if whole else 0.0
+
+
+def _mean(total: float, count: float) -> float:
+    return total / count if count else NAN
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """One figure of a map, or of a trial."""
+
+    title: str
+    """What people call it."""
+    of: Callable[[Any], float]
+    """Its value for a map's `Sums`, or for a trial's `Measurement`; NaN where there is nothing to measure."""
+    needs: Literal["distance", "occupancy", "trial", "path"]
+    """Which part of a prediction it judges; or whether every trial has a value, or only one that found a path."""
+    better: Literal["higher", "lower", "nearer to 0"]
+    unit: str = ""
+    paper: bool = False
+    """Whether the paper's table has it (`scenegen.model.evaluation.paper`)."""
+    tested: tuple[Literal["map", "unobserved"], ...] = ()
+    """The voxels over which methods are compared in pairs by it: of the whole map, or the unknown ones; in planning,
+    "map" means all trials."""
+
+    @property
+    def label(self) -> str:
+        """Title and unit."""
+        return ", ".join(filter(None, (self.title, self.unit)))
+
+
+def _distance(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
+    return Metric(title=title, of=of, needs="distance", unit="m", paper=True, **{"better": "lower", **more})
+
+
+def _occupancy(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
+    return Metric(title=title, of=of, needs="occupancy", better="higher", paper=True, **more)
+
+
+METRICS: dict[str, Metric] = {
+    "rmse": _distance("RMSE", lambda s: _mean(s.square, s.voxels) ** 0.5),
+    "mae": _distance("MAE", lambda s: _mean(s.size, s.voxels)),
+    "near_rmse": _distance("Near-RMSE", lambda s: _mean(s.near_square, s.near) ** 0.5, tested=("map",)),
+    "near_mae": _distance("Near-MAE", lambda s: _mean(s.near_size, s.near), tested=("map",)),
+    "bias": _distance("bias", lambda s: _mean(s.error, s.voxels), better="nearer to 0"),
+    "near_bias": _distance("Near-bias", lambda s: _mean(s.near_error, s.near), better="nearer to 0"),
+    "iou": _occupancy("IoU", lambda s: s.share(s.hits, s.hits + s.alarms + s.misses), tested=("map", "unobserved")),
+    "f1": _occupancy("F1", lambda s: s.share(2 * s.hits, 2 * s.hits + s.alarms + s.misses), tested=("map",)),
+    "precision": _occupancy("precision", lambda s: s.share(s.hits, s.hits + s.alarms)),
+    "recall": _occupancy("recall", lambda s: s.share(s.hits, s.hits + s.misses)),
+}
+"""Reconstruction: the paper's ten, section "Quantitative Reconstruction Results"."""
+
+
+def _trial(title: str, of: Callable[[Measurement], float], **more: Any) -> Metric:
+    return Metric(title=title, of=of, **{"needs": "path", "better": "higher", "paper": True, "unit": "m", **more})
+
+
+PLAN_METRICS: dict[str, Metric] = {
+    "success": _trial("success", lambda trial: trial.success, needs="trial", unit="", tested=("map",)),
+    "length": _trial("length", lambda trial: trial.length_m, better="lower"),
+    "min_clearance": _trial("least clearance", lambda trial: trial.min_clearance_m),
+    "avg_clearance": _trial("mean clearance", lambda trial: trial.mean_clearance_m),
+}
+"""Planning: the paper's four, section "Planning with Predicted Distance Fields"."""
+PLAN_READINGS: dict[str, Metric] = {
+    "waypoints_clear": _trial(
+        "waypoints clear", lambda trial: trial.waypoints_clear, needs="trial", unit="", paper=False
+    ),
+}
+"""Second readings of those, in the report's figures and not in its tables."""

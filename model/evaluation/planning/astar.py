@@ -1,0 +1,173 @@
+"""A* on a lattice of voxel centres: the shortest path on a collision map."""
+
+import heapq
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarsim.grid import GridSpec
+from lidarsim.jit import kernel
+from scenegen.model.evaluation.planning.config import PlanConfig
+
+TIE = 1e-9
+"""Paths whose lengths differ by less, in lattice steps, are equally long: what differs is rounding."""
+
+Blocked = Literal["start_blocked", "goal_blocked", "no_path"]
+
+
+class Plan(NamedTuple):
+    """What a search gave: a path, or why there is none."""
+
+    waypoints: NDArray[np.float64] | None
+    """(n, 3): from the start to the goal, a node each, map frame, metres."""
+    reason: Blocked | None
+    """None where there is a path."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Every `step`-th voxel of a grid in each direction, counted from the middle one, shape // 2, where paths start.
+
+    Nodes are numbered (a, b, c) from the least corner. The paper's "step size" of 0.6 m at the default grid gives
+    27 x 27 x 13 nodes.
+    """
+
+    grid: GridSpec
+    step: int
+    """Voxels from node to node."""
+
+    @property
+    def first(self) -> NDArray[np.int64]:
+        """Voxel (3,) of node (0, 0, 0)."""
+        return np.array([n // 2 % self.step for n in self.grid.shape])
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Nodes along x, y and z."""
+        nx, ny, nz = (1 + (n - 1 - n // 2 % self.step) // self.step for n in self.grid.shape)
+        return nx, ny, nz
+
+    @property
+    def start(self) -> NDArray[np.int64]:
+        """The start's node (3,): its voxel is shape // 2, whose least corner is the middle of an even grid."""
+        return np.array([n // 2 // self.step for n in self.grid.shape])
+
+    def voxels(self, nodes: ArrayLike) -> NDArray[np.int64]:
+        """Voxels (..., 3) of `nodes` (..., 3)."""
+        return self.first + self.step * np.asarray(nodes, dtype=np.int64)
+
+    def centres(self, nodes: ArrayLike) -> NDArray[np.float64]:
+        """Points (..., 3) of `nodes` (..., 3): their voxels' centres, map frame, metres."""
+        return np.asarray((self.voxels(nodes) + 0.5) * self.grid.voxel_m)
+
+    def node_at(self, point: ArrayLike) -> NDArray[np.int64]:
+        """The node (3,) whose point is `point` (3,). Raises ValueError where there is none within 1e-6 m."""
+        point = np.asarray(point, dtype=np.float64)
+        if point.shape != (3,) or not np.isfinite(point).all():
+            raise ValueError(f"goal = {point.tolist()} must be three finite metres in the map frame")
+        node = np.rint((point / self.grid.voxel_m - 0.5 - self.first) / self.step).astype(np.int64)
+        if (node < 0).any() or (node >= self.shape).any() or np.abs(self.centres(node) - point).max() > 1e-6:
+            raise ValueError(
+                f"goal = {point.tolist()} is no node of the lattice: expected the centre of a voxel that lies a "
+                f"multiple of {self.step} voxels from {[n // 2 for n in self.grid.shape]} within {self.grid.shape}"
+            )
+        return node
+
+
+def plan_path(occupied: NDArray[np.bool_], goal: ArrayLike, grid: GridSpec, config: PlanConfig) -> Plan:
+    """The shortest path through free nodes from the map's middle to `goal` (3,), a node's point, map frame, metres.
+
+    `occupied` (*grid.shape) is the binary collision map. A node is free when its voxel is; every node has up to 26
+    neighbours, as far away as they are in space (the paper's section "Planning Evaluation", and `Lattice`). With
+    `config.edge_check` the voxels that the segment between two nodes meets with positive length must be free, too.
+    The answer is exact, and the same on every run: of two equally long ways to a node the first found stands, and of
+    two nodes equally far by length and estimate the farther from the start, then the lower number, comes first.
+
+    Raises ValueError where `goal` is no node or the map's shape is not the grid's.
+    """
+    occupied = checked(occupied, "occupied", grid, np.bool_)
+    lattice = Lattice(grid, config.step_voxels)
+    start, end = lattice.start, lattice.node_at(goal)
+    if occupied[tuple(lattice.voxels(start))]:
+        return Plan(None, "start_blocked")
+    if occupied[tuple(lattice.voxels(end))]:
+        return Plan(None, "goal_blocked")
+    nodes = _search(occupied, lattice.first, np.array(lattice.shape), lattice.step, start, end, config.edge_check)
+    return Plan(lattice.centres(nodes), None) if len(nodes) else Plan(None, "no_path")
+
+
+def checked(values: NDArray, name: str, grid: GridSpec, dtype: type) -> NDArray:
+    """`values` as a contiguous array of `dtype`. Raises ValueError where its shape is not the grid's."""
+    values = np.ascontiguousarray(values, dtype=dtype)
+    if values.shape != grid.shape:
+        raise ValueError(f"{name}: shape {values.shape} must be the grid's, {grid.shape}")
+    return values
+
+
+@kernel
+def _search(occupied, first, shape, step, start, goal, edge_check):
+    """Nodes (n, 3) from `start` to `goal`, both free; (0, 3) where no path is. Lengths are in lattice steps.
+
+    The straight line to the goal never exceeds what is left of a path, nor falls by more than an edge is long, so the
+    first arrival is the shortest.
+    """
+    nb, nc = shape[1], shape[2]
+    length = np.full(shape[0] * nb * nc, np.inf)
+    parent = np.full(len(length), -1, np.int32)
+    origin = (start[0] * nb + start[1]) * nc + start[2]
+    target = (goal[0] * nb + goal[1]) * nc + goal[2]
+    length[origin] = 0.0
+    heap = [(0.0, 0.0, origin)]
+    while len(heap) > 0:
+        _, walked, node = heapq.heappop(heap)
+        walked = -walked
+        if node == target:
+            break
+        if walked > length[node]:
+            continue
+        a, b, c = node // (nb * nc), node // nc % nb, node % nc
+        for i in range(max(a - 1, 0), min(a + 2, shape[0])):
+            for j in range(max(b - 1, 0), min(b + 2, nb)):
+                for k in range(max(c - 1, 0), min(c + 2, nc)):
+                    there = (i * nb + j) * nc + k
+                    reached = walked + math.sqrt(abs(i - a) + abs(j - b) + abs(k - c))
+                    if reached > length[there] - TIE:
+                        continue
+                    x, y, z = first[0] + step * i, first[1] + step * j, first[2] + step * k
+                    if occupied[x, y, z]:
+                        continue
+                    if edge_check and not _edge_is_free(occupied, x, y, z, a - i, b - j, c - k, step):
+                        continue
+                    left = math.sqrt((goal[0] - i) ** 2 + (goal[1] - j) ** 2 + (goal[2] - k) ** 2)
+                    length[there] = reached
+                    parent[there] = node
+                    heapq.heappush(heap, (reached + left, -reached, there))
+    if not math.isfinite(length[target]):
+        return np.empty((0, 3), np.int64)
+    count = 1
+    node = target
+    while node != origin:
+        node = parent[node]
+        count += 1
+    path = np.empty((count, 3), np.int64)
+    node = target
+    for n in range(count - 1, -1, -1):
+        path[n, 0], path[n, 1], path[n, 2] = node // (nb * nc), node // nc % nb, node % nc
+        node = parent[node]
+    return path
+
+
+@kernel
+def _edge_is_free(occupied, x, y, z, dx, dy, dz, step):
+    """Whether the voxels between two nodes are free: from (x, y, z) `step` voxels along (dx, dy, dz), each -1, 0 or 1.
+
+    From centre to centre along such a direction a segment runs through the voxels stepped on here and, at corners
+    and edges, past the others without entering them, so no other meets it with positive length.
+    """
+    for n in range(1, step):  # noqa: SIM110 (numba knows no all() of a generator)
+        if occupied[x + n * dx, y + n * dy, z + n * dz]:
+            return False
+    return True

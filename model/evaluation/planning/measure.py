@@ -1,0 +1,128 @@
+"""One trial: a path planned and refined on a predicted map, and judged in the truth."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarsim.grid import GridSpec
+from lidarsim.jit import kernel
+from scenegen.model.evaluation.planning.astar import Blocked, checked, plan_path
+from scenegen.model.evaluation.planning.config import PlanConfig
+from scenegen.model.evaluation.planning.refine import field_at, refine
+
+Cause = Blocked | Literal["initial_collides", "refined_into_obstacle"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """What a trial gave. Lengths and clearances are NaN where no path was found."""
+
+    success: bool
+    """A path was found, and no point of it, sampled every `sample_m`, lies in an occupied voxel of the truth."""
+    waypoints_clear: bool
+    """The second reading: a path was found, and none of its waypoints lies in an occupied voxel of the truth."""
+    length_m: float
+    """Length of the refined path, metres."""
+    min_clearance_m: float
+    """Least value of the truth's TUDF at those points, metres: "Euclidean distance to the nearest obstacle using the
+    ground-truth TUDF ... along each trajectory" (the paper), to voxel centres and at most the truncation."""
+    mean_clearance_m: float
+    """Its mean along the path's length (trapezoidal rule between the points), metres."""
+    cause: Cause | None
+    """Why the trial failed; None for a success. `start_blocked`, `goal_blocked` and `no_path` are the predicted map's;
+    `initial_collides`: A*'s path, too, meets an occupied voxel of the truth; `refined_into_obstacle`: it does not."""
+
+
+def run_trial(
+    occupied_pred: NDArray[np.bool_],
+    tudf_pred: NDArray[np.floating],
+    occupancy_truth: NDArray[np.bool_],
+    tudf_truth: NDArray[np.floating],
+    goal: ArrayLike,
+    grid: GridSpec,
+    config: PlanConfig,
+) -> Measurement:
+    """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps (*grid.shape); judge in
+    the truth (*grid.shape). Distances are metres. The paper's section "Planning with Predicted Distance Fields"."""
+    initial, reason = plan_path(occupied_pred, goal, grid, config)
+    if initial is None:
+        return Measurement(
+            success=False,
+            waypoints_clear=False,
+            length_m=math.nan,
+            min_clearance_m=math.nan,
+            mean_clearance_m=math.nan,
+            cause=reason,
+        )
+    truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
+    distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
+    refined = refine(initial, tudf_pred, grid, config)
+    gap, smooth = config.sample_m, config.clearance == "trilinear"
+    clear, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m, gap, smooth)
+    cause: Cause | None = None
+    if not clear:
+        initial_clear = _walk(initial, truth, distance, grid.voxel_m, gap, smooth)[0]
+        cause = "refined_into_obstacle" if initial_clear else "initial_collides"
+    return Measurement(
+        success=clear,
+        waypoints_clear=_waypoints_clear(refined, truth, grid.voxel_m),
+        length_m=length_m,
+        min_clearance_m=min_m,
+        mean_clearance_m=mean_m,
+        cause=cause,
+    )
+
+
+@kernel
+def _walk(path, occupancy, tudf, voxel_m, sample_m, smooth):
+    """Judge `path` (n, 3) at its waypoints and, between two, at equally spaced points at most `sample_m` apart.
+
+    Returns whether none lies in an occupied voxel; the path's length; the least and the mean of `tudf` along it.
+    """
+    clear = not _voxel(occupancy, path[0], voxel_m)
+    before = _distance(tudf, path[0], voxel_m, smooth)
+    length, least, total = 0.0, before, 0.0
+    point = np.empty(3)
+    for n in range(len(path) - 1):
+        leg = path[n + 1] - path[n]
+        reach = math.sqrt(leg[0] * leg[0] + leg[1] * leg[1] + leg[2] * leg[2])
+        pieces = max(math.ceil(reach / sample_m - 1e-9), 1)
+        for piece in range(1, pieces + 1):
+            for axis in range(3):
+                point[axis] = path[n, axis] + leg[axis] * (piece / pieces)
+            clear = clear and not _voxel(occupancy, point, voxel_m)
+            here = _distance(tudf, point, voxel_m, smooth)
+            least = min(least, here)
+            total += 0.5 * (before + here) * reach / pieces
+            before = here
+        length += reach
+    return clear, length, least, total / length if length > 0.0 else before
+
+
+@kernel
+def _waypoints_clear(path, occupancy, voxel_m):
+    for n in range(len(path)):  # noqa: SIM110 (numba knows no all() of a generator)
+        if _voxel(occupancy, path[n], voxel_m):
+            return False
+    return True
+
+
+@kernel
+def _distance(tudf, point, voxel_m, smooth):
+    """The field at a point: between voxel centres if `smooth`, or the value of the voxel that holds it."""
+    if smooth:
+        return field_at(tudf, point[0], point[1], point[2], voxel_m)[0]
+    return np.float64(_voxel(tudf, point, voxel_m))
+
+
+@kernel
+def _voxel(grid, point, voxel_m):
+    """The value of the voxel that holds a point of the map; the map's last faces belong to its last voxels."""
+    nx, ny, nz = grid.shape
+    i = min(max(math.floor(point[0] / voxel_m), 0), nx - 1)
+    j = min(max(math.floor(point[1] / voxel_m), 0), ny - 1)
+    k = min(max(math.floor(point[2] / voxel_m), 0), nz - 1)
+    return grid[i, j, k]

@@ -1,0 +1,45 @@
+"""A network as a row of the bench: it travels to worker processes by name, and each opens it once."""
+
+from functools import cache
+from typing import Any
+
+import torch
+
+from lidarsim import GridSpec
+from scenegen.errors import DatasetError, printable
+from scenegen.model.completion.completer import Completer, called, locate
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.inputs import fields_for, of_sample
+from scenegen.model.runtime import examine
+from scenegen.sample import Sample
+
+
+class Pretrained:
+    """The network called `weights` (see `Completer.from_pretrained`), on one thread of the CPU.
+
+    Workers are many, and are forked: a pool of threads of their own would neither help nor survive. Raises
+    CheckpointError where there is no such network.
+    """
+
+    def __init__(self, weights: str):
+        self._path = locate(weights)
+        if self._path.suffix == ".onnx":  # the workers must not start processes of their own
+            examine(self._path)
+        self.name = printable(called(weights, self._path))
+        """How the network is called in tables, in one line."""
+
+    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+        """See `Method.completion`. Raises DatasetError for another grid."""
+        torch.set_num_threads(1)
+        completer = _opened(str(self._path))
+        fields = {name: getattr(sample, name) for name in fields_for(completer.inputs)}
+        try:
+            completer.check_grid(grid)
+            return completer(of_sample(completer.inputs, fields, grid, lidar))
+        except ValueError as error:
+            raise DatasetError(str(error)) from None
+
+
+@cache
+def _opened(path: str) -> Completer:
+    return Completer.from_pretrained(path, threads=1)

@@ -1,0 +1,88 @@
+"""Table I: how near a completion comes to the truth, voxel by voxel."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.jit import kernel
+from lidarsim.parameters import check, number
+from scenegen.model.evaluation.metrics import METRICS, Sums
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionConfig:
+    """What counts as near."""
+
+    near_m: float = number(1.0, least=0)
+    """Voxels whose true distance is at most this are near an obstacle, metres."""
+    strict: bool = False
+    """Whether voxels exactly at `near_m` are not near; on the default grid they are an eighth of the near ones."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def measure(
+    occupied: NDArray[np.bool_],
+    distance: NDArray[np.float32],
+    true_occupancy: NDArray[np.bool_],
+    true_distance: NDArray[np.float32],
+    *,
+    classes: NDArray[np.uint8],
+    class_count: int,
+    config: ReconstructionConfig,
+    union: Sequence[int] = (),
+) -> NDArray[np.float64]:
+    """The metrics of one map, (2 + class_count, len(METRICS)): over the whole map, over the voxels of all classes in
+    `union`, and over each class.
+
+    All grids have the same shape; `classes` holds numbers below `class_count`. A map in which nothing is occupied and
+    nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of nothing to nothing is 0. Distance
+    metrics over no voxel are NaN.
+    """
+    sums = np.zeros((class_count, len(Sums._fields)))
+    near = np.float32(config.near_m)
+    if config.strict:
+        near = np.nextafter(near, np.float32(0))
+    _accumulate(
+        occupied.reshape(-1),
+        distance.reshape(-1),
+        true_occupancy.reshape(-1),
+        true_distance.reshape(-1),
+        classes.reshape(-1),
+        near,
+        sums,
+    )
+    return np.stack([_metrics(sums.sum(axis=0)), _metrics(sums[list(union)].sum(axis=0)), *map(_metrics, sums)])
+
+
+def _metrics(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """All metrics from the sums of `_accumulate`, (11,)."""
+    added = Sums(*sums.tolist())
+    return np.array([metric.of(added) for metric in METRICS.values()], dtype=np.float64)
+
+
+@kernel
+def _accumulate(occupied, distance, true_occupancy, true_distance, classes, near, sums):
+    """Add up, by class, what `Sums` names, in its order."""
+    for v in range(len(classes)):
+        row = sums[classes[v]]
+        error = float(distance[v]) - float(true_distance[v])
+        row[0] += 1.0
+        row[1] += error
+        row[2] += abs(error)
+        row[3] += error * error
+        if true_distance[v] <= near:
+            row[4] += 1.0
+            row[5] += error
+            row[6] += abs(error)
+            row[7] += error * error
+        if occupied[v]:
+            if true_occupancy[v]:
+                row[8] += 1.0
+            else:
+                row[9] += 1.0
+        elif true_occupancy[v]:
+            row[10] += 1.0

@@ -1,0 +1,188 @@
+"""The report: both tables, with the paper's figures beside ours, as JSON for machines and Markdown for people."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from scenegen.model.evaluation import paper
+from scenegen.model.evaluation.difficulty import DESCRIPTORS
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
+from scenegen.model.evaluation.run import DatasetResult, MethodResult
+from scenegen.model.evaluation.statistics import holm, paired_p, summarize
+from scenegen.model.evaluation.visibility import CLASSES
+
+REGIONS = ("map", "unobserved")
+"""Rows of a sample's reconstruction before those of the classes of voxels."""
+
+
+def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any]) -> dict[str, Any]:
+    """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``, each {mean, std,
+    low, high, n}, at the paper's thresholds; variants under their own keys beside them; `about` as it is. Where there
+    is one world, low and high are None; where nothing was measured, mean and std are, too."""
+    report: dict[str, Any] = {**about, "reconstruction": {}, "planning": {}, "tests": {}, "datasets": {}}
+    for result in results:
+        rng = np.random.default_rng(seed)
+        report["datasets"][result.kind] = {
+            "digest": result.digest,
+            "samples": len(result.worlds),
+            "worlds": len(np.unique(result.worlds)),
+            "trials": len(result.trial_worlds),
+            "excluded": dict(result.excluded),
+            "difficulty": {
+                name: dataclasses.asdict(summarize(result.difficulty[:, n], result.worlds, rng=rng))
+                for n, name in enumerate(DESCRIPTORS)
+            },
+        }
+        report["reconstruction"][result.kind] = {
+            name: _reconstruction(found, result, rng) for name, found in result.methods.items()
+        }
+        report["planning"][result.kind] = {
+            name: _planning(found, result, rng) for name, found in result.methods.items()
+        }
+        report["tests"][result.kind] = _tests(result, rng)
+    return report
+
+
+def _reconstruction(found: MethodResult, result: DatasetResult, rng: np.random.Generator) -> dict[str, Any]:
+    def figures(values: np.ndarray) -> dict[str, Any]:
+        return {
+            name: dataclasses.asdict(summarize(values[:, m], result.worlds, rng=rng)) for m, name in enumerate(METRICS)
+        }
+
+    return {
+        **figures(found.reconstruction[:, 0]),
+        "tuned": {**figures(found.tuned), "thresholds": dataclasses.asdict(found.thresholds)},
+        "unobserved": figures(found.reconstruction[:, 1]),
+        "by_class": {name: figures(found.reconstruction[:, 2 + c]) for c, name in enumerate(CLASSES)},
+    }
+
+
+def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generator) -> dict[str, Any]:
+    metrics = PLAN_METRICS | PLAN_READINGS
+    columns = {name: _of_trials(metric, found) for name, metric in metrics.items()}
+    on_paths = [name for name, metric in metrics.items() if metric.needs == "path"]
+    succeeded = np.array([trial.success for trial in found.trials], dtype=bool)
+
+    def figures(names: Sequence[str], chosen: np.ndarray) -> dict[str, Any]:
+        return {
+            name: dataclasses.asdict(summarize(np.where(chosen, columns[name], np.nan), result.trial_worlds, rng=rng))
+            for name in names
+        }
+
+    everywhere = np.all([[trial.success for trial in other.trials] for other in result.methods.values()], axis=0)
+    return {
+        **figures(tuple(columns), np.ones(len(succeeded), dtype=bool)),
+        "successes": figures(on_paths, succeeded),
+        "all_succeed": figures(on_paths, everywhere),
+        "failures": dict(Counter(trial.cause for trial in found.trials if trial.cause is not None)),
+    }
+
+
+def _of_trials(metric: Metric, found: MethodResult) -> np.ndarray:
+    """A planning metric of every trial, (trials,)."""
+    return np.array([metric.of(trial) for trial in found.trials], dtype=np.float64)
+
+
+def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and its p-value,
+    corrected over all of them."""
+    rows: list[tuple[str, str, str, np.ndarray, np.ndarray, np.ndarray]] = []
+    for (first, one), (second, other) in combinations(result.methods.items(), 2):
+        for row, region in enumerate(REGIONS):
+            for m, (name, metric) in enumerate(METRICS.items()):
+                if region in metric.tested:
+                    a, b = one.reconstruction[:, row, m], other.reconstruction[:, row, m]
+                    rows.append((first, second, name if region == "map" else f"{region}_{name}", a, b, result.worlds))
+        for name, metric in PLAN_METRICS.items():
+            if metric.tested:
+                a, b = _of_trials(metric, one), _of_trials(metric, other)
+                rows.append((first, second, name, a, b, result.trial_worlds))
+    paired = [summarize(a - b, worlds, rng=rng) for *_, a, b, worlds in rows]
+    raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
+    return [
+        {
+            "first": first,
+            "second": second,
+            "metric": metric,
+            "difference": difference.mean,
+            "low": difference.low,
+            "high": difference.high,
+            "p": p,
+            "p_holm": float(corrected),
+        }
+        for (first, second, metric, *_), difference, p, corrected in zip(rows, paired, raw, holm(raw), strict=True)
+    ]
+
+
+def to_markdown(report: Mapping[str, Any]) -> str:
+    """The report for people: Table I and Table II per kind, then failures, classes and tests."""
+    lines = ["# Bench", ""]
+    lines += [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
+    for kind, about in report["datasets"].items():
+        lines += [
+            "",
+            f"## {kind}",
+            "",
+            f"{about['samples']} samples of {about['worlds']} worlds, dataset {about['digest'][:12]}…; "
+            f"{about['trials']} planning trials, excluded draws: {about['excluded'] or 'none'}. Mean ± standard "
+            "deviation over samples or trials, in brackets the 95 % interval of the mean, by bootstrap over worlds"
+            f"{', which one world does not give' * (about['worlds'] == 1)}. *Italics*: the paper's.",
+        ]
+        lines += ["", "### Difficulty", "", *_head(DESCRIPTORS)]
+        lines.append("| truth | " + " | ".join(_cell(about["difficulty"][name]) for name in DESCRIPTORS) + " |")
+        for title, table, reference, metrics in (
+            ("Reconstruction", report["reconstruction"][kind], paper.RECONSTRUCTION.get(kind, {}), METRICS),
+            ("Planning", report["planning"][kind], paper.PLANNING.get(kind, {}), PLAN_METRICS),
+        ):
+            lines += ["", f"### {title}", "", *_head(metrics)]
+            lines += [f"| {name} | " + " | ".join(_cell(row[m]) for m in metrics) + " |" for name, row in table.items()]
+            for name, row in reference.items():
+                cells = (f"*{_spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items())
+                lines.append(f"| *{name}* | " + " | ".join(cells) + " |")
+        lines += ["", "### Failures", ""]
+        for name, row in report["planning"][kind].items():
+            counted = ", ".join(f"{cause} {count}" for cause, count in sorted(row["failures"].items()))
+            lines.append(f"- {name}: {counted or 'none'}")
+        lines += ["", "### IoU by what was seen", "", *_head(CLASSES)]
+        for name, row in report["reconstruction"][kind].items():
+            lines.append(f"| {name} | " + " | ".join(_cell(row["by_class"][c]["iou"]) for c in CLASSES) + " |")
+        lines += [
+            "",
+            "### Paired tests, by world, Holm-corrected",
+            "",
+            "| | metric | difference | p |",
+            "|---|---|---|---|",
+        ]
+        for test in report["tests"][kind]:
+            pair = f"{test['first']} − {test['second']}"
+            lines.append(f"| {pair} | {test['metric']} | {_difference(test)} | {test['p_holm']:.4f} |")
+    return "\n".join(lines) + "\n"
+
+
+def _head(names: Collection[str]) -> list[str]:
+    return [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
+
+
+def _cell(figure: Mapping[str, float]) -> str:
+    if not figure["n"]:
+        return "–"
+    return f"{_spread(figure['mean'], figure['std'])} {_interval(figure, '.3f')}"
+
+
+def _difference(test: Mapping[str, Any]) -> str:
+    if test["difference"] is None:
+        return "–"
+    return f"{test['difference']:+.3f} {_interval(test, '+.3f')}"
+
+
+def _interval(figure: Mapping[str, Any], form: str) -> str:
+    """[low, high], or a dash where one world gives none."""
+    return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
+
+
+def _spread(mean: float, std: float | None) -> str:
+    return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

@@ -1,0 +1,97 @@
+"""What a network can be shown of a map: every input channel, by name.
+
+A *named batch* maps names of inputs to arrays. Data, training, validation, completion and export hand it on as it is:
+one more channel is one more entry of `INPUTS`, and its name in the `NetworkConfig` of the network that takes it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.grid import GridSpec
+from scenegen.limits import MOST_LENGTH_M
+
+SYMMETRIES = 8
+"""Rotations by quarter turns about the sensor's vertical axis, each with and without a mirror."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointScan:
+    """One scan alone: what is known of a map where there is no dataset."""
+
+    points: NDArray[np.float64]
+    """(N, 3): finite returns, metres, in a level frame."""
+    sensor: NDArray[np.float64]
+    """(3,): where the sensor is in that frame, metres."""
+    grid: GridSpec
+
+    @cached_property
+    def origin(self) -> NDArray[np.float64]:
+        """The map's least corner (3,) in the scan's frame, metres."""
+        return self.grid.origin_at(self.sensor)
+
+    @cached_property
+    def voxels(self) -> NDArray[np.int64]:
+        """(M, 3): the voxel of every point that lies in the map."""
+        near = self.points[(np.abs(self.points) <= 2 * MOST_LENGTH_M).all(axis=1)]  # others have no whole numbers
+        index = self.grid.index(near, self.origin)
+        return index[((index >= 0) & (index < self.grid.shape)).all(axis=1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Input:
+    """One channel that a network may take."""
+
+    stored: tuple[str, ...]
+    """The fields of a sample that it is computed from. Every dataset has to store them (docs/format.md)."""
+    of_sample: Callable[[Mapping[str, Any], GridSpec, Any], NDArray[Any]]
+    """(those fields by name, grid, sensor) → (*grid.shape)."""
+    of_scan: Callable[[PointScan], NDArray[Any]]
+    """The same from one scan alone."""
+    turns: bool = True
+    """Whether the channel is turned with its map; one that is tied to the map's axes stays as it is."""
+    binary: bool = True
+    """Whether every voxel holds 0 or 1; other channels hold finite numbers."""
+
+
+def _observed(scan: PointScan) -> NDArray[np.bool_]:
+    observed = np.zeros(scan.grid.shape, dtype=np.bool_)
+    observed[tuple(scan.voxels.T)] = True
+    return observed
+
+
+INPUTS = {
+    "observed": Input(
+        stored=("observed",), of_sample=lambda fields, grid, sensor: fields["observed"], of_scan=_observed
+    ),
+}
+"""Every input by its name. `observed`: the voxels that hold a return."""
+
+
+def fields_for(names: Sequence[str]) -> tuple[str, ...]:
+    """The stored fields that the inputs called `names` are computed from, each once."""
+    return tuple(dict.fromkeys(field for name in names for field in INPUTS[name].stored))
+
+
+def of_sample(names: Sequence[str], fields: Mapping[str, Any], grid: GridSpec, sensor: Any) -> dict[str, NDArray[Any]]:
+    """The inputs called `names`, (*grid.shape) each, from a sample's stored `fields`."""
+    return {name: INPUTS[name].of_sample(fields, grid, sensor) for name in names}
+
+
+def of_scan(names: Sequence[str], scan: PointScan) -> dict[str, NDArray[Any]]:
+    """The inputs called `names`, (*scan.grid.shape) each, from one scan alone."""
+    return {name: INPUTS[name].of_scan(scan) for name in names}
+
+
+def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:
+    """A map (X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z, mirrored in y from 4 on.
+
+    The sensor's place, the centre, stays where it is. Odd turns need a map as long in x as in y.
+    """
+    if symmetry >= SYMMETRIES // 2:
+        grid = grid[:, ::-1]
+    return np.ascontiguousarray(np.rot90(grid, symmetry % 4, axes=(0, 1)))

@@ -1,0 +1,70 @@
+"""A network's card: what it is, what it was trained on, what it is worth, and what it is not good for."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from scenegen.model.config import VARIANTS
+from scenegen.model.evaluation.metrics import METRICS, Metric
+
+FULL_EPOCHS = 100
+"""Epochs of the full protocol at most; it ends when validation no longer improves."""
+GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated distance, metres"}
+"""What a network predicts, by task."""
+
+
+def card(name: str, about: Mapping[str, Any]) -> str:
+    """The card of a network, as Markdown, from what its file's header says `about` it."""
+    settings, figures = about["settings"], about["figures"]
+    network = settings["network"]
+    shown = {"val_loss": "loss"} | {f"val_{name}": metric.label for name, metric in _occupancy_first()}
+    shown = {key: label for key, label in shown.items() if key in figures}
+    data = ", ".join(
+        f"{kind} {digest[:16]}…" for kind, digest in zip(settings["kinds"], settings["datasets"], strict=True)
+    )
+    versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
+    lines = [
+        f"# {name}",
+        "",
+        f"A completion network of scenegen: variant `{network['variant']}`, width {network['width']}, stem stride "
+        f"{network['stem_stride']}. It takes the {' and '.join(network['inputs'])} voxels of one scan and gives "
+        + " and ".join(GIVES[task] for task in GIVES if task in VARIANTS[network["variant"]].tasks)
+        + ".",
+        "",
+        "| trained | |",
+        "|---|---|",
+        f"| on | {settings['samples']} samples: datasets {data} |",
+        f"| by | `{about['command']}` |",
+        f"| for | {figures['epoch']:.0f} epochs to the best of {settings['epochs']} at most, "
+        f"batch {settings['batch']}, AdamW at {settings['lr']:g}, seed {settings['seed']}, {settings['precision']} |",
+        f"| on hardware | {about['device']} |",
+        f"| with | commit {about['commit']}; {versions} |",
+        "",
+        "Means over the validation split at the paper's thresholds, whole maps:",
+        "",
+        "| " + " | ".join(shown.values()) + " |",
+        "|---" * len(shown) + "|",
+        "| " + " | ".join(f"{figures[key]:.3f}" for key in shown) + " |",
+        "",
+    ]
+    if settings["epochs"] < FULL_EPOCHS:
+        lines += [
+            f"This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and stops when validation has "
+            f"not improved for {settings['patience']}: `{_full(about['command'], settings['epochs'])}`.",
+            "",
+        ]
+    lines += [
+        "Limits: the network knows the worlds, the sensor and the grid that it was trained on, and nothing else. It "
+        "takes one scan and no history. Where no ray came near, it repeats what was usual in training. Its "
+        "probabilities are not calibrated: occupied voxels weighed "
+        f"{settings['loss']['occupied_weight']:g} times as much as free ones.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _occupancy_first() -> list[tuple[str, Metric]]:
+    return sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
+
+
+def _full(command: str, epochs: int) -> str:
+    return re.sub(rf" --epochs[ =]{epochs}\b", "", command)

@@ -1,0 +1,192 @@
+"""Samples as torch sees them: named maps by number, batches in a seeded order, distances derived where the batch is."""
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from lidarsim import GridSpec
+from scenegen.dataset.read import Dataset as SampleDataset
+from scenegen.errors import DatasetError
+from scenegen.model.inputs import INPUTS, SYMMETRIES, fields_for, of_sample, turned
+from scenegen.truth import distance_field
+
+Batch = dict[str, Tensor]
+"""A named batch: the network's inputs and the true ``occupancy``, (B, *grid.shape) each."""
+
+
+class LoaderError(DatasetError):
+    """A process that reads samples is gone."""
+
+
+class Samples(Protocol):
+    """What can be trained on: numbered samples with named fields. A split of a dataset is one; so is anything else that
+    has these, and travels to processes that read."""
+
+    grid: GridSpec
+    lidar: Any
+    name: str
+    """Where the samples are from, for errors."""
+    kind: str
+    """Kind of their worlds, for the network's card."""
+    digest: str
+    """What tells these samples from all others: a run with another digest is another run."""
+
+    def __len__(self) -> int: ...
+
+    def stored(self, index: int, *names: str) -> tuple[Any, ...]:
+        """Fields of one sample by their names in docs/format.md."""
+        ...
+
+
+class SplitSamples:
+    """The samples of a dataset's split. Files are opened in the process that reads them."""
+
+    def __init__(self, dataset: SampleDataset, split: str):
+        self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
+        self.kind, self.digest = str(dataset.manifest["kind"]), str(dataset.manifest["digest"])
+        self._split = dataset.split(split)
+        self.stored = self._split.stored
+
+    def __len__(self) -> int:
+        return len(self._split)
+
+
+def opened(folders: Sequence[Path | str], split: str) -> list[Samples]:
+    """The samples of one split of every dataset in `folders`. Raises DatasetError for a folder that holds none."""
+    return [SplitSamples(SampleDataset(folder), split) for folder in folders]
+
+
+class Maps(Dataset):
+    """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`, (*grid.shape) each, and the
+    true ``occupancy``, by name.
+
+    ``maps[n, s]`` is the same turned by symmetry `s`. `split` is what the samples are called in errors. Raises
+    DatasetError for sources that do not go together.
+    """
+
+    def __init__(self, sources: Sequence[Samples], split: str, inputs: Sequence[str] = ("observed",)):
+        if not sources:
+            raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
+        check_alike(sources)
+        self.split = split
+        self.sources, self.inputs = tuple(sources), tuple(inputs)
+        self.grid = sources[0].grid
+        self._start = np.cumsum([0, *map(len, sources)])
+
+    def __len__(self) -> int:
+        return int(self._start[-1])
+
+    def __getitem__(self, key: int | tuple[int, int]) -> Batch:
+        index, symmetry = key if isinstance(key, tuple) else (key, 0)
+        source, row = self._place(index)
+        names = tuple(dict.fromkeys((*fields_for(self.inputs), "occupancy")))
+        fields = dict(zip(names, source.stored(row, *names), strict=True))
+        maps = of_sample(self.inputs, fields, source.grid, source.lidar)
+        maps = {name: turned(values, symmetry if INPUTS[name].turns else 0) for name, values in maps.items()}
+        maps["occupancy"] = turned(fields["occupancy"], symmetry)
+        return {name: torch.from_numpy(values) for name, values in maps.items()}
+
+    def name(self, index: int) -> str:
+        """Who sample `index` is, for people: source, split, number."""
+        source, row = self._place(index)
+        return f"{source.name}, {self.split} sample {row}"
+
+    def _place(self, index: int) -> tuple[Samples, int]:
+        if not 0 <= index < len(self):
+            raise IndexError(f"sample {index} of {len(self)}")
+        number = int(np.searchsorted(self._start, index, side="right")) - 1
+        return self.sources[number], index - int(self._start[number])
+
+
+def check_alike(sources: Sequence[Samples]) -> None:
+    """Raise DatasetError unless all `sources` have one grid and one sensor, and none is there twice."""
+    first = sources[0]
+    for other in sources[1:]:
+        for what in ("grid", "lidar"):
+            if getattr(other, what) != getattr(first, what):
+                raise DatasetError(
+                    f"{other.name}: its {what} is {getattr(other, what)}, that of {first.name} is "
+                    f"{getattr(first, what)}; one network takes one {what}: train on datasets that share it"
+                )
+    seen: dict[str, str] = {}
+    for source in sources:
+        if source.digest in seen:
+            raise DatasetError(f"{source.name}: holds the same samples as {seen[source.digest]}; name one of the two")
+        seen[source.digest] = source.name
+
+
+def epoch_batches(
+    maps: Maps, *, batch: int, seed: int, epoch: int, augment: bool = False
+) -> list[list[tuple[int, int]]]:
+    """The batches of a training epoch: keys of `Maps`, in an order that depends on `seed` and `epoch` alone.
+
+    A last batch that is not full is left out, unless it is the only one.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(epoch,)))
+    order = rng.permutation(len(maps))
+    turns = rng.integers(SYMMETRIES, size=len(maps)) if augment else np.zeros(len(maps), dtype=int)
+    if augment and maps.grid.shape[0] != maps.grid.shape[1]:
+        turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
+    keys = list(zip(order.tolist(), turns.tolist(), strict=True))
+    count = max(len(keys) // batch, 1)
+    return [keys[n * batch : (n + 1) * batch] for n in range(count)]
+
+
+def load(maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: bool) -> Iterator[Batch]:
+    """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what cannot be read,
+    LoaderError where such a process dies."""
+    loader: DataLoader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)
+    try:
+        yield from loader
+    except DatasetError as error:  # a loader process hands over its traceback with it
+        line = str(error).strip().splitlines()[-1]
+        raise DatasetError(line.removeprefix(f"{DatasetError.__module__}.{DatasetError.__name__}: ")) from None
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        raise LoaderError(
+            f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more shared memory"
+        ) from None
+
+
+class TudfOf:
+    """Occupancy → TUDF, for a batch, wherever it is.
+
+    On the CPU by `scenegen.truth.distance_field`, map by map; elsewhere by the same three passes of minima in torch.
+    Both give the values that the dataset's contract demands, bit for bit.
+    """
+
+    def __init__(self, grid: GridSpec):
+        self.grid = grid
+        reach = grid.truncation_m / grid.voxel_m
+        self._reach = math.ceil(reach)
+        squares = np.arange(3 * (self._reach + 1) ** 2 + 1, dtype=np.float64)
+        metres = np.minimum(grid.voxel_m * np.sqrt(squares), grid.truncation_m)
+        self._table = torch.from_numpy(metres.astype(np.float32))
+
+    def __call__(self, occupancy: Tensor) -> Tensor:
+        """(B, *grid.shape) bool → float32, metres."""
+        if occupancy.device.type == "cpu":
+            fields = [distance_field(one, self.grid) for one in occupancy.numpy()]
+            return torch.from_numpy(np.stack(fields))
+        return self.by_minima(occupancy)
+
+    def by_minima(self, occupancy: Tensor) -> Tensor:
+        """The same on any device: squared distances in voxels, lowered along one axis after the other."""
+        cap = (self._reach + 1) ** 2
+        squares = torch.where(occupancy, 0, cap).to(torch.int16 if 2 * cap < 2**15 else torch.int32)
+        for axis in (1, 2, 3):
+            length = squares.shape[axis]
+            lowest = squares.clone()
+            for offset in range(1, min(self._reach, length - 1) + 1):
+                near, far = lowest.narrow(axis, 0, length - offset), lowest.narrow(axis, offset, length - offset)
+                torch.minimum(near, squares.narrow(axis, offset, length - offset) + offset**2, out=near)
+                torch.minimum(far, squares.narrow(axis, 0, length - offset) + offset**2, out=far)
+            squares = lowest
+        return self._table.to(occupancy.device)[squares.long()]

@@ -1,0 +1,223 @@
+"""A training run on disk: its settings, its figures, its best network, and all that is needed to go on."""
+
+import csv
+import dataclasses
+import fcntl
+import io
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import torch
+from torch import Tensor
+
+from lidarsim import GridSpec
+from scenegen.dataset.manifest import differences
+from scenegen.errors import DatasetError, printable, short
+from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
+from scenegen.limits import MOST_HEADER_BYTES
+from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
+from scenegen.model.config import NetworkConfig
+from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.network import Network
+from scenegen.model.training.card import card
+
+CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
+FIGURES = frozenset({"val_loss"} | {f"val_{name}" for name, metric in METRICS.items() if metric.paper})
+"""What every epoch's row holds, whichever version wrote it."""
+BEST, LAST = "best.safetensors", "last.safetensors"
+
+
+@dataclass
+class Progress:
+    """How far a run has come; with the weights and the optimiser's moments, all that the rest of it depends on."""
+
+    epoch: int = 0
+    """Epochs that are finished."""
+    step: int = 0
+    """Steps of the next epoch that are done."""
+    best_epoch: int = -1
+    """The epoch of the best validation loss; -1 for none yet."""
+    best_loss: float = float("inf")
+    sums: dict[str, float] = field(default_factory=dict)
+    """Each loss, summed over the epoch's steps so far."""
+    seconds: float = 0.0
+    """How long the epoch has taken so far."""
+    rows: list[dict[str, float]] = field(default_factory=list)
+    """One a finished epoch: see docs/training.md."""
+
+    def check(self) -> None:
+        """Raise TypeError or ValueError where this is none that a run can have."""
+        for name, least in (("epoch", 0), ("step", 0), ("best_epoch", -1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or not least <= value:
+                raise ValueError(f"{name} = {short(value)}")
+        figures = [self.sums, *self.rows]
+        if len(self.rows) != self.epoch or not all(isinstance(row, dict) for row in figures):
+            raise ValueError(f"{len(self.rows)} rows of {self.epoch} epochs")
+        numbers = [self.best_loss, self.seconds, *(value for row in figures for value in row.values())]
+        if not all(isinstance(value, int | float) for value in numbers):
+            raise TypeError("figures that are no numbers")
+        if any(missing := FIGURES - row.keys() for row in self.rows):
+            raise ValueError(f"rows without {', '.join(missing)}")
+
+    def add(self, losses: dict[str, float]) -> None:
+        """Count a step."""
+        self.step += 1
+        self.sums = {name: self.sums.get(name, 0.0) + value for name, value in losses.items()}
+
+    def close(self, validated: dict[str, float], seconds: float) -> dict[str, float]:
+        """Count an epoch, and give its row."""
+        row = {"epoch": self.epoch + 1.0, "seconds": seconds}
+        row |= {f"train_{name}": value / self.step for name, value in self.sums.items()}
+        row |= {f"val_{name}": value for name, value in validated.items()}
+        self.rows.append(row)
+        if row["val_loss"] < self.best_loss:
+            self.best_loss, self.best_epoch = row["val_loss"], self.epoch
+        self.epoch, self.step, self.sums, self.seconds = self.epoch + 1, 0, {}, 0.0
+        return row
+
+
+class RunFolder:
+    """The folder of one run. Files in it are whole or absent, and the last good ones outlive any failure."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._lock: IO[str] | None = None
+
+    def open(self, settings: dict[str, Any]) -> None:
+        """Begin a run with `settings`, or go on with the one that was begun with them.
+
+        Raises DatasetError where the folder holds a run with other settings, or one that another process works on.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise disk_error(self.path, error) from None
+        remove_drafts(self.path)
+        config = self.path / CONFIG
+        if config.exists():
+            unlike = differences(self.settings(), json.loads(json.dumps(settings["settings"])))
+            if unlike:
+                raise DatasetError(
+                    f"{self.path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give those, "
+                    "or another --out"
+                )
+        elif (self.path / LAST).exists():
+            raise DatasetError(f"{self.path}: holds {LAST} but no {CONFIG}; choose another --out")
+        else:
+            write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
+        self._hold(config)
+
+    def close(self) -> None:
+        """Let other processes work on the run."""
+        if self._lock is not None:
+            self._lock.close()
+
+    def _hold(self, config: Path) -> None:
+        self._lock = open(config)  # noqa: SIM115 (held until `close`)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DatasetError(f"{self.path}: another process trains this run; wait, or give another --out") from None
+        except OSError:  # a file system without locks
+            return
+
+    def settings(self) -> dict[str, Any]:
+        """What the run was begun with. Raises DatasetError where there is none."""
+        try:
+            settings = dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
+            if isinstance(network := settings.get("network"), dict):  # runs of earlier commits name no inputs
+                network.setdefault("inputs", list(NetworkConfig().inputs))
+            return settings
+        except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+            raise DatasetError(
+                f"{self.path / CONFIG}: cannot be read ({printable(error)[:200]}); choose another --out"
+            ) from None
+
+    def save(self, progress: Progress, network: Network, optimizer: torch.optim.Optimizer) -> None:
+        """Write all that is needed to go on from here."""
+        save_tensors(self.path / LAST, _state(network, optimizer), dataclasses.asdict(progress))
+
+    def restore(self, network: Network, optimizer: torch.optim.Optimizer) -> Progress:
+        """Bring back what `save` wrote last, if it did. Raises CheckpointError where it is damaged."""
+        if not (self.path / LAST).exists():
+            return Progress()
+        try:
+            tensors, header = load_tensors(self.path / LAST)
+            progress = Progress(**header)
+            progress.check()
+            _set_state(network, optimizer, tensors)
+            return progress
+        except (CheckpointError, TypeError, ValueError, RuntimeError):
+            raise CheckpointError(
+                f"{self.path / LAST}: not the state of this run; remove it to begin again, {BEST} stays until then"
+            ) from None
+
+    def save_best(self, network: Network, grid: GridSpec, about: dict[str, Any]) -> None:
+        """Write the best network so far, and its card."""
+        save_network(self.path / BEST, network, grid, about)
+        write_whole(self.path / CARD, card(self.path.name, about).encode())
+
+    def write_rows(self, rows: list[dict[str, float]]) -> None:
+        """Write the figures of all epochs, and their picture where matplotlib is installed."""
+        text = io.StringIO()
+        names = dict.fromkeys(name for row in rows for name in row)  # a later version may know more metrics
+        writer = csv.DictWriter(text, list(names), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
+        write_whole(self.path / ROWS, text.getvalue().encode())
+        picture = draw_curve(rows)
+        if picture is not None:
+            write_whole(self.path / CURVE, picture)
+        self._tell_tensorboard(rows[-1])
+
+    def _tell_tensorboard(self, row: dict[str, float]) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            return
+        with SummaryWriter(str(self.path / "tensorboard")) as writer:
+            for name, value in row.items():
+                writer.add_scalar(name.replace("_", "/", 1), value, int(row["epoch"]))
+
+
+def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
+    """Losses, IoU and Near-MAE by epoch, as PNG; None where matplotlib is not installed."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        return None
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    panels = {"loss": ("train_loss", "val_loss"), "IoU": ("val_iou",), "Near-MAE, m": ("val_near_mae",)}
+    for axes, (title, names) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
+        for name in names:
+            axes.plot([row["epoch"] for row in rows], [row[name] for row in rows], marker=".", label=name)
+        axes.set(title=title, xlabel="epoch")
+        axes.grid(alpha=0.3)
+        axes.legend()
+    memory = io.BytesIO()
+    figure.savefig(memory, format="png", dpi=100)
+    return memory.getvalue()
+
+
+def _state(network: Network, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """Weights and the optimiser's moments, by name."""
+    tensors = {f"network/{name}": tensor for name, tensor in network.state_dict().items()}
+    for name, parameter in network.named_parameters():
+        for key, value in optimizer.state.get(parameter, {}).items():
+            tensors[f"optimizer/{name}/{key}"] = value
+    return tensors
+
+
+def _set_state(network: Network, optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]) -> None:
+    """Undo `_state`."""
+    prefix = "network/"
+    network.load_state_dict({name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)})
+    for name, parameter in network.named_parameters():
+        prefix = f"optimizer/{name}/"
+        for key, value in tensors.items():
+            if key.startswith(prefix):  # a step count is a lone number; moments lie in memory as their weights do
+                moment = torch.empty_like(parameter).copy_(value) if value.ndim else value
+                optimizer.state[parameter][key[len(prefix) :]] = moment

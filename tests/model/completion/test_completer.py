@@ -1,0 +1,168 @@
+"""One object from weights to predictions: shapes, units, and errors that say what to do."""
+
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from lidarsim import GridSpec
+from scenegen.model.checkpoint import CheckpointError, save_network
+from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.protocol import PredictionError
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
+
+GRID = GridSpec(shape=(16, 24, 8))
+
+
+def save(path: Path, variant: str = "proposed") -> Network:
+    torch.manual_seed(0)
+    network = Network(NetworkConfig(variant=variant, width=4)).eval()
+    path.parent.mkdir(exist_ok=True)
+    save_network(path, network, GRID, {"seed": 0})
+    return network
+
+
+@pytest.fixture
+def observed() -> np.ndarray:
+    return np.random.default_rng(0).random((5, *GRID.shape)) < 0.05
+
+
+@pytest.mark.parametrize("variant", ["proposed", "occ", "tudf"])
+def test_a_batch_is_completed_as_the_network_says(tmp_path: Path, observed: np.ndarray, variant: str) -> None:
+    network = save(tmp_path / "net.safetensors", variant)
+    with torch.no_grad():
+        output = network({"observed": torch.from_numpy(observed)})
+    found = Completer.from_pretrained(tmp_path / "net.safetensors", batch=2)(observed)
+    if variant == "tudf":
+        assert found.occupancy_probability is None
+    else:
+        assert found.occupancy_probability.dtype == np.float32
+        np.testing.assert_allclose(found.occupancy_probability, output.logits.sigmoid(), atol=1e-5)
+    if variant == "occ":
+        assert found.tudf is None
+    else:
+        assert found.tudf.dtype == np.float32
+        np.testing.assert_allclose(found.tudf, output.tudf.clamp(max=2.0), atol=1e-5)
+
+
+def test_what_goes_in_decides_what_comes_out(tmp_path: Path, observed: np.ndarray) -> None:
+    save(tmp_path / "net.safetensors")
+    completer = Completer.from_pretrained(tmp_path / "net.safetensors")
+    batch = completer(observed)
+    for given in (
+        observed[2],
+        observed[2][::-1][::-1],
+        np.flip(np.flip(observed[2])),
+        observed[2].astype(np.uint8),
+        observed[2].astype(np.float64),
+    ):
+        single = completer(given)
+        assert single.tudf.shape == GRID.shape
+        assert isinstance(single.tudf, np.ndarray)
+        np.testing.assert_allclose(single.tudf, batch.tudf[2], atol=1e-5)
+    tensor = completer(torch.from_numpy(observed))
+    assert isinstance(tensor.occupancy_probability, torch.Tensor)
+    assert not tensor.occupancy_probability.requires_grad
+    np.testing.assert_allclose(tensor.occupancy_probability, batch.occupancy_probability, atol=1e-6)
+
+
+def test_distances_end_at_the_truncation(tmp_path: Path) -> None:
+    network = save(tmp_path / "a.safetensors")
+    with torch.no_grad():
+        network.head["tudf"].split.bias.fill_(50.0)
+    save_network(tmp_path / "far.safetensors", network, GRID, {})
+    found = Completer.from_pretrained(tmp_path / "far.safetensors")(np.zeros(GRID.shape, bool))
+    assert (found.tudf == np.float32(2.0)).all()
+
+
+def test_a_completion_that_is_no_number_ends_in_one_line(tmp_path: Path) -> None:
+    network = save(tmp_path / "a.safetensors")
+    with torch.no_grad():
+        for parameter in network.head.parameters():
+            parameter.copy_(3e38 * torch.randn_like(parameter).sign())
+    save_network(tmp_path / "wild.safetensors", network, GRID, {})
+    with pytest.raises(PredictionError, match="wild: occupancy_probability holds NaN or infinity") as caught:
+        Completer.from_pretrained(tmp_path / "wild.safetensors")(np.zeros(GRID.shape, bool))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        (np.zeros((24, 16, 8), bool), r"expected \(16, 24, 8\)"),
+        (np.zeros((2, 2, 16, 24, 8), bool), r"expected \(16, 24, 8\)"),
+        (np.zeros((16, 8), bool), r"expected \(16, 24, 8\)"),
+        (np.full(GRID.shape, 0.5), "other than 0 and 1"),
+        (np.zeros((0, *GRID.shape), bool), "no map"),
+    ],
+)
+def test_other_maps_are_refused(tmp_path: Path, wrong: np.ndarray, named: str) -> None:
+    save(tmp_path / "net.safetensors")
+    completer = Completer.from_pretrained(tmp_path / "net.safetensors")
+    with pytest.raises(ValueError, match=named):
+        completer(wrong)
+    with pytest.raises(ValueError, match="completes maps on"):
+        completer.complete(np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool), grid=GridSpec())
+
+
+def test_networks_are_found_by_folder_and_nothing_else_is_fetched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save(tmp_path / "run" / "best.safetensors")
+    assert Completer.from_pretrained(tmp_path / "run").name == "run"
+
+    def refuse(*given: object) -> None:
+        raise AssertionError("reached for the network")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    for name, said in (
+        ("nobody/nothing", "a repository on the Hub is hf://nobody/nothing"),
+        ("proposd", "no such network"),
+        (str(tmp_path), "a folder without best.safetensors"),
+    ):
+        with pytest.raises(CheckpointError, match=said):
+            Completer.from_pretrained(name)
+
+
+def test_a_repository_is_fetched_when_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import huggingface_hub
+
+    save(tmp_path / "model.safetensors")
+    asked = []
+
+    def fetch(*given: object, **named: object) -> str:
+        asked.append((given, named))
+        return str(tmp_path / "model.safetensors")
+
+    monkeypatch.setattr(huggingface_hub, "hf_hub_download", fetch)
+    Completer.from_pretrained("hf://user/net@v2")
+    assert asked == [(("user/net", "model.safetensors"), {"revision": "v2"})]
+
+    def fail(*given: object, **named: object) -> str:
+        huggingface_hub.utils.logging.get_logger("huggingface_hub").warning("retrying in 1s")
+        raise OSError("401 Client Error\nmore")
+
+    monkeypatch.setattr(huggingface_hub, "hf_hub_download", fail)
+    with pytest.raises(CheckpointError, match="hf://user/net: cannot be fetched: 401 Client Error"):
+        Completer.from_pretrained("hf://user/net")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", ["occ", "proposed", "tudf"])
+def test_bundled_networks_complete_the_papers_grid(name: str) -> None:
+    """A wall ahead: what is behind it is nearer to something than the empty side is."""
+    completer = Completer.from_pretrained(name)
+    observed = np.zeros(completer.grid.shape, bool)
+    observed[55, 30:50, 10:30] = True
+    found = completer(observed)
+    if found.occupancy_probability is not None:
+        assert found.occupancy_probability[55, 35:45, 15:25].mean() > 0.5
+        assert found.occupancy_probability[45:50, 35:45, 15:25].mean() < 0.2
+    if found.tudf is not None:
+        assert found.tudf[55, 35:45, 15:25].mean() < 0.5 < found.tudf[45, 35:45, 15:25].mean()
+    assert completer.about["figures"]["val_iou"] > 0.2

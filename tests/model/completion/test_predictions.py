@@ -1,0 +1,162 @@
+"""Predictions on disk: what the bench takes, and single scans."""
+
+import warnings
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError
+from scenegen.model.checkpoint import save_network
+from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.predictions import predict_scan, predict_split
+from scenegen.model.completion.protocol import Thresholds
+from scenegen.model.config import NetworkConfig
+from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.network import Network
+from tests.model.conftest import make_dataset
+
+
+def completer(tmp_path: Path, grid: object, variant: str = "proposed") -> Completer:
+    torch.manual_seed(0)
+    save_network(tmp_path / "net.safetensors", Network(NetworkConfig(variant=variant, width=4)), grid, {})
+    return Completer.from_pretrained(tmp_path / "net.safetensors")
+
+
+@pytest.mark.parametrize("variant", ["proposed", "tudf"])
+def test_a_predictions_file_is_what_the_bench_takes(folders: list[Path], tmp_path: Path, variant: str) -> None:
+    dataset = Dataset(folders[1])
+    net = completer(tmp_path, dataset.grid, variant)
+    told = []
+    predict_split(net, folders[1], "test", tmp_path / "p.h5", batch=2, on_start=told.append, on_done=told.append)
+    assert told == [5, 2, 2, 1]
+    method = Predicted(tmp_path / "p.h5")
+    method.check(dataset, "test")
+    for sample in dataset.split("test"):
+        read, direct = (
+            method.completion(sample, split="test", grid=dataset.grid, lidar=dataset.lidar),
+            net(sample.observed),
+        )
+        np.testing.assert_allclose(read.tudf, direct.tudf, atol=1e-5)
+        if variant == "tudf":
+            assert read.occupancy_probability is None
+        else:
+            np.testing.assert_allclose(read.occupancy_probability, direct.occupancy_probability, atol=1e-5)
+
+
+def test_a_failure_leaves_no_file(folders: list[Path], tmp_path: Path) -> None:
+    dataset = Dataset(folders[0])
+    net = completer(tmp_path, dataset.grid)
+
+    def fail(samples: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        predict_split(net, folders[0], "test", tmp_path / "p.h5", on_done=fail)
+    assert [path.name for path in tmp_path.iterdir()] == ["net.safetensors"]
+
+
+def test_maps_of_another_grid_are_refused(folders: list[Path], tmp_path: Path) -> None:
+    other = make_dataset(tmp_path / "other", grid={"shape": (16, 16, 16)})
+    net = completer(tmp_path, Dataset(folders[0]).grid)
+    with pytest.raises(DatasetError, match="train a network on this grid"):
+        predict_split(net, other, "test", tmp_path / "p.h5")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npy", ".xyz"])
+def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders: list[Path], tmp_path: Path, suffix: str) -> None:
+    dataset = Dataset(folders[0])
+    sample = dataset.split("train")[0]
+    net = completer(tmp_path, dataset.grid)
+    points = dataset.grid.centres(sample.origin)[sample.observed]
+    path = tmp_path / f"scan{suffix}"
+    if suffix == ".ply":
+        trimesh.PointCloud(points).export(path)
+    elif suffix == ".npy":
+        np.save(path, np.vstack([points, np.full((1, 3), np.nan)]))  # a ray without return
+    else:
+        np.savetxt(path, points)
+    out = tmp_path / "out.h5"
+    used = predict_scan(net, path, out, sensor=sample.position, thresholds=Thresholds())
+    assert (used.inside, used.returned, used.points) == (len(points), len(points), len(points) + (suffix == ".npy"))
+    expected = net(sample.observed)
+    with h5py.File(out) as file:
+        assert np.array_equal(file["observed"][:], sample.observed)
+        np.testing.assert_allclose(file["tudf"][:], expected.tudf, atol=1e-5)
+        np.testing.assert_allclose(file.attrs["origin"], sample.origin)
+    thresholds = Thresholds(probability=float(np.quantile(expected.occupancy_probability, 0.9)))
+    predict_scan(net, path, tmp_path / "out.ply", sensor=sample.position, thresholds=thresholds)
+    cloud = np.asarray(trimesh.load(tmp_path / "out.ply").vertices)
+    assert np.array_equal(
+        np.unique(dataset.grid.index(cloud, sample.origin), axis=0), np.argwhere(expected.occupied(thresholds))
+    )
+
+
+def test_files_that_are_no_scans_are_refused(folders: list[Path], tmp_path: Path) -> None:
+    net = completer(tmp_path, Dataset(folders[0]).grid)
+    np.save(tmp_path / "flat.npy", np.zeros(7))
+    np.save(tmp_path / "pickled.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    np.save(tmp_path / "far.npy", np.full((4, 3), 1000.0))
+    np.save(tmp_path / "good.npy", np.zeros((4, 3)))
+    (tmp_path / "broken.ply").write_text("ply\nnonsense")
+    (tmp_path / "scan.las").write_text("")
+    for name, out, said in (
+        ("flat.npy", "o.h5", "expected \\(N, 3\\)"),
+        ("pickled.npy", "o.h5", "cannot be read"),
+        ("far.npy", "o.h5", "give --sensor"),
+        ("broken.ply", "o.h5", "cannot be read"),
+        ("scan.las", "o.h5", "expected one of"),
+        ("missing.npy", "o.h5", "no such file"),
+        ("good.npy", "o.txt", "ends in .h5 or .ply"),
+    ):
+        with pytest.raises(DatasetError, match=said) as caught:
+            predict_scan(net, tmp_path / name, tmp_path / out, thresholds=Thresholds())
+        assert "\n" not in str(caught.value)
+        assert not (tmp_path / out).exists()
+
+
+def test_points_beyond_the_map_and_without_a_return_are_counted(folders: list[Path], tmp_path: Path) -> None:
+    net = completer(tmp_path, Dataset(folders[0]).grid)
+    far = [[1e300, 0, 0], [-50, 0, 0], [0, 0, 1e7]]
+    np.save(tmp_path / "scan.npy", [[0, 0, 0], [0.1, 0, 0], *far, [np.nan, 0, 0], [0, np.inf, 0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        used = predict_scan(net, tmp_path / "scan.npy", tmp_path / "out.h5", thresholds=Thresholds())
+    assert str(used) == "2 of 7 points used, 2 without a return, 3 outside the map"
+    np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
+    with pytest.raises(DatasetError, match="0 of 4 points used, 4 without a return"):
+        predict_scan(net, tmp_path / "scan.npy", tmp_path / "none.h5", thresholds=Thresholds())
+    with pytest.raises(DatasetError, match="--sensor"):
+        predict_scan(net, tmp_path / "scan.npy", tmp_path / "none.h5", sensor=[0, 0, np.nan], thresholds=Thresholds())
+
+
+def test_only_completions_are_replaced(folders: list[Path], tmp_path: Path) -> None:
+    net = completer(tmp_path, Dataset(folders[0]).grid)
+    np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
+    for name in ("out.h5", "out.ply"):
+        out = tmp_path / name
+        for _ in range(2):
+            predict_scan(net, tmp_path / "scan.npy", out, thresholds=Thresholds())
+        for content in (b"", b"mine", b"ply\nformat ascii 1.0\n"):
+            out.write_bytes(content)
+            with pytest.raises(DatasetError, match="is there already"):
+                predict_scan(net, tmp_path / "scan.npy", out, thresholds=Thresholds())
+            assert out.read_bytes() == content
+    with h5py.File(tmp_path / "out.h5", "w") as file:
+        file["theirs"] = 1
+    with pytest.raises(DatasetError, match="is there already"):
+        predict_split(net, folders[0], "test", tmp_path / "out.h5")
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert "theirs" in file
+
+
+def test_an_empty_split_names_a_way_on_that_exists(tmp_path: Path) -> None:
+    empty = make_dataset(tmp_path / "empty", counts={"train": 2, "val": 0, "test": 0})
+    net = completer(tmp_path, Dataset(empty).grid)
+    said = r"its test split is empty; generate with --test \(.* three or more\), or give another --split"
+    with pytest.raises(DatasetError, match=said):
+        predict_split(net, empty, "test", tmp_path / "p.h5")

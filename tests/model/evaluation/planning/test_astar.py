@@ -1,0 +1,195 @@
+"""A* finds the shortest path on the lattice: Dijkstra's, from scipy, on a graph built here by other means."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from lidarsim import GridSpec
+from scenegen.model.evaluation.planning import PlanConfig, plan_path
+from scenegen.model.evaluation.planning.astar import Lattice
+
+GRID = GridSpec(shape=(24, 21, 14))
+
+
+def reference_lengths(occupied: NDArray[np.bool_], grid: GridSpec, step: int, *, edge_check: bool) -> dict:
+    """Shortest lengths in metres from the middle to every node that can be reached, by voxel.
+
+    Nodes are found by walking outwards from the middle; with the edge check, 40 points of every edge are looked up.
+    """
+    middle = tuple(n // 2 for n in grid.shape)
+    lines = [[v for v in range(n) if (v - m) % step == 0] for n, m in zip(grid.shape, middle, strict=True)]
+    number = {v: n for n, v in enumerate(itertools.product(*lines)) if not occupied[v]}
+    if middle not in number:
+        return {}
+    along = ((np.arange(40) + 0.37) / 40)[:, None]  # never right at a voxel's edge
+    rows, columns, weights = [], [], []
+    for voxel, direction in itertools.product(number, itertools.product((-1, 0, 1), repeat=3)):
+        there = tuple(v + step * d for v, d in zip(voxel, direction, strict=True))
+        if there == voxel or there not in number:
+            continue
+        crossed = np.floor(np.array(voxel) + 0.5 + along * step * np.array(direction)).astype(int)
+        if not (edge_check and occupied[tuple(crossed.T)].any()):
+            rows.append(number[voxel])
+            columns.append(number[there])
+            weights.append(step * grid.voxel_m * float(np.linalg.norm(direction)))
+    count = max(number.values()) + 1
+    lengths = dijkstra(csr_array((weights, (rows, columns)), shape=(count, count)), indices=number[middle])
+    return {voxel: lengths[n] for voxel, n in number.items() if np.isfinite(lengths[n])}
+
+
+def length_of(path: NDArray[np.float64]) -> float:
+    return float(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1)).sum())
+
+
+@pytest.mark.parametrize("edge_check", [False, True])
+@pytest.mark.parametrize(("step", "density"), [(1, 0.55), (1, 0.75), (2, 0.5), (2, 0.8), (3, 0.3), (3, 0.6)])
+def test_paths_are_as_short_as_dijkstras(step: int, density: float, edge_check: bool) -> None:
+    """To every free node, reachable or not; and every path is one of free nodes, neighbour to neighbour."""
+    rng = np.random.default_rng(100 * step + int(10 * density))
+    config = PlanConfig(step_voxels=step, edge_check=edge_check)
+    lattice = Lattice(GRID, step)
+    occupied = rng.random(GRID.shape) < density
+    occupied[tuple(lattice.voxels(lattice.start))] = False
+    expected = reference_lengths(occupied, GRID, step, edge_check=edge_check)
+    nodes = np.indices(lattice.shape).reshape(3, -1).T
+    reached = 0
+    for node in rng.permutation(nodes)[:400]:
+        voxel = tuple(lattice.voxels(node).tolist())
+        path, reason = plan_path(occupied, lattice.centres(node), GRID, config)
+        if path is None:
+            assert voxel not in expected
+            assert reason == ("goal_blocked" if occupied[voxel] else "no_path")
+            continue
+        reached += 1
+        assert reason is None
+        assert length_of(path) == pytest.approx(expected[voxel], abs=1e-9)
+        np.testing.assert_allclose(path[0], (np.array(GRID.shape) // 2 + 0.5) * 0.2, atol=1e-12)
+        np.testing.assert_allclose(path[-1], lattice.centres(node), atol=1e-12)
+        steps = np.diff(path / (0.2 * step), axis=0)
+        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
+        assert (np.abs(np.rint(steps)).max(axis=1) == 1).all()
+        assert not occupied[tuple(np.floor(path / 0.2).astype(int).T)].any()
+    if not edge_check:
+        assert reached > 3
+
+
+def test_some_free_nodes_of_crowded_maps_cannot_be_reached() -> None:
+    """Seven eighths blocked: the comparison above is of both kinds of answer here."""
+    rng = np.random.default_rng(4)
+    lattice = Lattice(GRID, 1)
+    occupied = rng.random(GRID.shape) < 0.93
+    occupied[12, 10, 7] = False
+    expected = reference_lengths(occupied, GRID, 1, edge_check=False)
+    reasons = set()
+    for voxel in np.argwhere(~occupied):
+        reason = plan_path(occupied, lattice.centres(voxel), GRID, PlanConfig(step_voxels=1)).reason
+        assert (reason is None) == (tuple(voxel.tolist()) in expected)
+        reasons.add(reason)
+    assert reasons == {None, "no_path"}
+
+
+def test_the_default_lattice_is_the_papers() -> None:
+    """Steps of 0.6 m around voxel (40, 40, 20) of 80 x 80 x 40."""
+    lattice = Lattice(GridSpec(), PlanConfig().step_voxels)
+    assert lattice.shape == (27, 27, 13)
+    assert lattice.voxels(lattice.start).tolist() == [40, 40, 20]
+    np.testing.assert_allclose(lattice.centres([1, 0, 0]) - lattice.centres([0, 0, 0]), [0.6, 0, 0], atol=1e-12)
+    for node in ([0, 0, 0], [26, 26, 12], [3, 20, 7]):
+        assert (lattice.voxels(node) >= 0).all()
+        assert (lattice.voxels(node) < GridSpec().shape).all()
+        assert lattice.node_at(lattice.centres(node)).tolist() == node
+
+
+def test_an_empty_map_is_crossed_by_the_lattices_own_distance() -> None:
+    """As many space diagonals as the shortest axis needs, then plane diagonals, then straight steps."""
+    grid, config = GridSpec(), PlanConfig()
+    lattice = Lattice(grid, 3)
+    empty = np.zeros(grid.shape, bool)
+    for node in itertools.product((0, 5, 13, 26), (0, 12, 26), (0, 6, 11)):
+        low, middle, high = sorted(np.abs(np.array(node) - lattice.start).tolist())
+        expected = 0.6 * (np.sqrt(3) * low + np.sqrt(2) * (middle - low) + (high - middle))
+        path, _ = plan_path(empty, lattice.centres(node), grid, config)
+        assert path is not None
+        assert length_of(path) == pytest.approx(expected, abs=1e-9)
+        assert len(path) == high + 1
+
+
+def test_a_wall_between_nodes_stops_paths_with_the_edge_check_alone() -> None:
+    """One voxel thick, between two layers of nodes; with a hole in it, the path goes through the hole."""
+    grid = GridSpec(shape=(40, 40, 20))
+    lattice = Lattice(grid, 3)
+    occupied = np.zeros(grid.shape, bool)
+    occupied[24] = True  # nodes lie at 20, 23, 26
+    goal = lattice.centres(lattice.start + np.array([4, 0, 0]))
+    checked, free = PlanConfig(edge_check=True), PlanConfig()
+    through, _ = plan_path(occupied, goal, grid, free)
+    assert through is not None
+    assert length_of(through) == pytest.approx(2.4)
+    assert plan_path(occupied, goal, grid, checked) == (None, "no_path")
+    occupied[24, 32, 10] = False  # opposite the node four steps along y
+    around, _ = plan_path(occupied, goal, grid, checked)
+    assert around is not None
+    assert np.isclose(around[:, 1], 32.5 * 0.2).sum() == 2
+    assert length_of(around) == pytest.approx(reference_lengths(occupied, grid, 3, edge_check=True)[(32, 20, 10)])
+
+
+def test_the_same_map_gives_the_same_path() -> None:
+    """Again, and however it lies in memory; the map is left alone."""
+    rng = np.random.default_rng(8)
+    grid = GridSpec()
+    lattice = Lattice(grid, 3)
+    occupied = rng.random(grid.shape) < 0.3
+    occupied[40, 40, 20] = occupied[tuple(lattice.voxels([26, 3, 9]))] = False
+    before = occupied.copy()
+    goal = lattice.centres([26, 3, 9])
+    first = plan_path(occupied, goal, grid, PlanConfig()).waypoints
+    assert first is not None
+    for other in (occupied, np.asfortranarray(occupied), occupied.astype(np.uint8)):
+        np.testing.assert_array_equal(plan_path(other, goal, grid, PlanConfig()).waypoints, first)
+    np.testing.assert_array_equal(occupied, before)
+
+
+def test_blocked_ends_are_told_apart() -> None:
+    lattice = Lattice(GRID, 3)
+    goal = lattice.centres([0, 0, 0])
+    for voxel, reason in (([12, 10, 7], "start_blocked"), (lattice.voxels([0, 0, 0]), "goal_blocked")):
+        occupied = np.zeros(GRID.shape, bool)
+        occupied[tuple(voxel)] = True
+        assert plan_path(occupied, goal, GRID, PlanConfig()) == (None, reason)
+    start = plan_path(np.zeros(GRID.shape, bool), lattice.centres(lattice.start), GRID, PlanConfig()).waypoints
+    np.testing.assert_allclose(start, [[2.5, 2.1, 1.5]])
+
+
+@pytest.mark.parametrize("goal", [[2.5, 2.1, 1.6], [2.7, 2.1, 1.5], [-0.5, 2.1, 1.5], [99, 2, 2], [2.5, 2.1, np.nan]])
+def test_a_goal_that_is_no_node_is_refused(goal: list[float]) -> None:
+    with pytest.raises(ValueError, match="goal"):
+        plan_path(np.zeros(GRID.shape, bool), goal, GRID, PlanConfig())
+
+
+def test_a_map_of_another_shape_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"occupied: shape \(24, 21, 13\)"):
+        plan_path(np.zeros((24, 21, 13), bool), [2.5, 2.1, 1.5], GRID, PlanConfig())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("step_voxels", 0),
+        ("iterations", -1),
+        ("safety_m", -0.1),
+        ("clearance_weight", np.inf),
+        ("sample_m", 0.0),
+        ("shrink", 1.0),
+        ("armijo", 0.0),
+        ("first_step", np.nan),
+        ("goal_faces", "top"),
+        ("clearance", "exact"),
+    ],
+)
+def test_parameters_out_of_range_are_refused(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name):
+        PlanConfig(**{name: value})  # type: ignore[arg-type]

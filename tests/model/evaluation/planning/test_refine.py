@@ -1,0 +1,151 @@
+"""Refinement descends on the stated cost: its value and gradient against references, its laws on real maps."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from lidarsim import GridSpec
+from scenegen.model.evaluation.planning import PlanConfig, plan_path, refine
+from scenegen.model.evaluation.planning.astar import Lattice
+from scenegen.model.evaluation.planning.refine import cost, gradient, interpolate
+from scenegen.truth import distance_field
+
+GRID = GridSpec(shape=(20, 16, 12), voxel_m=0.25)
+
+
+def reference_field(tudf: NDArray, grid: GridSpec, points: NDArray) -> NDArray[np.float64]:
+    """scipy's linear interpolation at points moved to the nearest place between voxel centres."""
+    axes = [(np.arange(n) + 0.5) * grid.voxel_m for n in grid.shape]
+    held = np.clip(points, [a[0] for a in axes], [a[-1] for a in axes])
+    return RegularGridInterpolator(axes, tudf.astype(np.float64))(held)
+
+
+def reference_cost(path: NDArray, tudf: NDArray, grid: GridSpec, safety_m: float, weight: float) -> float:
+    bends = path[2:] - 2 * path[1:-1] + path[:-2]
+    lack = np.maximum(0.0, safety_m - reference_field(tudf, grid, path[1:-1]))
+    return float((bends**2).sum() + weight * (lack**2).sum())
+
+
+def searched(rng: np.random.Generator, grid: GridSpec, density: float) -> tuple[NDArray, NDArray]:
+    """A random map's distance field, and A*'s path across it."""
+    lattice = Lattice(grid, 3)
+    while True:
+        occupied = rng.random(grid.shape) < density
+        goal = lattice.centres(rng.integers(0, lattice.shape))
+        path, _ = plan_path(occupied, goal, grid, PlanConfig())
+        if path is not None and len(path) > 6:
+            return distance_field(occupied, grid), path
+
+
+def test_the_field_is_read_as_scipy_reads_it() -> None:
+    """Anywhere in the map, at centres, and beyond the outermost ones; one voxel thin maps, too."""
+    rng = np.random.default_rng(1)
+    for shape in ((20, 16, 12), (5, 2, 7)):
+        grid = GridSpec(shape=shape, voxel_m=0.25)
+        tudf = rng.random(shape).astype(np.float32)
+        points = np.concatenate(
+            [rng.uniform(-0.2, np.array(shape) * 0.25 + 0.2, (500, 3)), grid.centres([0, 0, 0])[1].reshape(-1, 3)]
+        )
+        np.testing.assert_allclose(interpolate(tudf, points, grid), reference_field(tudf, grid, points), atol=1e-12)
+    flat = GridSpec(shape=(4, 1, 3))
+    tudf = rng.random(flat.shape).astype(np.float32)
+    np.testing.assert_allclose(interpolate(tudf, [[0.3, 0.7, 0.1]], flat), tudf[1, 0, 0], atol=1e-7)
+
+
+@pytest.mark.parametrize(("safety_m", "weight"), [(1.0, 1.0), (0.6, 3.0), (2.5, 0.2)])
+def test_cost_and_gradient_are_the_formulas(safety_m: float, weight: float) -> None:
+    """The cost by numpy and scipy; the gradient by central differences of that, ends excepted."""
+    rng = np.random.default_rng(2)
+    config = PlanConfig(safety_m=safety_m, clearance_weight=weight)
+    tudf = rng.uniform(0.0, 2.0, GRID.shape).astype(np.float32)
+    inside = rng.uniform(0.2, GRID.extent_m - 0.2, (40, 3))
+    outside = rng.uniform(-0.5, GRID.extent_m + 0.5, (40, 3))
+    for path in (inside, outside):
+        assert cost(path, tudf, GRID, config) == pytest.approx(reference_cost(path, tudf, GRID, safety_m, weight))
+        slope = gradient(path, tudf, GRID, config)
+        for i in range(len(path)):
+            for axis in range(3):
+                step = np.zeros_like(path)
+                step[i, axis] = 1e-6
+                rise = reference_cost(path + step, tudf, GRID, safety_m, weight)
+                rise -= reference_cost(path - step, tudf, GRID, safety_m, weight)
+                assert slope[i, axis] == pytest.approx(0.0 if i in (0, 39) else rise / 2e-6, abs=2e-6)
+
+
+@pytest.mark.parametrize("first_step", [1e-3, 1.0, 1e4])
+def test_the_cost_never_rises_and_the_ends_stay(first_step: float) -> None:
+    """Iteration by iteration, whatever the first step; and it falls far on crowded maps."""
+    rng = np.random.default_rng(3)
+    grid = GridSpec(shape=(40, 40, 20))
+    fell = []
+    for density in (0.002, 0.01, 0.05):
+        tudf, path = searched(rng, grid, density)
+        costs = []
+        for iterations in range(0, 51):
+            config = PlanConfig(iterations=iterations, first_step=first_step)
+            refined = refine(path, tudf, grid, config)
+            np.testing.assert_array_equal(refined[[0, -1]], path[[0, -1]])
+            costs.append(cost(refined, tudf, grid, config))
+        assert costs[0] == cost(path, tudf, grid, PlanConfig())
+        assert (np.diff(costs) <= 0).all()
+        fell.append(costs[-1] / costs[0])
+    assert max(fell) < 0.7
+
+
+def test_a_straight_line_in_free_space_stays() -> None:
+    tudf = np.full(GRID.shape, 2.0, np.float32)
+    line = np.linspace([0.5, 0.5, 0.5], [4.5, 3.5, 2.5], 9)
+    np.testing.assert_allclose(refine(line, tudf, GRID, PlanConfig()), line, atol=1e-12)
+    for short in (line[:1], line[:2]):
+        np.testing.assert_array_equal(refine(short, tudf, GRID, PlanConfig()), short)
+
+
+def test_a_bent_path_in_free_space_becomes_the_even_straight_line() -> None:
+    """The only path without second differences between its ends."""
+    rng = np.random.default_rng(5)
+    tudf = np.full(GRID.shape, 2.0, np.float32)
+    line = np.linspace([0.5, 0.5, 0.5], [4.5, 3.5, 2.5], 6)
+    bent = line + np.pad(rng.uniform(-0.3, 0.3, (4, 3)), ((1, 1), (0, 0)))
+    np.testing.assert_allclose(refine(bent, tudf, GRID, PlanConfig(iterations=2000)), line, atol=1e-5)
+    corner = np.array([[0.5, 0.5, 0.5], [0.5, 3.0, 0.5], [3.5, 3.0, 0.5]])
+    np.testing.assert_allclose(refine(corner, tudf, GRID, PlanConfig())[1], [2.0, 1.75, 0.5], atol=1e-9)
+
+
+def test_an_obstacle_beside_the_path_pushes_it_to_the_other_side() -> None:
+    """And the more the larger the safety distance; outside it nothing moves."""
+    grid = GridSpec(shape=(40, 40, 20))
+    occupied = np.zeros(grid.shape, bool)
+    occupied[19:22, 22, :] = True
+    tudf = distance_field(occupied, grid)
+    line = np.linspace([0.5, 4.1, 2.1], [7.5, 4.1, 2.1], 13)
+    nearest = [
+        interpolate(tudf, refine(line, tudf, grid, PlanConfig(safety_m=d)), grid).min() for d in (0.3, 0.6, 1.0, 1.5)
+    ]
+    assert nearest[0] == pytest.approx(interpolate(tudf, line, grid).min(), abs=1e-9)
+    assert (np.diff(nearest) > 0.05).all()
+    assert refine(line, tudf, grid, PlanConfig())[6, 1] < 4.1
+
+
+def test_waypoints_stay_within_the_outermost_voxel_centres() -> None:
+    """Pushed against the border, they stop there and still slide along it."""
+    grid = GridSpec(shape=(40, 40, 20))
+    occupied = np.zeros(grid.shape, bool)
+    occupied[10:30, 3:5, :] = True
+    tudf = distance_field(occupied, grid)
+    line = np.linspace([0.5, 0.3, 2.1], [7.5, 0.3, 2.1], 13)
+    config = PlanConfig(safety_m=2.0, clearance_weight=50.0, iterations=200)
+    refined = refine(line, tudf, grid, config)
+    assert refined.min() == 0.1
+    assert (refined[:, 1] == 0.1).sum() >= 3
+    assert (refined <= np.array(grid.shape) * 0.2 - 0.1).all()
+    assert cost(refined, tudf, grid, config) < cost(line, tudf, grid, config)
+
+
+def test_hostile_waypoints_are_refused() -> None:
+    tudf = np.full(GRID.shape, 2.0, np.float32)
+    for path in ([[1.0, 1.0, 0.1]], [[1.0, 1.0, 1.0], [5.0, 1.0, 1.0]], [[1.0, np.nan, 1.0]], [1.0, 1.0, 1.0]):
+        with pytest.raises(ValueError, match="waypoints"):
+            refine(path, tudf, GRID, PlanConfig())
+    with pytest.raises(ValueError, match="tudf: shape"):
+        refine([[1.0, 1.0, 1.0]], tudf[1:], GRID, PlanConfig())

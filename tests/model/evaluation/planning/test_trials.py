@@ -1,0 +1,89 @@
+"""Trials: goals on the right faces, free and reachable in the truth, the same from the same stream."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from scenegen.model.evaluation.planning import PlanConfig, draw_trials, plan_path
+from scenegen.model.evaluation.planning.astar import Lattice
+
+GRID = GridSpec(shape=(40, 40, 20))
+LATTICE = Lattice(GRID, 3)  # nodes at voxels 2, 5 ... 38 in x and y, at 1, 4 ... 19 in z
+
+
+def scattered(seed: int, density: float) -> NDArray[np.bool_]:
+    occupied = np.random.default_rng(seed).random(GRID.shape) < density
+    occupied[20, 20, 10] = False
+    return occupied
+
+
+@pytest.mark.parametrize("faces", ["lateral", "box"])
+def test_goals_are_free_reachable_different_nodes_of_the_faces(faces: str) -> None:
+    truth = scattered(1, 0.3)
+    config = PlanConfig(goal_faces=faces)  # type: ignore[arg-type]
+    trials = draw_trials(truth, GRID, config, count=80, rng=np.random.default_rng(0))
+    assert trials.goals.shape == (80, 3)
+    voxels = np.floor(trials.goals / 0.2).astype(int)
+    assert not truth[tuple(voxels.T)].any()
+    lateral = np.isin(voxels[:, :2], (2, 38)).any(axis=1)
+    level = np.isin(voxels[:, 2], (1, 19))
+    assert (lateral | level).all() if faces == "box" else lateral.all()
+    assert (~lateral).any() == (faces == "box")
+    assert (lateral & ~level).any()
+    assert len(np.unique(voxels, axis=0)) == 80
+    assert all(plan_path(truth, goal, GRID, config).reason is None for goal in trials.goals)
+    blocked = trials.excluded["goal_blocked"] / (80 + trials.excluded.total())
+    assert blocked == pytest.approx(0.3, abs=0.15)
+
+
+def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike() -> None:
+    truth = scattered(2, 0.2)
+    first, again, other, more = (
+        draw_trials(truth, GRID, PlanConfig(), count=count, rng=np.random.default_rng(seed))
+        for seed, count in ((5, 20), (5, 20), (6, 20), (5, 40))
+    )
+    np.testing.assert_array_equal(first.goals, again.goals)
+    np.testing.assert_array_equal(first.goals, more.goals[:20])
+    assert first.excluded == again.excluded
+    assert not np.array_equal(first.goals, other.goals)
+
+
+def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason() -> None:
+    """A wall cuts off the layer x = 38 (49 + 28 goals in it); one of the others lies in an obstacle."""
+    truth = np.zeros(GRID.shape, bool)
+    truth[35] = True
+    truth[2, 2, 1] = True
+    trials = draw_trials(truth, GRID, PlanConfig(goal_faces="lateral"), count=10_000, rng=np.random.default_rng(0))
+    layer = 13 * 7
+    rim = 4 * 12 * 7  # nodes of the outermost layer in x or y
+    assert len(trials.goals) == rim - layer - 2 * 7 - 1
+    assert trials.excluded == {"no_path": layer, "goal_blocked": 2 * 7 + 1}
+    assert (trials.goals[:, 0] < 35 * 0.2).all()
+
+
+def test_a_blocked_start_gives_no_trials() -> None:
+    truth = np.zeros(GRID.shape, bool)
+    truth[20, 20, 10] = True
+    trials = draw_trials(truth, GRID, PlanConfig(), count=7, rng=np.random.default_rng(0))
+    assert trials.goals.shape == (0, 3)
+    assert trials.excluded == {"start_blocked": 7}
+
+
+def test_goals_keep_within_bounds() -> None:
+    """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
+    bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
+    free = np.zeros(GRID.shape, bool)
+    goals = draw_trials(free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0), bounds=bounds).goals
+    everywhere = draw_trials(free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0)).goals
+    inside = everywhere[(everywhere[:, 0] <= 6) & (everywhere[:, 2] >= 1) & (everywhere[:, 2] <= 2.5)]
+    assert 0 < len(goals) < len(everywhere)
+    assert {tuple(goal) for goal in goals} == {tuple(goal) for goal in inside}
+
+
+def test_the_start_is_never_a_goal() -> None:
+    """On a map of one node there is none."""
+    grid = GridSpec(shape=(3, 3, 3))
+    trials = draw_trials(np.zeros((3, 3, 3), bool), grid, PlanConfig(), count=5, rng=np.random.default_rng(0))
+    assert trials.goals.shape == (0, 3)
+    assert not trials.excluded

@@ -1,0 +1,226 @@
+"""The bench from end to end on a small dataset: its rows, its report, its predictions files, and how it refuses."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError, ScenegenError
+from scenegen.model.bench.command import choose_methods, run_bench
+from scenegen.model.completion.protocol import Prediction, Thresholds
+from scenegen.model.completion.unlearned import Returns
+from scenegen.model.evaluation.methods import Completed, Truth
+from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.evaluation.planning.config import PlanConfig
+from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.run import BenchConfig, bench
+from scenegen.model.evaluation.tuning import tune
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+CONFIG = BenchConfig(trials=20, plan=PlanConfig(step_voxels=2))
+
+
+class Nothing:
+    """Predicts that nothing is there."""
+
+    name = "nothing"
+
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        return Prediction(
+            occupancy_probability=np.zeros(observed.shape, np.float32), tudf=np.full(observed.shape, 2.0, np.float32)
+        )
+
+
+def test_a_rows_name_prints_no_line_of_its_own() -> None:
+    completer = Nothing()
+    completer.name = "a\nwritten: \x1b[2J"
+    assert Completed(completer).name == "a written: \\x1b[2J"
+
+
+class Copied:
+    """The truth, through what a completer may say: found by the observed voxels, which no two samples share."""
+
+    name = "copied"
+
+    def __init__(self, dataset: Dataset):
+        self.answers = {s.observed.tobytes(): s for name in ("val", "test") for s in dataset.split(name)}
+
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        sample = self.answers[observed.tobytes()]
+        return Prediction(
+            occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)), tudf=sample.tudf
+        )
+
+
+def write_predictions(path: Path, dataset: Dataset, *, drop: int = 0, digest: str | None = None) -> Path:
+    """The truth of the test split as a predictions file."""
+    samples = list(dataset.split("test"))[drop:]
+    with h5py.File(path, "w") as file:
+        file.attrs["dataset"] = digest or dataset.manifest["digest"]
+        file.attrs["split"] = "test"
+        file["world"] = np.array([sample.world for sample in samples], dtype=np.int64)
+        file["viewpoint"] = np.array([sample.viewpoint for sample in samples], dtype=np.int64)
+        file["tudf"] = np.array([sample.tudf for sample in samples])
+        file["occupancy_probability"] = np.array([sample.occupancy for sample in samples], dtype=np.float32)
+    return path
+
+
+def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset: Dataset, tmp_path: Path) -> None:
+    predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
+    predicted.check(dataset, "test")
+    found = bench(dataset, [Truth(), predicted, Completed(Copied(dataset))], CONFIG)
+    truth, from_file, copied = found.methods.values()
+    for perfect in (truth, from_file):
+        np.testing.assert_array_equal(perfect.reconstruction[:, 0, :6], 0)
+        np.testing.assert_array_equal(perfect.reconstruction[:, 0, 6:], 1)
+    assert truth.trials == from_file.trials
+    assert copied.thresholds.probability == pytest.approx(0.35)
+    assert copied.reconstruction[:, 0, list(METRICS).index("iou")].max() == 0, "0.6 is below the paper's threshold"
+    np.testing.assert_array_equal(copied.tuned[:, list(METRICS).index("iou")], 1)
+
+
+def test_an_empty_prediction_flies_straight_and_collides_more_often(dataset: Dataset) -> None:
+    found = bench(dataset, [Truth(), Completed(Nothing())], CONFIG)
+    truth, nothing = found.methods["truth"].trials, found.methods["nothing"].trials
+    assert len(truth) == len(nothing) == 20
+    assert sum(trial.success for trial in nothing) < sum(trial.success for trial in truth)
+    assert {trial.cause for trial in nothing} <= {None, "initial_collides"}
+    assert np.mean([trial.length_m for trial in nothing]) < np.mean([trial.length_m for trial in truth])
+    assert found.methods["nothing"].reconstruction[:, 0, list(METRICS).index("recall")].max() == 0
+
+
+def test_workers_and_other_rows_change_no_figure(dataset: Dataset) -> None:
+    alone = bench(dataset, [Completed(Returns())], CONFIG)
+    beside = bench(dataset, [Truth(), Completed(Returns())], CONFIG, workers=2)
+    ours, theirs = alone.methods["returns"], beside.methods["returns"]
+    np.testing.assert_array_equal(ours.reconstruction, theirs.reconstruction)
+    assert ours.trials == theirs.trials
+    assert bench(dataset, [Truth()], BenchConfig(trials=20, seed=1, plan=CONFIG.plan)).methods["truth"].trials != (
+        beside.methods["truth"].trials
+    )
+
+
+def test_a_method_that_says_the_same_at_any_threshold_keeps_the_papers(dataset: Dataset) -> None:
+    assert tune(Completed(Returns()), dataset, most=4, thresholds=Thresholds()) == Thresholds()
+
+
+class Silent:
+    """A progress bar that shows nothing."""
+
+    def __enter__(self) -> "Silent":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def start(self, total: int) -> None:
+        pass
+
+    def count(self, samples: int) -> None:
+        pass
+
+
+def report_of(dataset: Dataset, out: Path, **options: object) -> dict:
+    """What the command makes of one dataset."""
+    given = {"names": (), "predictions": None, "split": "test", "quick": True, "seed": 0, "workers": 1, **options}
+    return run_bench([dataset.folder], out=out, command="test", progress=lambda label: Silent(), **given)
+
+
+def test_the_report_holds_every_figure_in_its_place(dataset: Dataset, tmp_path: Path) -> None:
+    report = report_of(dataset, tmp_path / "bench")
+    assert report == json.loads((tmp_path / "bench" / "report.json").read_text())
+    for table, names in (("reconstruction", METRICS), ("planning", ("success", "length", "min_clearance"))):
+        assert list(report[table]["pillar"]) == ["returns", "conservative", "extrude", "truth"]
+        for row in report[table]["pillar"].values():
+            for name in names:
+                assert set(row[name]) == {"mean", "std", "low", "high", "n"}
+    returns = report["reconstruction"]["pillar"]["returns"]
+    assert returns["unobserved"]["iou"]["mean"] == 0, "returns say nothing about unknown voxels"
+    assert {"tuned", "unobserved", "by_class"} < set(returns)
+    assert {"successes", "failures"} < set(report["planning"]["pillar"]["returns"])
+    assert returns["precision"]["mean"] == 1.0
+    assert returns["iou"]["low"] <= returns["iou"]["mean"] <= returns["iou"]["high"]
+    assert report["datasets"]["pillar"]["digest"] == dataset.manifest["digest"]
+    text = (tmp_path / "bench" / "report.md").read_text()
+    assert "*Proposed*" in text
+    assert "0.559 ± 0.058" in text
+
+
+class Nameless:
+    complete = Nothing.complete
+
+
+class Aimless:
+    name = "aimless"
+
+
+class Plain(Nothing):
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Any:
+        return observed.astype(np.float32)
+
+
+class Flat(Nothing):
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        return Prediction(occupancy_probability=np.zeros(7, np.float32))
+
+
+class Listed(Nothing):
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        return Prediction(tudf=[[[0.0]]])
+
+
+class Wild(Nothing):
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+        return Prediction(occupancy_probability=np.full(observed.shape, 1.5, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [
+        ("Nameless", "Nameless: lacks `name`"),
+        ("Aimless", "Aimless: lacks `complete`"),
+        ("Plain", "nothing: gives ndarray, expected a scenegen.model.completion.protocol.Prediction"),
+        (
+            "Flat",
+            r"occupancy_probability is an array of shape \(7,\), expected an array of shape \(24, 24, 16\)",
+        ),
+        ("Listed", "nothing: tudf is list"),
+        ("Wild", "nothing: occupancy_probability holds 1.5"),
+    ],
+)
+def test_methods_that_are_none_are_refused_in_one_line(
+    dataset: Dataset, tmp_path: Path, method: str, said: str
+) -> None:
+    with pytest.raises(ScenegenError, match=said) as caught:
+        report_of(dataset, tmp_path / "bench", names=(f"{__name__}:{method}",))
+    assert "\n" not in str(caught.value)
+
+
+def test_one_world_gives_no_interval(tmp_path: Path) -> None:
+    recipe = small_recipe()
+    counts = {"train": 3, "val": 0, "test": 3}
+    build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts=counts))
+    report = report_of(Dataset(tmp_path / "d"), tmp_path / "bench", names=("returns", "truth"))
+    figure = report["reconstruction"]["pillar"]["returns"]["iou"]
+    assert (figure["low"], figure["high"], figure["n"]) == (None, None, 3)
+    assert all(test["low"] is None for test in report["tests"]["pillar"])
+    text = (tmp_path / "bench" / "report.md").read_text()
+    assert "[–]" in text
+    assert "which one world does not give" in text
+    assert "nan" not in text
+
+
+def test_unknown_methods_and_empty_splits_are_refused(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(ScenegenError, match="known are returns"):
+        choose_methods(["retruns"])
+    assert choose_methods(["tests.model.evaluation.test_bench:Nothing"])[0].name == "nothing"
+    recipe = small_recipe()
+    build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 0, "test": 0}))
+    with pytest.raises(DatasetError, match=r"test split is empty; generate with --test .* or give another --split"):
+        bench(Dataset(tmp_path / "d"), [Truth()], CONFIG)

@@ -1,0 +1,142 @@
+"""Files of predictions: those that do not fit, or cannot be, are refused in one line."""
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError
+from scenegen.model.completion.protocol import Thresholds
+from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.tuning import tune
+from tests.model.evaluation.test_bench import report_of, write_predictions
+
+
+def test_predictions_that_do_not_fit_are_refused_by_name(dataset: Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "p.h5"
+
+    def refused(message: str) -> None:
+        with pytest.raises(DatasetError, match=message):
+            report_of(dataset, tmp_path / "bench", predictions=path)
+
+    path.write_bytes(b"no HDF5")
+    refused("cannot be read as HDF5")
+    write_predictions(path, dataset, digest="0" * 64)
+    refused("predicts dataset 000000000000")
+    write_predictions(path, dataset, drop=2)
+    refused("2 of 9 samples are missing, the first is world 0, viewpoint 0")
+    write_predictions(path, dataset)
+    with h5py.File(path, "a") as file:
+        file["tudf"][3, 0, 0, 0] = np.nan
+    refused("holds NaN")
+    with h5py.File(path, "a") as file:
+        del file["tudf"]
+        file["tudf"] = np.zeros((9, 2, 2, 2), np.float32)
+    refused("holds maps of")
+    with h5py.File(path, "a") as file:
+        del file["tudf"], file["occupancy_probability"]
+    refused("at least one of")
+    assert not (tmp_path / "bench").exists()
+
+
+def set_voxel(name: str, value: float) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file[name][3, 1, 2, 3] = value
+
+    return change
+
+
+def put(name: str, value: Any, **options: Any) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        del file[name]
+        file.create_dataset(name, data=value, **options)
+
+    return change
+
+
+def promise_a_terabyte(file: h5py.File) -> None:
+    """Chunks that were never written: a file of a few kilobytes."""
+    del file["tudf"]
+    file.create_dataset("tudf", (9, 24, 24, 16), np.float32, chunks=(9, 24, 24, 16), maxshape=(None, None, None, None))
+    del file["occupancy_probability"], file["world"]
+    file.create_dataset("world", (10**12,), np.int64, chunks=(10**6,))
+
+
+def repeat_a_row(file: h5py.File) -> None:
+    file["world"][1], file["viewpoint"][1] = file["world"][0], file["viewpoint"][0]
+
+
+def leave_unwritten(file: h5py.File) -> None:
+    """What a program leaves that ended too early."""
+    del file["tudf"]
+    file.create_dataset("tudf", (9, 24, 24, 16), np.float32, chunks=(1, 24, 24, 16))[:5] = 1.0
+
+
+def link_outside(file: h5py.File) -> None:
+    del file["tudf"]
+    file["tudf"] = h5py.ExternalLink("/etc/passwd", "tudf")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (set_voxel("occupancy_probability", 7.0), "row 3: occupancy_probability holds 7, expected a probability"),
+        (set_voxel("occupancy_probability", -3.0), "occupancy_probability holds -3"),
+        (set_voxel("tudf", -0.5), "row 3: tudf holds -0.5, expected a distance of at least 0"),
+        (set_voxel("tudf", np.inf), "tudf holds NaN or infinity"),
+        (leave_unwritten, "tudf is not written to its end"),
+        (repeat_a_row, "1 of 9 samples are missing"),
+        (put("tudf", np.zeros((8, 24, 24, 16), np.float32)), "tudf has 8 rows, expected 9"),
+        (put("tudf", np.zeros((9, 24, 24, 16), "S3")), "tudf is no array of float32"),
+        (put("tudf", np.zeros((9, 24, 24, 16), np.complex64)), "tudf is no array of float32"),
+        (put("tudf", 1.0), "tudf holds maps of"),
+        (put("world", np.zeros(9)), "world is no array of whole numbers"),
+        (put("world", np.zeros((9, 2), int)), "world holds maps of"),
+        (lambda file: file.move("world", "elsewhere"), "expected world, viewpoint"),
+        (lambda file: (file.pop("world"), file.create_group("world")), "world is no array"),
+        (link_outside, "none of them a link"),
+        (lambda file: file.attrs.update({"split": np.arange(3)}), "predicts split"),
+        (lambda file: file.attrs.update({"dataset": b"\x1b[31m\n"}), "predicts dataset"),
+        (promise_a_terabyte, "viewpoint has 9 rows, expected 1000000000000"),
+    ],
+)
+def test_predictions_that_cannot_be_are_refused_in_one_line(
+    dataset: Dataset, tmp_path: Path, change: Callable[[h5py.File], None], said: str
+) -> None:
+    path = write_predictions(tmp_path / "p.h5", dataset)
+    with h5py.File(path, "a") as file:
+        change(file)
+    with pytest.raises(DatasetError) as caught:
+        Predicted(path).check(dataset, "test")
+    assert said in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset: Dataset, tmp_path: Path) -> None:
+    whole = write_predictions(tmp_path / "p.h5", dataset).read_bytes()
+    rng = np.random.default_rng(0)
+    for n in range(12):
+        content = bytearray(whole)
+        if n % 2:
+            del content[int(rng.integers(len(whole))) :]
+        else:
+            start = int(rng.integers(4000))
+            content[start : start + 64] = rng.bytes(64)
+        (tmp_path / "p.h5").write_bytes(content)
+        with contextlib.suppress(DatasetError):
+            Predicted(tmp_path / "p.h5").check(dataset, "test")
+    with pytest.raises(DatasetError, match="no such file"):
+        Predicted(tmp_path / "absent.h5").check(dataset, "test")
+
+
+def test_predictions_of_one_split_say_nothing_of_another(dataset: Dataset, tmp_path: Path) -> None:
+    """Worlds are numbered from 0 in every split, so a row must go by its split, too."""
+    predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
+    with pytest.raises(KeyError):
+        predicted.completion(dataset.split("val")[0], split="val", grid=dataset.grid, lidar=dataset.lidar)
+    assert tune(predicted, dataset, most=4, thresholds=Thresholds()) == Thresholds()

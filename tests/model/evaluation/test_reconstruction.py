@@ -1,0 +1,145 @@
+"""Metrics against hand-computed small maps and scipy, and their edge cases."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from lidarsim import GridSpec
+from scenegen.draw import draw_unit
+from scenegen.model.completion.protocol import Prediction, Thresholds
+from scenegen.model.completion.unlearned import UNLEARNED, Conservative, Extrude, Returns
+from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
+from scenegen.model.evaluation.visibility import CLASSES, classify
+from scenegen.source import DrawnWorlds
+from scenegen.truth import distance_field
+from tests.conftest import small_recipe
+
+GRID = GridSpec(shape=(7, 6, 5))
+PLAIN = ReconstructionConfig()
+DISTANCES, SHARES = (
+    [name for name, one in METRICS.items() if one.needs == needs] for needs in ("distance", "occupancy")
+)
+
+
+def score(occupied: np.ndarray, distance: np.ndarray, truth: np.ndarray, config: ReconstructionConfig = PLAIN) -> dict:
+    """Metrics by name over the whole map."""
+    true_distance = distance_field(truth, GridSpec(shape=truth.shape))
+    whole = np.zeros(truth.shape, np.uint8)
+    rows = measure(occupied, distance, truth, true_distance, classes=whole, class_count=1, config=config, union=[0])
+    np.testing.assert_array_equal(rows[0], rows[1])
+    np.testing.assert_array_equal(rows[0], rows[2])
+    return dict(zip(METRICS, rows[0], strict=True))
+
+
+def random_maps(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    truth = rng.random((9, 8, 7)) < 0.1
+    return rng.random(truth.shape) < 0.2, rng.uniform(0, 2, truth.shape).astype(np.float32), truth
+
+
+def test_a_perfect_prediction_scores_perfectly() -> None:
+    _, _, truth = random_maps(0)
+    found = score(truth, distance_field(truth, GridSpec(shape=truth.shape)), truth)
+    assert all(found[name] == 0 for name in DISTANCES)
+    assert all(found[name] == 1 for name in SHARES)
+
+
+def test_metrics_agree_with_definitions_written_out() -> None:
+    for seed in range(5):
+        occupied, distance, truth = random_maps(seed)
+        found = score(occupied, distance, truth)
+        true_distance = distance_field(truth, GridSpec(shape=truth.shape))
+        error = distance.astype(float) - true_distance
+        near = true_distance <= 1.0
+        assert found["rmse"] == pytest.approx(np.sqrt(np.mean(error**2)))
+        assert found["near_mae"] == pytest.approx(np.abs(error[near]).mean())
+        assert found["near_bias"] == pytest.approx(error[near].mean())
+        assert found["bias"] == pytest.approx(error.mean())
+        table = stats.contingency.crosstab(occupied.ravel(), truth.ravel()).count
+        (_, misses), (alarms, hits) = table
+        assert found["iou"] == pytest.approx(hits / (hits + misses + alarms))
+        assert found["precision"] == pytest.approx(hits / (hits + alarms))
+        assert found["recall"] == pytest.approx(hits / (hits + misses))
+        assert found["f1"] == pytest.approx(stats.hmean([found["precision"], found["recall"]]))
+
+
+def test_classes_and_their_union_are_measured_on_their_voxels_alone() -> None:
+    occupied, distance, truth = random_maps(7)
+    classes = np.random.default_rng(7).integers(0, 3, truth.shape).astype(np.uint8)
+    true_distance = distance_field(truth, GridSpec(shape=truth.shape))
+    rows = measure(occupied, distance, truth, true_distance, classes=classes, class_count=3, config=PLAIN, union=[0, 2])
+    for row, chosen in zip(rows[1:], [classes != 1, *(classes == c for c in range(3))], strict=True):
+        found = dict(zip(METRICS, row, strict=True))
+        assert found["mae"] == pytest.approx(np.abs(distance.astype(float) - true_distance)[chosen].mean())
+        hits = (occupied & truth & chosen).sum()
+        assert found["iou"] == pytest.approx(hits / ((occupied | truth) & chosen).sum())
+
+
+def test_by_hand_on_three_voxels() -> None:
+    truth = np.array([[[True, False, False]]])
+    found = score(np.array([[[True, True, False]]]), np.array([[[0, 0, 0.2]]], np.float32), truth)
+    assert found["iou"] == found["precision"] == 0.5
+    assert found["recall"] == 1.0
+    assert found["mae"] == pytest.approx(0.4 / 3)
+    assert found["bias"] == pytest.approx(-0.4 / 3)
+
+
+def test_nothing_occupied_and_nothing_predicted_are_defined() -> None:
+    none, some = np.zeros((2, 2, 2), bool), np.ones((2, 2, 2), bool)
+    far = np.full((2, 2, 2), 2.0, np.float32)
+    assert [score(none, far, none)[name] for name in SHARES] == [1, 1, 1, 1]
+    assert [score(some, far, none)[name] for name in SHARES] == [0, 0, 0, 0]
+    assert [score(none, far, some)[name] for name in SHARES] == [0, 0, 0, 0]
+    assert np.isnan(score(none, far, none)["near_rmse"])
+
+
+def test_near_is_closed_and_strict_leaves_its_border_out() -> None:
+    truth = np.zeros((1, 1, 12), bool)
+    truth[0, 0, 0] = True
+    distance = distance_field(truth, GridSpec(shape=truth.shape))
+    distance[0, 0, 5] += 0.5  # exactly 1.0 m away
+    assert score(truth, distance, truth)["near_mae"] == pytest.approx(0.5 / 6)
+    assert score(truth, distance, truth, ReconstructionConfig(strict=True))["near_mae"] == 0
+
+
+@pytest.mark.parametrize("kind", ["pillar", "geometric"])
+def test_classes_part_the_map_and_mean_what_they_say(kind: str) -> None:
+    recipe = small_recipe(kind)
+    for sample in draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples:
+        classes = classify(sample, lidar=recipe.lidar, grid=recipe.grid)
+        counts = dict(zip(CLASSES, np.bincount(classes.ravel(), minlength=len(CLASSES)), strict=True))
+        assert counts["observed"] == sample.observed.sum()
+        assert counts["crossed"] == sample.free.sum()
+        assert counts["out_of_view"] > 0
+        padded = np.pad(sample.occupancy, 1, constant_values=True)  # beyond the map counts as occupied
+        around = [np.roll(padded, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (1, -1)]
+        inside = np.all([sample.occupancy, *around], axis=0) & ~sample.free & ~sample.observed
+        np.testing.assert_array_equal(classes == CLASSES.index("interior"), inside)
+        assert counts["occluded"] > 0
+
+
+def test_unlearned_methods_do_what_they_say() -> None:
+    observed, free = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
+    observed[2, 3, 2] = free[2, 3, 4] = free[2, 3, 0] = observed[4, 4, 0] = True
+    free[4, 4, 1] = free[1, 1, :] = True
+    at = Thresholds()
+    np.testing.assert_array_equal(Returns().complete(observed, free, grid=GRID).occupied(at), observed)
+    np.testing.assert_array_equal(Conservative().complete(observed, free, grid=GRID).occupied(at), ~free)
+    extruded = Extrude().complete(observed, free, grid=GRID).occupied(at)
+    assert extruded[2, 3].tolist() == [False, True, True, True, False]
+    assert extruded[4, 4].tolist() == [True, False, False, False, False]
+    assert extruded.sum() == 4
+    for method in UNLEARNED:
+        completion = method.complete(observed, free, grid=GRID)
+        expected = distance_field(completion.occupied(at), GRID)
+        np.testing.assert_array_equal(completion.distance(at, GRID), expected)
+
+
+def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused() -> None:
+    tudf = np.linspace(0, 3, 8, dtype=np.float32).reshape(2, 2, 2)
+    completion = Prediction(tudf=tudf)
+    np.testing.assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
+    assert completion.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
+    with pytest.raises(ValueError, match="probability"):
+        Prediction()

@@ -1,0 +1,122 @@
+"""A channel that the toolkit does not have takes one entry to be trained on, completed from and exported."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import torch
+
+from lidarsim import GridSpec
+from scenegen.dataset.read import Dataset
+from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_network, save_tensors
+from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.predictions import predict_scan, predict_split
+from scenegen.model.completion.protocol import Thresholds
+from scenegen.model.config import NetworkConfig, TrainConfig
+from scenegen.model.evaluation.metrics import METRICS, Metric
+from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.pretrained import Pretrained
+from scenegen.model.inputs import INPUTS, Input
+from scenegen.model.network import Network
+from scenegen.model.training.data import Maps, opened
+from scenegen.model.training.loop import train
+
+GRID = GridSpec(shape=(16, 24, 8))
+BOTH = ("observed", "free")
+
+
+def test_a_new_channel_and_a_new_metric_go_all_the_way(
+    free: None, folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two steps of training, validation, card, then a split, a row of the bench and a scan."""
+    alarms = Metric(title="alarms", of=lambda s: s.share(s.alarms, s.voxels), needs="occupancy", better="lower")
+    monkeypatch.setitem(METRICS, "alarms", alarms)
+    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+    config = TrainConfig(network=NetworkConfig(width=4, inputs=BOTH), epochs=1, batch=12, precision="float32")
+    (row,) = train(opened(folders, "train"), opened(folders, "val"), config, tmp_path / "run", device="cpu")
+    assert 0 <= row["val_alarms"] <= 1
+    card = (tmp_path / "run" / "card.md").read_text()
+    assert "takes the observed and free voxels" in card
+    assert "| alarms |" in card
+
+    network, grid, _ = load_network(tmp_path / "run" / "best.safetensors")
+    assert network.config.inputs == BOTH
+    completer = Completer.from_pretrained(tmp_path / "run")
+    dataset = Dataset(folders[1])
+    sample = dataset.split("test")[0]
+    maps = {"observed": torch.from_numpy(sample.observed[None]), "free": torch.from_numpy(sample.free[None])}
+    with torch.no_grad():
+        expected = network(maps).logits.sigmoid()[0].numpy()
+        blind = network({**maps, "free": torch.zeros(1, *grid.shape)}).logits.sigmoid()[0].numpy()
+    assert not np.allclose(expected, blind, atol=1e-4), "the second channel counts"
+
+    at = {"split": "test", "grid": grid, "lidar": dataset.lidar}
+    predict_split(completer, folders[1], "test", tmp_path / "p.h5", batch=2)
+    for found in (
+        Predicted(tmp_path / "p.h5").completion(sample, **at),
+        Pretrained(str(tmp_path / "run")).completion(sample, **at),
+        completer.complete(sample.observed, sample.free, grid=grid),
+    ):
+        np.testing.assert_allclose(found.occupancy_probability, expected, atol=1e-5)
+    with pytest.raises(ValueError, match="run takes observed, free; free is not given"):
+        completer(sample.observed)
+
+    np.save(tmp_path / "scan.npy", grid.centres(sample.origin)[sample.observed])
+    predict_scan(completer, tmp_path / "scan.npy", tmp_path / "s.h5", sensor=sample.position, thresholds=Thresholds())
+    with h5py.File(tmp_path / "s.h5") as file:
+        assert np.array_equal(file["observed"], sample.observed)
+        held = {name: file[name][:] for name in (*BOTH, "tudf")}
+    assert held["free"].any()
+    np.testing.assert_allclose(completer(held).tudf, held["tudf"], atol=1e-5)
+
+
+def test_channels_turn_with_their_map_unless_they_are_tied_to_its_axes(
+    folders: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ahead = np.arange(24.0, dtype=np.float32)[:, None, None] * np.ones((24, 24, 16), np.float32)
+    tied: dict[str, Any] = {"stored": (), "of_sample": lambda *given: ahead, "of_scan": lambda scan: ahead}
+    monkeypatch.setitem(INPUTS, "x", Input(**tied, binary=False, turns=False))
+    monkeypatch.setitem(INPUTS, "turned_x", Input(**tied, binary=False))
+    maps = Maps(opened(folders, "train"), "train", ("observed", "x", "turned_x"))
+    plain, quarter = maps[3], maps[3, 1]
+    assert torch.equal(quarter["x"], plain["x"])
+    for name in ("observed", "occupancy", "turned_x"):
+        assert torch.equal(quarter[name], torch.rot90(plain[name], 1, (0, 1)))
+
+
+@pytest.mark.parametrize("inputs", [(), ("observed", "observed"), ("smell",), ([1],), "observed"], ids=str)
+def test_inputs_that_nobody_knows_are_refused(inputs: Any, tmp_path: Path) -> None:
+    with pytest.raises((ValueError, TypeError)):
+        NetworkConfig(inputs=inputs)
+    save_network(tmp_path / "net.safetensors", Network(NetworkConfig(width=4)), GRID, {})
+    tensors, header = load_tensors(tmp_path / "net.safetensors")
+    save_tensors(tmp_path / "net.safetensors", tensors, header | {"network": {"width": 4, "inputs": inputs}})
+    with pytest.raises(CheckpointError, match="do not fit") as caught:
+        load_network(tmp_path / "net.safetensors")
+    assert "\n" not in str(caught.value)
+
+
+def test_networks_of_earlier_commits_take_observed_voxels(tmp_path: Path) -> None:
+    save_network(tmp_path / "net.safetensors", Network(NetworkConfig(width=4)), GRID, {})
+    tensors, header = load_tensors(tmp_path / "net.safetensors")
+    del header["network"]["inputs"]
+    save_tensors(tmp_path / "net.safetensors", tensors, header)
+    assert load_network(tmp_path / "net.safetensors")[0].config.inputs == ("observed",)
+
+
+def test_maps_that_an_input_cannot_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    depth = Input(stored=(), of_sample=lambda *given: None, of_scan=lambda scan: None, binary=False)
+    monkeypatch.setitem(INPUTS, "depth", depth)
+    network = Network(NetworkConfig(width=4, inputs=("observed", "depth"))).eval()
+    completer = Completer(network, GRID, name="net", inputs=network.config.inputs)
+    seen, depths = np.zeros(GRID.shape, bool), np.full(GRID.shape, 0.5, np.float32)
+    assert completer({"observed": seen, "depth": depths}).tudf.shape == GRID.shape
+    for wrong, said in (
+        (np.full(GRID.shape, np.nan), "depth holds NaN or infinity"),
+        (np.zeros((2, *GRID.shape)), "have shapes"),
+        (np.zeros((4, 4, 4)), "depth has shape"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            completer({"observed": seen, "depth": wrong})

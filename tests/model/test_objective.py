@@ -1,0 +1,95 @@
+"""The objective is the weighted sum of its parts, with the paper's weights."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from scenegen.model.config import LossConfig  # noqa: E402
+from scenegen.model.losses import objective  # noqa: E402
+from scenegen.model.network import Output  # noqa: E402
+from tests.model.test_losses import (  # noqa: E402
+    SPACES,
+    cross_entropy,
+    eikonal,
+    finite_differences,
+    random_case,
+    value,
+    weighted_smooth_l1,
+)
+
+# The objective and its weights.
+
+CONFIGS = [
+    LossConfig(),
+    LossConfig(occupancy=0.3, tudf=0.7, eikonal=0.9, occupied_weight=3, near_weight=4, near_m=0.8, beta_m=0.2),
+    LossConfig(occupancy=2.0, tudf=5.0, eikonal=0.0, near_weight=1.0),
+    LossConfig(occupancy=0.0, tudf=0.4, eikonal=3.0, occupied_weight=0.5),
+]
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("heads", ["both", "logits", "tudf"])
+@pytest.mark.parametrize(("voxel_m", "truncation_m"), SPACES[:2])
+def test_the_objective_is_the_weighted_sum(config: LossConfig, heads: str, voxel_m: float, truncation_m: float) -> None:
+    """L = l_occ L_occ + l_tudf (L_reg + l_eik L_eik), of what the output has."""
+    logits, occupancy, predicted, tudf = random_case(11, voxel_m=voxel_m, truncation_m=truncation_m)
+    output = Output(
+        logits=None if heads == "tudf" else torch.from_numpy(logits),
+        tudf=None if heads == "logits" else torch.from_numpy(predicted),
+    )
+    wanted, loss = {}, 0.0
+    if output.logits is not None:
+        wanted["occupancy"] = cross_entropy(logits, occupancy, config.occupied_weight)
+        loss += config.occupancy * wanted["occupancy"]
+    if output.tudf is not None:
+        near = (config.near_m, config.near_weight, config.beta_m)
+        wanted["regression"] = weighted_smooth_l1(predicted, tudf, *near)
+        wanted["eikonal"] = eikonal(predicted, tudf, voxel_m, truncation_m)
+        loss += config.tudf * (wanted["regression"] + config.eikonal * wanted["eikonal"])
+    truth = (torch.from_numpy(occupancy), torch.from_numpy(tudf))
+    found = objective(output, *truth, config, voxel_m=voxel_m, truncation_m=truncation_m)
+    assert {name: value(part) for name, part in found.items()} == pytest.approx({**wanted, "loss": loss}, rel=1e-6)
+
+
+def test_the_objective_pulls_at_both_heads_by_their_weights() -> None:
+    logits, occupancy, predicted, tudf = random_case(2, (1, 3, 3, 4))
+    config = CONFIGS[1]
+    output = Output(logits=torch.from_numpy(logits).requires_grad_(), tudf=torch.from_numpy(predicted).requires_grad_())
+    truth = (torch.from_numpy(occupancy), torch.from_numpy(tudf))
+    objective(output, *truth, config, voxel_m=0.2, truncation_m=2.0)["loss"].backward()
+
+    def of_tudf(x: np.ndarray) -> float:
+        near = (config.near_m, config.near_weight, config.beta_m)
+        return 0.7 * (weighted_smooth_l1(x, tudf, *near) + 0.9 * eikonal(x, tudf, 0.2, 2.0))
+
+    wanted = finite_differences(lambda x: 0.3 * cross_entropy(x, occupancy, 3), logits)
+    np.testing.assert_allclose(output.logits.grad.numpy(), wanted, rtol=2e-5, atol=1e-7)
+    np.testing.assert_allclose(output.tudf.grad.numpy(), finite_differences(of_tudf, predicted), rtol=2e-5, atol=1e-7)
+
+
+def test_the_default_weights_are_the_papers() -> None:
+    wanted = {"occupancy": 0.1, "tudf": 1.0, "eikonal": 0.05, "occupied_weight": 5, "near_weight": 2, "near_m": 0.5}
+    assert dataclasses.asdict(LossConfig()) == {**wanted, "beta_m": 1.0}
+
+
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(LossConfig)])
+def test_a_weight_that_makes_no_sense_is_refused_by_name(name: str) -> None:
+    for wrong in (-0.1, math.nan, math.inf, -math.inf):
+        with pytest.raises(ValueError, match=name):
+            LossConfig(**{name: wrong})
+    if name == "beta_m":
+        with pytest.raises(ValueError, match=name):
+            LossConfig(beta_m=0.0)
+    else:
+        assert getattr(LossConfig(**{name: 0.0}), name) == 0.0
+
+
+def test_a_config_stays_as_it_is() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        LossConfig().beta_m = 2.0
+    with pytest.raises(TypeError):
+        LossConfig(0.1)

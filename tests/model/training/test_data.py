@@ -1,0 +1,108 @@
+"""What torch is given is what the shards hold, whoever reads it."""
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError
+from scenegen.model.training.data import LoaderError, Maps, TudfOf, load, opened
+from tests.model.conftest import COUNTS, make_dataset
+
+
+def test_maps_are_the_samples_of_all_datasets_in_order(folders: list[Path]) -> None:
+    maps = Maps(opened(folders, "train"), "train")
+    samples = [sample for folder in folders for sample in Dataset(folder).split("train")]
+    assert len(maps) == len(samples) == 2 * COUNTS["train"]
+    for number, sample in enumerate(samples):
+        observed, occupancy = maps[number]["observed"], maps[number]["occupancy"]
+        assert observed.dtype == occupancy.dtype == torch.bool
+        assert np.array_equal(observed, sample.observed)
+        assert np.array_equal(occupancy, sample.occupancy)
+        assert np.array_equal(TudfOf(maps.grid)(occupancy[None])[0], sample.tudf)
+    assert maps.name(COUNTS["train"] + 2) == f"{folders[1]}, train sample 2"
+    with pytest.raises(IndexError):
+        maps[len(samples)]
+
+
+def test_loader_workers_read_the_same_after_their_parent_has_read(folders: list[Path]) -> None:
+    maps = Maps(opened(folders, "train"), "train")
+    batches = [[5, 1, 20], [23, 0, 7], [12, 13, 3]]
+    here = list(load(maps, batches, workers=0, pinned=False))
+    forked = list(load(maps, batches, workers=3, pinned=False))
+    for one, other in zip(here, forked, strict=True):
+        assert one.keys() == other.keys() == {"observed", "occupancy"}
+        assert all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_fields_are_read_alone(folders: list[Path]) -> None:
+    full, compact = (Dataset(folder).split("val") for folder in folders)
+    ranges, world = full.stored(-1, "ranges", "world")
+    assert np.array_equal(ranges, full[-1].ranges)
+    assert world == full[-1].world
+    with pytest.raises(DatasetError, match="stores no tudf"):
+        compact.stored(0, "tudf")
+
+
+def test_chunks_that_other_writers_filtered_are_read_too(folders: list[Path], tmp_path: Path) -> None:
+    """The contract allows shuffle and checksums, or no filter at all."""
+    import shutil
+
+    import h5py
+
+    copy = shutil.copytree(folders[0], tmp_path / "copy")
+    expected = [sample.occupancy for sample in Dataset(copy).split("test")]
+    for path in copy.glob("test-*.h5"):
+        with h5py.File(path, "r+") as file:
+            values = file["occupancy"][:]
+            del file["occupancy"]
+            chunks = (1, *values.shape[1:])
+            file.create_dataset(
+                "occupancy", data=values, chunks=chunks, compression="gzip", shuffle=True, fletcher32=True
+            )
+            plain = file["observed"][:]
+            del file["observed"]
+            file.create_dataset("observed", data=plain, chunks=chunks)
+    found = [sample.occupancy for sample in Dataset(copy).split("test")]
+    assert all(np.array_equal(one, other) for one, other in zip(expected, found, strict=True))
+
+
+def test_damage_is_named(folders: list[Path], tmp_path: Path) -> None:
+    import shutil
+
+    import h5py
+
+    copy = shutil.copytree(folders[0], tmp_path / "copy")
+    with h5py.File(copy / "train-00000.h5", "r+") as file:
+        file["occupancy"].id.write_direct_chunk((1, 0, 0, 0), b"not a chunk")
+    maps = Maps(opened([copy], "train"), "train")
+    maps[0]
+    said = r"^\S*train-00000\.h5: sample 1: occupancy cannot be unpacked"
+    with pytest.raises(DatasetError, match=said):
+        maps[1]
+    for workers in (0, 1):
+        with pytest.raises(
+            DatasetError, match=r"^\S*train-00000\.h5: sample 1: occupancy cannot be unpacked"
+        ) as caught:
+            list(load(maps, [[0], [1]], workers=workers, pinned=False))
+        assert "\n" not in str(caught.value)
+
+
+def test_a_loader_process_that_dies_is_named(folders: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Maps, "__getitem__", lambda self, key: os.kill(os.getpid(), signal.SIGKILL))
+    with pytest.raises(LoaderError, match="--workers 0"):
+        list(load(Maps(opened(folders, "train"), "train"), [[0], [1]], workers=1, pinned=False))
+
+
+def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_path: Path) -> None:
+    other_grid = make_dataset(tmp_path / "grid", grid={"shape": (16, 16, 16)})
+    other_sensor = make_dataset(tmp_path / "sensor", lidar={"rows": 4})
+    for wrong, named in ((other_grid, "its grid is"), (other_sensor, "its lidar is"), (folders[0], "the same samples")):
+        with pytest.raises(DatasetError, match=named):
+            Maps(opened([folders[0], wrong], "train"), "train")
+    with pytest.raises(DatasetError, match="no dataset given"):
+        Maps([], "train")

@@ -1,0 +1,85 @@
+"""Several processes train one network, and devices have names."""
+
+import dataclasses
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from scenegen.model.checkpoint import load_network, load_tensors, save_tensors
+from scenegen.model.network import Network
+from scenegen.model.training.data import Maps, opened
+from scenegen.model.training.device import Group, device_name
+from scenegen.model.training.loop import Step
+from tests.model.training.runs import SMALL, elsewhere
+
+
+@pytest.mark.slow
+def test_two_processes_train_one_network(folders: list[Path], tmp_path: Path) -> None:
+    """Under torchrun: each takes half of every batch, one writes, and what comes out is whole."""
+    out = tmp_path / "run"
+    words = ["train", *folders, "--width", 4, "--epochs", 1, "--batch", 4, "--device", "cpu", "--quiet", "--out", out]
+    words += ["--precision", "float32"]
+    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", 2]
+    root = Path(__file__).parents[3]
+    environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
+    command = [str(word) for word in [*launch, root / "cli.py", *words]]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
+    assert ended.returncode == 0, ended.stderr
+    assert len((out / "metrics.csv").read_text().splitlines()) == 2
+    load_network(out / "best.safetensors")
+    again = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
+    assert again.returncode == 0, again.stderr  # complete already: no process waits for the others
+
+
+def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> None:
+    """One step from the same first weights, whatever the number of processes; `environment` is what torchrun sets."""
+    torch.set_num_threads(1)
+    os.environ.update(environment)
+    device = torch.device("cpu")
+    with Group(device) as group:
+        maps = Maps(opened(folders, "train"), "train")
+        torch.manual_seed(0)
+        config = dataclasses.replace(SMALL.network, variant="occ")
+        network = Network(config).eval()  # or each process has statistics of its own
+        optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
+        learn = Step(network, optimizer, SMALL, maps.grid, device, torch.float32, group)
+        mine = [maps[n] for n in range(4)][group.rank :: group.size]
+        losses = learn({name: torch.stack([one[name] for one in mine]) for name in mine[0]}, 1.0)
+        save_tensors(out / f"{group.rank} of {group.size}", network.state_dict(), losses)
+
+
+def free_port() -> int:
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        return int(listening.getsockname()[1])
+
+
+def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_path: Path) -> None:
+    """Gradients and losses are means over both; the Eikonal term is a mean of means, so distances are left out."""
+    torchrun = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
+    ranks = [elsewhere(take_a_step, folders, tmp_path, torchrun | {"RANK": str(rank)}) for rank in range(2)]
+    try:
+        take_a_step(folders, tmp_path, {})
+        for rank in ranks:
+            rank.join(timeout=100)
+        assert [rank.exitcode for rank in ranks] == [0, 0]
+    finally:
+        for rank in ranks:  # one waits long for the other
+            rank.kill()
+    one, losses = load_tensors(tmp_path / "0 of 1")
+    for rank in range(2):
+        two, theirs = load_tensors(tmp_path / f"{rank} of 2")
+        assert theirs == pytest.approx(losses, rel=1e-5)
+        for name, tensor in one.items():
+            torch.testing.assert_close(two[name], tensor, atol=1e-6, rtol=1e-5)
+
+
+def test_a_gpu_is_called_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
+    assert device_name(torch.device("cuda", 1)) == "GPU 1"
+    assert "threads" in device_name(torch.device("cpu"))

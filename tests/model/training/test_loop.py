@@ -1,0 +1,254 @@
+"""Training learns, can be interrupted anywhere, and ends in one line when it cannot go on."""
+
+import csv
+import dataclasses
+import fcntl
+import math
+import os
+import signal
+from pathlib import Path
+
+import pytest
+import torch
+
+import scenegen.model.training.loop
+from lidarsim import GridSpec
+from scenegen.errors import DatasetError, StoppedError
+from scenegen.model.checkpoint import load_network, load_tensors
+from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.losses import objective
+from scenegen.model.network import Network
+from scenegen.model.training.data import Maps, TudfOf, opened
+from scenegen.model.training.device import TrainingError
+from scenegen.model.training.loop import Watcher, learning_rate
+from tests.model.conftest import make_dataset
+from tests.model.training.runs import SMALL, elsewhere, train
+
+
+def test_one_batch_is_learned_by_heart(folders: list[Path]) -> None:
+    """IoU above .99 at the paper's threshold, and distances within a tenth of a voxel on average."""
+    maps = Maps(opened(folders, "train"), "train")
+    batch = {name: torch.stack([maps[0][name], maps[12][name]])[:, 4:20, 4:20] for name in maps[0]}
+    occupancy = batch["occupancy"]
+    tudf = TudfOf(GridSpec(shape=(16, 16, 16)))(occupancy)
+    torch.manual_seed(0)
+    network = Network(NetworkConfig())
+    optimizer = torch.optim.AdamW(network.parameters(), 1e-2)
+    for _ in range(120):
+        optimizer.zero_grad()
+        output = network(batch)
+        objective(output, occupancy, tudf, LossConfig(), voxel_m=0.2, truncation_m=2.0)["loss"].backward()
+        optimizer.step()
+    with torch.no_grad():
+        output = network.eval()(batch)
+    occupied = output.logits.sigmoid() >= 0.85
+    assert (occupied & occupancy).sum() / (occupied | occupancy).sum() > 0.99
+    assert (output.tudf - tudf).abs().mean() < 0.06
+
+
+def weights(path: Path) -> dict[str, torch.Tensor]:
+    return load_tensors(path)[0]
+
+
+def same(one: Path, other: Path) -> bool:
+    first, second = weights(one), weights(other)
+    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
+
+
+def figures(out: Path) -> list[dict[str, str]]:
+    """The rows of metrics.csv, less how long they took."""
+    with open(out / "metrics.csv") as file:
+        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(folders: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.set_num_threads(1)
+    out = tmp_path_factory.mktemp("runs") / "whole"
+    train(folders, SMALL, out, device="cpu", command="test")
+    return out
+
+
+@pytest.fixture(autouse=True)
+def undrawn(uninterrupted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the uninterrupted run draws its curve: pictures take longer than the training here."""
+    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+
+
+def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path, folders: list[Path]) -> None:
+    with open(uninterrupted / "metrics.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["epoch"]) for row in rows] == [1, 2, 3]
+    assert float(rows[-1]["train_loss"]) < float(rows[0]["train_loss"])
+    network, grid, about = load_network(uninterrupted / "best.safetensors")
+    assert network.config == SMALL.network
+    assert grid == Maps(opened(folders, "val"), "val").grid
+    assert about["figures"]["val_loss"] == pytest.approx(min(float(row["val_loss"]) for row in rows), rel=1e-5)
+    assert about["settings"]["datasets"] == [source.digest for source in opened(folders, "val")]
+    card = (uninterrupted / "card.md").read_text()
+    assert f"{about['figures']['val_iou']:.3f}" in card
+    assert "This is not the full protocol" in card
+    assert (uninterrupted / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
+    folders: list[Path], tmp_path: Path, uninterrupted: Path
+) -> None:
+    """Bit for bit on one thread, stopped four times: in the middle of an epoch, at its last step and at its first."""
+    steps = 0
+
+    def count(maps: int, loss: float) -> None:
+        nonlocal steps
+        steps += 1
+
+    for stop in (4, 6, 7, 12):
+        watcher = Watcher(on_step=count, stop=lambda stop=stop: steps >= stop)
+        with pytest.raises(StoppedError, match="the same command goes on"):
+            train(folders, SMALL, tmp_path / "run", device="cpu", watcher=watcher)
+    train(folders, SMALL, tmp_path / "run", device="cpu")
+    for name in ("best.safetensors", "last.safetensors"):
+        assert same(tmp_path / "run" / name, uninterrupted / name)
+    assert figures(tmp_path / "run") == figures(uninterrupted)
+
+
+def train_and_be_killed(folders: list[Path], out: Path) -> None:
+    """SIGKILL after the ninth step, with every step saved."""
+    torch.set_num_threads(1)
+    scenegen.model.training.loop.SAVE_EVERY_S = 0.0
+    scenegen.model.training.run_folder.draw_curve = lambda rows: None
+    losses: list[float] = []
+
+    def count(maps: int, loss: float) -> None:
+        losses.append(loss)
+        if len(losses) == 9:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    train(folders, SMALL, out, device="cpu", watcher=Watcher(on_step=count))
+
+
+def test_a_killed_run_ends_where_an_uninterrupted_one_does(
+    folders: list[Path], tmp_path: Path, uninterrupted: Path
+) -> None:
+    out = tmp_path / "run"
+    process = elsewhere(train_and_be_killed, folders, out)
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    assert load_tensors(out / "last.safetensors")[1]["step"] == 2  # the third step of the second epoch was lost
+    train(folders, SMALL, out, device="cpu")
+    for name in ("best.safetensors", "last.safetensors"):
+        assert same(out / name, uninterrupted / name)
+
+
+def test_a_run_is_not_continued_by_mistake(folders: list[Path], uninterrupted: Path) -> None:
+    with (uninterrupted / "config.json").open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(DatasetError, match="another process trains this run"):
+            train(folders, SMALL, uninterrupted, device="cpu")
+    with pytest.raises(DatasetError, match=r"lr is 0\.001 there, 0\.1 asked for"):
+        train(folders, dataclasses.replace(SMALL, lr=0.1), uninterrupted, device="cpu")
+    with pytest.raises(DatasetError, match="datasets is"):
+        train(folders[:1], SMALL, uninterrupted, device="cpu")
+
+
+def test_a_finished_run_given_again_stays_as_it_is(uninterrupted: Path, folders: list[Path]) -> None:
+    before = {path.name: path.read_bytes() for path in uninterrupted.iterdir() if path.is_file()}
+    told: list[int] = []
+    rows = train(
+        folders, SMALL, uninterrupted, device="cpu", watcher=Watcher(on_step=lambda maps, _: told.append(maps))
+    )
+    assert (len(rows), told) == (3, [])
+    assert {path.name: path.read_bytes() for path in uninterrupted.iterdir() if path.is_file()} == before
+
+
+def test_training_ends_after_so_many_epochs_without_improvement(
+    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Validation losses 3 2 2 4 1 …: the second epoch is the best of the first five with patience 3."""
+    losses = iter([3.0, 2.0, 2.0, 4.0, 2.5, 1.0])
+    fixed = dict.fromkeys(METRICS, 0.0)
+    monkeypatch.setattr(scenegen.model.training.loop, "validate", lambda *given: {**fixed, "loss": next(losses)})
+    config = dataclasses.replace(SMALL, epochs=50, patience=3)
+    rows = train(folders, config, tmp_path / "run", device="cpu")
+    assert [row["val_loss"] for row in rows] == [3.0, 2.0, 2.0, 4.0, 2.5]
+    assert load_network(tmp_path / "run" / "best.safetensors")[2]["figures"]["epoch"] == 2
+
+
+def test_divergence_names_the_batch_and_keeps_the_last_good_state(
+    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, steps = tmp_path / "run", 0
+    honest = scenegen.model.training.loop.objective
+
+    def poisoned(*given: object, **named: object) -> dict[str, torch.Tensor]:
+        nonlocal steps
+        steps += 1
+        losses = honest(*given, **named)
+        return {name: loss * float("nan") for name, loss in losses.items()} if steps == 9 else losses
+
+    monkeypatch.setattr(scenegen.model.training.loop, "objective", poisoned)
+    with pytest.raises(
+        TrainingError, match=r"epoch 2, step 3: loss nan.*train sample \d+; .*train sample \d+"
+    ) as caught:
+        train(folders, SMALL, out, device="cpu")
+    assert "\n" not in str(caught.value)
+    assert load_tensors(out / "last.safetensors")[1]["epoch"] == 1
+    assert all(torch.isfinite(tensor).all() for tensor in weights(out / "best.safetensors").values())
+
+
+def test_running_out_of_memory_says_what_fits(
+    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest = scenegen.model.training.loop.objective
+
+    def hungry(output: object, occupancy: torch.Tensor, *given: object, **named: object) -> dict[str, torch.Tensor]:
+        if len(occupancy) > 3:
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 7 EiB")
+        return honest(output, occupancy, *given, **named)
+
+    monkeypatch.setattr(scenegen.model.training.loop, "objective", hungry)
+    config = dataclasses.replace(SMALL, batch=12)
+    with pytest.raises(TrainingError, match="a batch of 12 does not fit; --batch 3 does"):
+        train(folders, config, tmp_path / "run", device="cpu")
+
+
+def test_what_cannot_be_trained_on_is_refused(folders: list[Path], tmp_path: Path) -> None:
+    odd = make_dataset(tmp_path / "odd", grid={"shape": (20, 24, 16)})
+    with pytest.raises(DatasetError, match="multiple of 8"):
+        train([odd], SMALL, tmp_path / "run", device="cpu")
+    empty = make_dataset(tmp_path / "empty", counts={"train": 2, "val": 0, "test": 0})
+    with pytest.raises(DatasetError, match=r"its val split is empty; generate with --val \(scenes are split by world"):
+        train([empty], SMALL, tmp_path / "run", device="cpu")
+    with pytest.raises(TrainingError, match="--device tpu"):
+        train(folders, SMALL, tmp_path / "run", device="tpu")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DatasetError, match="choose another place"):
+        train(folders, SMALL, tmp_path / "file" / "run", device="cpu")
+
+
+def test_the_learning_rate_rises_then_falls_to_nothing() -> None:
+    config = TrainConfig(lr=2.0, warmup_share=0.1)
+    rates = [learning_rate(config, step, 100) for step in range(100)]
+    assert rates[:10] == pytest.approx([0.2 * n for n in range(1, 11)])
+    assert rates[10] == 2.0
+    assert rates[55] == pytest.approx(1.0)
+    assert rates[10:] == sorted(rates[10:], reverse=True)
+    assert 0 < rates[-1] < 1e-3
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"epochs": 0},
+        {"batch": 0},
+        {"batch": 10**9},
+        {"lr": math.nan},
+        {"lr": 0.0},
+        {"clip": math.inf},
+        {"warmup_share": 1.0},
+    ],
+    ids=str,
+)
+def test_impossible_settings_are_refused(wrong: dict) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        TrainConfig(**wrong)

@@ -1,0 +1,102 @@
+"""What a run leaves on disk outlives failures, and is looked at before it is believed."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+
+from scenegen import files
+from scenegen.errors import DatasetError
+from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
+from scenegen.model.network import Network
+from scenegen.model.training.data import Maps, opened
+from scenegen.model.training.loop import Watcher
+from scenegen.model.training.run_folder import Progress, RunFolder
+from tests.model.training.runs import SMALL, train
+
+
+@pytest.fixture(scope="module")
+def begun(folders: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of one epoch."""
+    out = tmp_path_factory.mktemp("runs") / "begun"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+        train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu")
+    return out
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"epoch": "x"},
+        {"rows": 5},
+        {"step": -1},
+        {"rows": [[]]},
+        {"rows": [{"val_loss": None}]},
+        {"epoch": 9},
+        {"more": 1},
+    ],
+    ids=str,
+)
+def test_a_damaged_state_is_refused_in_one_line(begun: Path, tmp_path: Path, wrong: dict) -> None:
+    tensors, header = load_tensors(begun / "last.safetensors")
+    save_tensors(tmp_path / "last.safetensors", tensors, header | wrong)
+    network = Network(SMALL.network)
+    with pytest.raises(CheckpointError, match="not the state of this run") as caught:
+        RunFolder(tmp_path).restore(network, torch.optim.AdamW(network.parameters()))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_state_that_is_no_network_says_what_to_remove(tmp_path: Path) -> None:
+    (tmp_path / "last.safetensors").write_bytes(b"\xff" * 5000)
+    network = Network(SMALL.network)
+    with pytest.raises(CheckpointError, match="remove it to begin again"):
+        RunFolder(tmp_path).restore(network, torch.optim.AdamW(network.parameters()))
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"settings": 1}', "\xff", "{}", " " * 5_000_000])
+def test_settings_that_cannot_be_read_are_refused_in_one_line(tmp_path: Path, content: str) -> None:
+    (tmp_path / "config.json").write_bytes(content.encode("latin-1"))
+    with pytest.raises(DatasetError, match=r"config\.json") as caught:
+        RunFolder(tmp_path).open({"settings": {}})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_full_disk_ends_the_run_and_leaves_the_last_state(
+    folders: list[Path], begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = shutil.copytree(begun, tmp_path / "run")
+    before = {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
+
+    def full(path: Path, mode: str) -> object:
+        raise OSError(28, "No space left on device", str(path))
+
+    network, grid = Network(SMALL.network), Maps(opened(folders, "val"), "val").grid
+    monkeypatch.setattr(files, "open", full, raising=False)
+    with pytest.raises(DatasetError, match="the disk is full"):
+        RunFolder(out).save(Progress(), network, torch.optim.AdamW(network.parameters()))
+    with pytest.raises(DatasetError, match="the disk is full"):
+        RunFolder(out).save_best(network, grid, {})
+    monkeypatch.undo()
+    assert before == {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
+
+
+def test_a_run_that_an_earlier_commit_began_goes_on(folders: list[Path], begun: Path, tmp_path: Path) -> None:
+    """Its settings name no inputs."""
+    out = shutil.copytree(begun, tmp_path / "run")
+    held = json.loads((out / "config.json").read_text())
+    assert held["settings"]["network"].pop("inputs") == ["observed"]
+    (out / "config.json").write_text(json.dumps(held))
+    told: list[int] = []
+    watcher = Watcher(on_step=lambda maps, loss: told.append(maps))
+    rows = train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu", watcher=watcher)
+    assert (len(rows), told) == (1, [])
+
+
+def test_rows_may_gain_metrics_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+    RunFolder(tmp_path).write_rows([{"epoch": 1.0, "val_loss": 2.0}, {"epoch": 2.0, "val_loss": 1.0, "val_new": 0.5}])
+    assert (tmp_path / "metrics.csv").read_text() == "epoch,val_loss,val_new\n1,2,\n2,1,0.5\n"

@@ -1,0 +1,225 @@
+"""A map turned or mirrored about its vertical axis is another map of the same world, and so is its distance field."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+torch = pytest.importorskip("torch")
+
+from lidarsim import GridSpec  # noqa: E402
+from scenegen.model.inputs import turned  # noqa: E402
+from scenegen.model.training.data import TudfOf, epoch_batches  # noqa: E402
+
+ALL = range(8)
+SQUARE = GridSpec(shape=(8, 8, 4))
+DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
+GRIDS = [
+    GridSpec(shape=(16, 16, 8)),
+    GridSpec(shape=(9, 7, 5)),
+    GridSpec(shape=(5, 23, 11), voxel_m=0.13, truncation_m=0.9),
+    GridSpec(shape=(1, 6, 17), voxel_m=0.25, truncation_m=3.4),
+    GridSpec(shape=(13, 1, 4), voxel_m=0.1, truncation_m=40.0),  # farther than the map is wide
+    GridSpec(shape=(8, 9, 10), voxel_m=0.3, truncation_m=0.2),  # less than a voxel
+    GridSpec(shape=(12, 11, 10), voxel_m=1 / 3, truncation_m=4 / 3),
+    GridSpec(shape=(1, 1, 1)),
+]
+
+
+def numbered(*shape: int) -> np.ndarray:
+    """A map whose voxels are all different, in no order."""
+    return np.random.default_rng(0).permutation(np.prod(shape)).reshape(shape)
+
+
+def which(grid: np.ndarray, candidates: dict[int, np.ndarray]) -> int:
+    """The one symmetry whose map this is."""
+    (found,) = [s for s, candidate in candidates.items() if np.array_equal(grid, candidate)]
+    return found
+
+
+def table_of(grid: np.ndarray, symmetries: range) -> np.ndarray:
+    """Which symmetry it is to turn by a, then by b; fails where it is none or more than one."""
+    images = {s: turned(grid, s) for s in symmetries}
+    return np.array([[which(turned(images[a], b), images) for b in symmetries] for a in symmetries])
+
+
+# The group.
+
+
+@pytest.mark.parametrize("side", [4, 5])
+def test_the_eight_symmetries_are_the_dihedral_group(side: int) -> None:
+    """Of all groups of order eight only D4 has one, five and two elements of the orders one, two and four."""
+    table = table_of(numbered(side, side, 3), ALL)
+    for line in (*table, *table.T):
+        assert sorted(line) == list(ALL)  # closed, and each has an inverse
+    np.testing.assert_array_equal(table[0], ALL)  # the first leaves all as it is
+    np.testing.assert_array_equal(table[:, 0], ALL)
+    powers = [[a, table[a, a], table[table[a, a], a], table[table[a, a], table[a, a]]] for a in ALL]
+    assert sorted(1 + row.index(0) for row in powers) == [1, 2, 2, 2, 2, 2, 4, 4]
+    assert [1 + row.index(0) for row in powers[:4]] == [1, 4, 2, 4]  # quarter turns first, then mirrors
+    assert powers[1] == [1, 2, 3, 0]
+
+
+def test_a_map_longer_one_way_has_the_four_without_a_quarter_turn() -> None:
+    table = table_of(numbered(5, 4, 3), range(0, 8, 2))
+    for line in table:
+        assert sorted(line) == [0, 2, 4, 6]
+    np.testing.assert_array_equal(np.diag(table), 0)
+
+
+@pytest.mark.parametrize("symmetry", ALL)
+@pytest.mark.parametrize("side", [6, 7])
+def test_height_and_the_distance_from_the_centre_stay(symmetry: int, side: int) -> None:
+    x, y, z = np.indices((side, side, 4))
+    middle = (side - 1) / 2
+    radius = (x - middle) ** 2 + (y - middle) ** 2
+    np.testing.assert_array_equal(turned(z, symmetry), z)
+    np.testing.assert_array_equal(turned(radius, symmetry), radius)
+
+
+@pytest.mark.parametrize("symmetry", ALL)
+def test_only_the_second_four_mirror(symmetry: int) -> None:
+    """What lies ahead and what lies to its left, after the turn: still left, or now right."""
+    ahead, left = np.zeros((2, 5, 5, 2))
+    ahead[4, 2], left[2, 4] = 1, 1
+    (a, b), (c, d) = (np.argwhere(turned(mark, symmetry)[..., 0])[0] - 2 for mark in (ahead, left))
+    assert a * d - b * c == (4 if symmetry < 4 else -4)
+
+
+@pytest.mark.parametrize("symmetry", ALL)
+def test_a_map_of_any_kind_is_turned_and_left_alone(symmetry: int) -> None:
+    for dtype in (np.bool_, np.uint8, np.float32):
+        grid = (numbered(4, 4, 3) % 7).astype(dtype)
+        before = grid.copy()
+        assert turned(grid, symmetry).dtype == dtype
+        assert turned(grid, symmetry).shape == grid.shape
+        np.testing.assert_array_equal(grid, before)
+
+
+# The distance field.
+
+
+def true_field(occupancy: np.ndarray, grid: GridSpec) -> np.ndarray:
+    """float32(min(voxel * sqrt(k), truncation)), k the whole squared distance in voxels that scipy found."""
+    if not occupancy.any():
+        return np.full(occupancy.shape, grid.truncation_m, np.float32)
+    k = np.rint(ndimage.distance_transform_edt(~occupancy) ** 2)
+    return np.minimum(grid.voxel_m * np.sqrt(k), grid.truncation_m).astype(np.float32)
+
+
+def maps_of(grid: GridSpec) -> np.ndarray:
+    """A batch from empty to full, one with a voxel at a corner."""
+    rng = np.random.default_rng(7)
+    densities = (0.0, 0.002, 1.0, 0.02, 0.2, 0.0, 0.9)
+    batch = np.stack([rng.random(grid.shape) < density for density in densities])
+    batch[5, 0, -1, 0] = True
+    return batch
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("device", DEVICES)
+def test_the_field_is_scipys_to_the_last_bit_either_way(grid: GridSpec, device: str) -> None:
+    occupancy = maps_of(grid)
+    wanted = np.stack([true_field(one, grid) for one in occupancy])
+    tudf_of, batch = TudfOf(grid), torch.from_numpy(occupancy).to(device)
+    for found in (tudf_of(batch), tudf_of.by_minima(batch)):
+        assert found.dtype == torch.float32
+        assert found.device == batch.device
+        np.testing.assert_array_equal(found.cpu().numpy(), wanted)
+    np.testing.assert_array_equal(batch.cpu().numpy(), occupancy)
+
+
+def test_the_papers_map_comes_out_the_same_either_way() -> None:
+    """At full size: dense on one side, on the other with voxels farther apart than the truncation reaches."""
+    grid = GridSpec()
+    density = np.geomspace(0.2, 1e-5, grid.shape[0])[:, None, None]
+    occupancy = np.random.default_rng(1).random(grid.shape) < density
+    wanted = true_field(occupancy, grid)
+    assert (wanted == np.float32(2.0)).any()
+    for of in (TudfOf(grid), TudfOf(grid).by_minima):
+        np.testing.assert_array_equal(of(torch.from_numpy(occupancy)[None])[0].numpy(), wanted)
+
+
+@pytest.mark.parametrize("symmetry", ALL)
+def test_the_field_of_a_turned_map_is_the_turned_field(symmetry: int) -> None:
+    for grid in (GridSpec(shape=(11, 11, 6)), GridSpec(shape=(10, 7, 6), voxel_m=0.13)):
+        if symmetry % 2 and grid.shape[0] != grid.shape[1]:
+            continue
+        occupancy = np.random.default_rng(symmetry).random(grid.shape) < 0.01
+        occupancy[1, 2, 3] = True
+        for of in (TudfOf(grid), TudfOf(grid).by_minima):
+            field, turned_field = (
+                of(torch.from_numpy(np.ascontiguousarray(one))[None])[0].numpy()
+                for one in (occupancy, turned(occupancy, symmetry))
+            )
+            np.testing.assert_array_equal(turned_field, turned(field, symmetry))
+
+
+# The epochs.
+
+
+@dataclass
+class Counted:
+    """So many maps, of this grid."""
+
+    count: int
+    grid: GridSpec = SQUARE
+
+    def __len__(self) -> int:
+        return self.count
+
+
+@pytest.mark.parametrize("augment", [False, True])
+@pytest.mark.parametrize(("count", "batch"), [(23, 5), (20, 5), (5, 5), (6, 5), (3, 5), (1, 8), (7, 1)])
+def test_an_epoch_is_full_batches_of_maps_seen_once(count: int, batch: int, augment: bool) -> None:
+    """Of what is too little for one batch, it is that one."""
+    for epoch in range(4):
+        batches = epoch_batches(Counted(count), batch=batch, seed=3, epoch=epoch, augment=augment)
+        assert [len(keys) for keys in batches] == ([batch] * (count // batch) or [count])
+        indices = [index for keys in batches for index, _ in keys]
+        assert len(set(indices)) == len(indices)
+        assert set(indices) <= set(range(count))
+
+
+@pytest.mark.parametrize("augment", [False, True])
+def test_seed_and_epoch_decide_alone(augment: bool) -> None:
+    """And each of them matters: seed 0 at epoch 1 is not seed 1 at epoch 0."""
+
+    def drawn(seed: int, epoch: int) -> str:
+        return repr(epoch_batches(Counted(40), batch=8, seed=seed, epoch=epoch, augment=augment))
+
+    pairs = list(itertools.product(range(5), repeat=2))
+    first = [drawn(*pair) for pair in pairs]
+    np.random.default_rng().random()
+    assert [drawn(*pair) for pair in reversed(pairs)] == first[::-1]
+    assert len(set(first)) == len(pairs)
+
+
+def test_no_map_is_left_out_epoch_after_epoch() -> None:
+    seen: set[int] = set()
+    for epoch in range(20):
+        seen |= {i for keys in epoch_batches(Counted(15), batch=8, seed=0, epoch=epoch) for i, _ in keys}
+    assert seen == set(range(15))
+
+
+def test_nothing_is_turned_unless_asked_for() -> None:
+    for epoch in range(5):
+        keys = itertools.chain(*epoch_batches(Counted(64), batch=8, seed=0, epoch=epoch))
+        assert {symmetry for _, symmetry in keys} == {0}
+
+
+@pytest.mark.parametrize(("shape", "allowed"), [((8, 8, 4), tuple(ALL)), ((8, 6, 4), (0, 2, 4, 6))])
+def test_symmetries_that_fit_the_map_occur_about_as_often(shape: tuple, allowed: tuple[int, ...]) -> None:
+    """A map as long as it is wide has eight, another has those that keep its shape; each map draws its own."""
+    maps = Counted(800, GridSpec(shape=shape))
+    epochs = [epoch_batches(maps, batch=8, seed=0, epoch=epoch, augment=True) for epoch in range(2)]
+    drawn = [symmetry for keys in epochs[0] for _, symmetry in keys]
+    assert sorted(set(drawn)) == list(allowed)
+    counts = np.bincount(drawn)[list(allowed)]
+    assert np.abs(counts - 800 / len(allowed)).max() < 5 * np.sqrt(800 / len(allowed))
+    assert all(turned(numbered(*shape), symmetry).shape == shape for symmetry in set(drawn))
+    assert max(len({symmetry for _, symmetry in keys}) for keys in epochs[0]) > 1
+    first, second = (dict(itertools.chain(*epoch)) for epoch in epochs)
+    assert np.mean([first[i] != second[i] for i in first]) > 0.5
