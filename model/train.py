@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
+from scenegen.checkout import commit
 from scenegen.errors import DatasetError, StoppedError
 from scenegen.model.bench.methods import empty_split
 from scenegen.model.config import TrainConfig
@@ -29,7 +30,7 @@ from scenegen.model.device import (
 )
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
-from scenegen.model.provenance import commit, versions
+from scenegen.model.provenance import versions
 from scenegen.model.runfolder import Progress, RunFolder
 from scenegen.model.validate import validate
 

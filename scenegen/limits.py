@@ -37,6 +37,10 @@ MOST_SHARDS = 99_999
 """In a split: what five digits can number."""
 MOST_MANIFEST_BYTES = 64 << 20
 """Of `dataset.json`; some 200,000 shards."""
+MOST_KIND_NAME = 100
+"""Characters of a kind's name."""
+USUAL_IN_SHARD = 100
+"""Samples in a shard, where nobody asks for another number."""
 MOST_RECIPE_BYTES = 64 << 10
 """Of a recipe's TOML file: every parameter takes two kilobytes, and the time to parse grows faster than the size."""
 

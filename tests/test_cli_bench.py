@@ -34,7 +34,7 @@ def test_bad_use_ends_in_one_line(
     (here / "wrong.h5").write_bytes(b"")
     for words, code, named in (
         (("elsewhere",), 1, "not a dataset"),
-        (("data/pillar", "--method", "magic"), 1, "known are returns"),
+        (("data/pillar", "--method", "magic"), 1, "known: returns"),
         (("data/pillar", "--predictions", "wrong.h5"), 1, "cannot be read as HDF5"),
         (("data/pillar", "data/pillar"), 1, "two datasets of one kind"),
         (("data/pillar", "--split", "all"), 2, "--split"),

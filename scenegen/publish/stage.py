@@ -18,11 +18,11 @@ from scenegen.inspect import inspect
 from scenegen.publish.card import card
 from scenegen.publish.croissant import croissant
 from scenegen.publish.folder import check_out, drafted, former_date, seal, take
-from scenegen.publish.licence import find_licence
+from scenegen.publish.licence import USUAL, find_licence
 from scenegen.publish.lock import LOCK, environment_lock
 from scenegen.publish.pictures import draw_sample
 from scenegen.publish.publication import Publication
-from scenegen.publish.regenerate import RECIPE, check_recipe, command, recipe_text
+from scenegen.publish.regenerate import RECIPE, check_kind, check_recipe, command, recipe_text
 
 MOST_FILES = 300
 """Of a published folder: the Hub, and people, work badly with more."""
@@ -43,8 +43,10 @@ class Request:
     """Where the folder is put together."""
     tag: str | None = None
     """The revision's name; None: the format's version and the digest's beginning, so that it names the content."""
-    licence: str = "CC-BY-4.0"
+    licence: str = USUAL
     """SPDX name."""
+    kind: str | None = None
+    """The dataset's kind, where its own module may be imported: a user's own, as ``module:Class``."""
     commit: str = "unknown"
     """Of scenegen's own checkout."""
 
@@ -85,7 +87,10 @@ def examine(request: Request) -> Dataset:
         )
     if not (dataset.manifest.get("counts") and dataset.manifest.get("shard_samples")):
         raise PublishError(f"{request.dataset}: {manifest.NAME} names no counts, so it cannot say how to make it again")
-    check_recipe(dataset.manifest, recipe_text(dataset.manifest))
+    check_kind(dataset.manifest["kind"], request.kind)
+    check_recipe(
+        dataset.manifest, recipe_text(dataset.manifest, f"every parameter of the dataset {dataset.manifest['digest']}")
+    )
     return dataset
 
 
@@ -122,7 +127,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             "croissant.json": croissant(it, sums),
             "LICENSE": it.licence.text(request.repository.partition("/")[0]),
             LOCK: it.lock,
-            RECIPE: recipe_text(found),
+            RECIPE: recipe_text(found, f"every parameter of the dataset {digest}"),
         }
         for file, text in texts.items():
             write_whole(draft / file, text.encode())

@@ -13,12 +13,12 @@ import pytest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.bench.command import choose_methods, run_bench
 from scenegen.model.bench.methods import Completed, Truth
 from scenegen.model.bench.predicted import Predicted
 from scenegen.model.bench.reconstruction import METRICS
 from scenegen.model.bench.run import BenchConfig, bench
 from scenegen.model.bench.tuning import tune
+from scenegen.model.commands.bench import choose_methods, run_bench
 from scenegen.model.complete import Prediction, Returns, Thresholds
 from scenegen.model.planning.config import PlanConfig
 from scenegen.source import DrawnWorlds
@@ -352,7 +352,7 @@ def test_one_world_gives_no_interval(tmp_path: Path) -> None:
 
 
 def test_unknown_methods_and_empty_splits_are_refused(dataset: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(ScenegenError, match="known are returns"):
+    with pytest.raises(ScenegenError, match="did you mean 'returns'"):
         choose_methods(["retruns"])
     assert choose_methods(["tests.model.bench.test_bench:Nothing"])[0].name == "nothing"
     recipe = small_recipe()
