@@ -23,9 +23,9 @@ EXTRAS = {"torch": "train", "safetensors": "train"}
 class Commands(click.RichGroup):
     """A group of commands that are imported when they are given, a user's own as ``module:command`` among them."""
 
-    def __init__(self, *given: Any, places: Mapping[str, str], **more: Any):
+    def __init__(self, *, places: Mapping[str, str], **more: Any):
         """`places` says where each of the known commands stands: name to ``module:command``."""
-        super().__init__(*given, context_settings={"help_option_names": ["-h", "--help"]}, **more)
+        super().__init__(context_settings={"help_option_names": ["-h", "--help"]}, **more)
         self.registry = Registry(
             "command", places, needs={"make_context": "as click's commands have it: write @click.command() above it"}
         )
@@ -37,7 +37,7 @@ class Commands(click.RichGroup):
     def get_command(self, ctx: Any, name: str) -> Any:
         """A stand-in that has the help of the command `name`, so that a list of all imports none; see `find`."""
         place = self.registry.known.get(name)
-        return None if place is None else click.RichCommand(name, help=_first_paragraph(place))
+        return None if place is None else click.RichCommand(name=name, help=_first_paragraph(place))
 
     def find(self, name: str) -> Any:
         """The command itself. Raises UsageError where there is none."""

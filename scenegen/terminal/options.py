@@ -74,5 +74,5 @@ def _option(config: type, name: str, text: str) -> Callable[[Function], Function
         more |= {"type": click.Choice(list(choices)), "default": str(item.default)}
         return click.option(flag, name, callback=lambda ctx, parameter, value: choices[value], **more)
     bounds = item.metadata.get(BOUNDS, Bounds())
-    whole = click.IntRange(*(None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most)))
-    return click.option(flag, name, type=whole if kind is int else Finite(), **more)
+    least, most = (None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most))
+    return click.option(flag, name, type=click.IntRange(least, most) if kind is int else Finite(), **more)

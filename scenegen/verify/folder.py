@@ -41,8 +41,8 @@ def verify(
     `workers` processes examine a shard each; none can take this one down. `seed` chooses the samples that are cast and
     made anew. `kind` names a user's own kind, by which worlds may be drawn again: no module is imported because a
     manifest names it. `on_start` is called with the number of samples once the processes run, `on_done` with that of
-    every shard done. A fault fails a check of the report, whatever it is; only a folder that holds no dataset at all, or
-    one of another `kind`, raises: DatasetError.
+    every shard done. A fault fails a check of the report, whatever it is; only a folder that holds no dataset at all,
+    or one of another `kind`, raises: DatasetError.
     """
     ledger = Ledger()
     contract = read_contract(folder, ledger, kind)

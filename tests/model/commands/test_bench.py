@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_cli import SMALL, run
+from tests.command_line import SMALL, run
 
 
 @pytest.fixture

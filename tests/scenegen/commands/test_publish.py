@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from scenegen.dataset.read import Dataset
+from tests.command_line import run
 from tests.scenegen.conftest import Check
 from tests.scenegen.hub import TOKEN, Hub
-from tests.test_cli import run
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from scenegen.model.card import SHOWN
-from tests.test_cli import run
-from tests.test_cli_bench import here
+from tests.command_line import ROOT, run
+from tests.model.commands.test_bench import here
 
 assert here  # the fixture
 QUICK = ("--width", 4, "--batch", 2, "--device", "cpu", "--precision", "float32")
@@ -98,7 +98,7 @@ def test_without_torch_it_says_what_to_install(tmp_path: Path) -> None:
     ):
         ended = subprocess.run(
             [sys.executable, "-c", code, *words],
-            cwd=Path(__file__).parents[1],
+            cwd=ROOT,
             capture_output=True,
             text=True,
             check=False,
@@ -110,7 +110,7 @@ def test_without_torch_it_says_what_to_install(tmp_path: Path) -> None:
 def test_the_same_command_goes_on_after_a_signal(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    command = [sys.executable, Path(__file__).parents[1] / "cli.py", "train", "--epochs", 1000, "--patience", 3, *QUICK]
+    command = [sys.executable, ROOT / "cli.py", "train", "--epochs", 1000, "--patience", 3, *QUICK]
     running = subprocess.Popen([str(word) for word in command], cwd=here, stderr=subprocess.PIPE, text=True)
     while not (here / "runs" / "proposed" / "metrics.csv").exists():
         assert running.poll() is None
