@@ -163,7 +163,7 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
     show_table(
         rows | flat({key: value for key, value in plan.parameters.items() if key not in of_recipe}), "would make"
     )
-    say(f"\n{recipe_text(plan.parameters, 'as a recipe file')}".rstrip())
+    say(f"\n{recipe_text(plan.parameters, 'this as a recipe file')}".rstrip())
 
 
 def _show_summary(summary: "Summary", seconds: float) -> None:
