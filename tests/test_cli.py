@@ -1,6 +1,7 @@
 """The command line as a whole: what it loads, how it ends, and what it lets nobody print."""
 
 import json
+import os
 import subprocess
 import sys
 import warnings
@@ -11,11 +12,15 @@ import mujoco
 import pytest
 
 from scenegen import __version__
+from scenegen.__main__ import PLACES, app
+from scenegen.commands.generate import NETWORK_EDGE
+from scenegen.model.bench.run import BenchConfig
+from scenegen.model.config import NetworkConfig
 from tests.command_line import ROOT, run
 
 
 def test_version_completion_and_doctor(capsys: pytest.CaptureFixture[str]) -> None:
-    assert __version__ in run(capsys, "--version")[1]
+    assert __version__ in run(capsys, "--version")[1] == run(capsys, "-V")[1]
     assert "_SCENEGEN_COMPLETE" in run(capsys, "completion", "bash")[1]
     code, said, _ = run(capsys, "doctor", "--json")
     found = json.loads(said)
@@ -26,11 +31,67 @@ def test_version_completion_and_doctor(capsys: pytest.CaptureFixture[str]) -> No
     assert found["software"]["mujoco"] == mujoco.__version__
 
 
-def test_help_loads_nothing_heavy() -> None:
-    heavy = "mujoco", "numba", "h5py", "ompl", "scipy", "numpy", "pydantic"
-    code = f"import sys, cli; sys.exit(', '.join(name for name in {heavy!r} if name in sys.modules) or 0)"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+HEAVY = ("torch", "mujoco", "numba", "h5py", "ompl", "scipy", "numpy", "pydantic")
+
+
+def loaded(*words: str) -> set[str]:
+    """The modules that a command line has imported by its end, in a process of its own."""
+    code = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); "
+    code += f"sys.argv = {['scenegen', *words]!r}; from scenegen.__main__ import main; main()"
+    ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    return set(ended.stderr.split())
+
+
+def test_help_imports_no_command() -> None:
+    found = loaded("--help")
+    assert not found & set(HEAVY)
+    assert not [name for name in found if name.startswith(("scenegen.commands.", "scenegen.model.commands."))]
+
+
+@pytest.mark.parametrize("name", ["generate", "publish", "train", "bench"])
+def test_help_of_a_command_loads_nothing_heavy(name: str) -> None:
+    found = loaded(name, "--help")
+    assert not found & set(HEAVY)
+    assert len([name for name in found if name in PLACES_OF_COMMANDS]) == 1
+
+
+PLACES_OF_COMMANDS = {place.partition(":")[0] for place in PLACES.values()}
+
+
+def test_every_command_says_in_the_list_what_it_says_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in app.registry.known:
+        command = app.find(name)
+        assert command.name == name
+        assert command.help.startswith(app.get_command(None, name).help)
+        code, said, _ = run(capsys, name, "--help")
+        assert (code, "Of " in said) == (0, False)
+
+
+def test_what_stands_twice_is_the_same() -> None:
+    """Where a command may not import what knows a default, or would take a second to."""
+    config, options = BenchConfig(), {option.name: option.default for option in app.find("bench").params}
+    assert (options["split"], options["seed"]) == (config.split, config.seed)
+    assert NetworkConfig().stride == NETWORK_EDGE
+
+
+def completed(words: str) -> list[str]:
+    """What the shell is offered for the last of `words`."""
+    environment = {**os.environ, "_SCENEGEN_COMPLETE": "bash_complete", "COMP_WORDS": f"scenegen {words}"}
+    environment["COMP_CWORD"] = str(len(words.split()) + words.endswith(" "))
+    script = "import sys; sys.argv = ['scenegen']; from scenegen.__main__ import main; main()"
+    ended = subprocess.run(
+        [sys.executable, "-c", script], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    return [line.partition(",")[2] for line in ended.stdout.splitlines()]
+
+
+def test_the_shell_completes_commands_options_kinds_and_networks() -> None:
+    assert completed("comp") == ["complete", "completion"]
+    assert "--epochs" in completed("train --e")
+    assert completed("generate --kind pil") == ["pillar"]
+    assert completed("bench --weights pro") == ["proposed"]
+    assert "generate" in completed("nowhere:command ")  # which is not there, and nobody is told off for it
 
 
 def test_printing_in_vain_changes_no_verdict(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

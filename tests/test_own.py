@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT, SMALL, run

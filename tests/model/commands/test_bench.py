@@ -26,6 +26,8 @@ def test_without_arguments_it_takes_what_is_under_data(here: Path, capsys: pytes
     assert report["command"] == "scenegen bench --quick --workers 1"
     assert report["reconstruction"]["pillar"]["truth"]["iou"]["mean"] == 1.0
     assert (here / "bench" / "report.md").read_text().startswith("# Bench")
+    code, said, _ = run(capsys, "bench", "--method", "returns", "--quick", "--workers", 1, "--json", "-o", "other")
+    assert (code, json.loads(said)) == (0, json.loads((here / "other" / "report.json").read_text()))
 
 
 def test_bad_use_ends_in_one_line(

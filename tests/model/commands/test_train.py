@@ -130,6 +130,8 @@ def test_the_same_command_goes_on_after_a_signal(
     for words in ((), ("--resume",)):
         ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK, *words)
         assert (ended, said.startswith("runs/proposed: this run is complete already")) == (0, True)
+    ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK, "--json")
+    assert (ended, json.loads(said)["folder"], json.loads(said)["best"]["epoch"] >= 1) == (0, "runs/proposed", True)
 
 
 @pytest.mark.slow

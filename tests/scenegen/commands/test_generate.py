@@ -182,3 +182,14 @@ def test_the_first_run_says_why_it_takes_longer(
     for cached, said in ((tmp_path / "empty", True), (jit.cache_folder("scenegen"), False)):
         monkeypatch.setattr(jit, "cache_folder", lambda package, cached=cached: cached)
         assert ("compiling kernels" in run(capsys, "generate", "--kind", "pillar", "--dry-run")[2]) == said
+
+
+def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("generate", "-n", 6, "--out", tmp_path / "d", "--dry-run", "--recipe")
+    code, said, _ = run(capsys, *words, small)
+    assert code == 0
+    (tmp_path / "pasted.toml").write_text(said[said.index("# this") :])
+    wanted, pasted = (json.loads(run(capsys, *words, path, "--json")[1]) for path in (small, tmp_path / "pasted.toml"))
+    assert pasted == wanted
