@@ -20,6 +20,7 @@ from scenegen.terminal.options import (
     json_option,
     out_option,
     quiet_option,
+    seed_option,
     split_option,
     workers_option,
 )
@@ -55,19 +56,12 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 @out_option("Folder of the report.", Path("bench"))
 @split_option("test", help="The split that is measured; calibrate on val alone.")
 @click.option("--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most.")
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Decides the goals and the intervals."
-)
+@seed_option("Decides the goals and the intervals.")
 @workers_option
 @json_option
 @quiet_option
 def bench(
-    datasets: tuple[Path | str, ...],
-    out: Path,
-    workers: int | None,
-    as_json: bool,
-    quiet: bool,
-    **options: Any,
+    datasets: tuple[Path | str, ...], out: Path, workers: int | None, as_json: bool, quiet: bool, **options: Any
 ) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
     talk = not (quiet or as_json)

@@ -9,7 +9,7 @@ import rich_click as click
 
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import kind_names
-from scenegen.terminal.options import json_option, out_option, quiet_option, workers_option
+from scenegen.terminal.options import json_option, out_option, quiet_option, seed_option, workers_option
 from scenegen.terminal.progress import Progress, announce_compilation, note
 from scenegen.terminal.show import flat, per_split, rejections, say, show_table
 from scenegen.terminal.types import KindName, ShardRange
@@ -28,18 +28,12 @@ NETWORK_EDGE = 8
 @click.option("-n", "--n", type=click.IntRange(min=1), default=2500, show_default=True, help="Training samples.")
 @click.option("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")
 @click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth of --n]")
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed, the same dataset."
-)
+@seed_option("The same seed, the same dataset.")
 @out_option("Folder of the dataset.  [default: data/<kind>]")
 @workers_option
 @click.option("--compact", is_flag=True, help="Leave out what readers can derive: free space and distances.")
 @click.option(
-    "--shard-samples",
-    type=click.IntRange(min=1),
-    default=USUAL_IN_SHARD,
-    show_default=True,
-    help="Samples in a file.",
+    "--shard-samples", type=click.IntRange(min=1), default=USUAL_IN_SHARD, show_default=True, help="Samples in a file."
 )
 @click.option("--split-range", type=ShardRange(), help="Only these shards, for a cluster; --dry-run counts them.")
 @click.option("--allow-unseen", is_flag=True, help="Take scenes with geoms that rays cannot see; leave these out.")
@@ -169,14 +163,15 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
 def _show_summary(summary: "Summary", seconds: float) -> None:
     """What was made."""
     present = sum(summary.samples.values())
-    rows = {
-        "folder": summary.folder,
-        "samples": f"{present}  ({per_split(summary.samples)})",
-        "worlds": f"{sum(summary.worlds.values())}  ({per_split(summary.worlds)})",
-        "rejected": rejections(summary.rejected),
-        "size": f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(present, 1) / 1e3:.1f} KB a sample",
-        "time": f"{seconds:.1f} s, {summary.samples_written / seconds:.0f} samples a second, start-up included",
-        "digest": summary.digest or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
-        "next": f"scenegen inspect {summary.folder}",
-    }
-    show_table(rows)
+    show_table(
+        {
+            "folder": summary.folder,
+            "samples": f"{present}  ({per_split(summary.samples)})",
+            "worlds": f"{sum(summary.worlds.values())}  ({per_split(summary.worlds)})",
+            "rejected": rejections(summary.rejected),
+            "size": f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(present, 1) / 1e3:.1f} KB a sample",
+            "time": f"{seconds:.1f} s, {summary.samples_written / seconds:.0f} samples a second, start-up included",
+            "digest": summary.digest or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
+            "next": f"scenegen inspect {summary.folder}",
+        }
+    )

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 import rich_click as click
 
 from scenegen.errors import ScenegenError
-from scenegen.terminal.options import dataset_argument, json_option, kind_option, quiet_option, workers_option
+from scenegen.terminal.options import (
+    dataset_argument,
+    json_option,
+    kind_option,
+    quiet_option,
+    seed_option,
+    workers_option,
+)
 from scenegen.terminal.progress import Progress, announce_compilation
 from scenegen.terminal.show import say, show_table
 
@@ -19,9 +26,7 @@ if TYPE_CHECKING:
 @click.command()
 @dataset_argument
 @click.option("--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits.")
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Chooses what is audited at random."
-)
+@seed_option("Chooses what is audited at random.")
 @kind_option
 @workers_option
 @json_option

@@ -1,7 +1,7 @@
 """Kinds of worlds, one file a kind: a frozen dataclass of parameters with a method that adds solids to an MjSpec.
 
-The file's name is the kind's name, and in capitals that of its class. Nothing else lists the kinds: a new file here is
-a new kind. A user's own is named as ``module:Class``.
+The file's name is the kind's name, and its class has that name with a capital. Nothing else lists the kinds: a new file
+here is a new kind. A user's own is named as ``module:Class``.
 """
 
 import pkgutil

@@ -38,6 +38,11 @@ def split_option(default: str, help: str) -> Callable[[Function], Function]:
     return click.option("--split", type=click.Choice(SPLITS), default=default, show_default=True, help=help)
 
 
+def seed_option(help: str) -> Callable[[Function], Function]:
+    """--seed of what is drawn."""
+    return click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help=help)
+
+
 def out_option(help: str, default: Path | None = None, *, file: bool = False) -> Callable[[Function], Function]:
     """-o: the folder, or, with `file`, the file to write; the parameter is `out`."""
     kind = OutputFile() if file else click.Path(path_type=Path)
