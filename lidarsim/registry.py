@@ -36,9 +36,7 @@ class Registry:
         place = self.known.get(name, name)
         module, colon, attribute = place.partition(":")
         if not (colon and attribute.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-            near = difflib.get_close_matches(name[:MOST_NAMED], self.known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(self.known)}"
-            raise ValueError(f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)")
+            raise ValueError(self.unknown(name))
         found = importlib.import_module(module) if name in self.known else self._imported(module, name)
         try:
             chosen = getattr(found, attribute)
@@ -48,6 +46,12 @@ class Registry:
             raise ValueError(f"{self.what} {name}: {where} has no {attribute}; it has {there[:MOST_NAMED]}") from None
         self.check(chosen, name)
         return chosen
+
+    def unknown(self, name: str) -> str:
+        """What to say of a `name` that is none."""
+        near = difflib.get_close_matches(name[:MOST_NAMED], self.known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(self.known)}"
+        return f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)"
 
     def check(self, chosen: Any, name: str) -> None:
         """Raise ValueError, naming what is missing, unless `chosen` has all that it needs."""

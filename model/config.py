@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from lidarsim.parameters import check, number
 from scenegen.errors import short
-from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_WIDTH
+from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_SEED, MOST_WIDTH
 from scenegen.model.inputs import INPUTS
 
 LEVELS = 3
@@ -147,7 +147,7 @@ class TrainConfig:
     """Epochs without a lower validation loss after which training ends (paper)."""
     augment: bool = False
     """Whether maps are turned and mirrored about the sensor at random (ours)."""
-    seed: int = number(0, least=0, whole=True)
+    seed: int = number(0, least=0, most=MOST_SEED, whole=True)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where the device has

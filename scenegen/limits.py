@@ -37,6 +37,10 @@ MOST_SHARDS = 99_999
 """The most shards of a split: five digits number them."""
 MOST_MANIFEST_BYTES = 64 << 20
 """The most bytes of `dataset.json`: it then lists some 200,000 shards."""
+MOST_KIND_NAME = 100
+"""The most characters of a kind's name."""
+USUAL_IN_SHARD = 100
+"""Samples in a shard, where nobody asks for another number."""
 MOST_RECIPE_BYTES = 64 << 10
 """The most bytes of a recipe's TOML file. Every parameter may take two kilobytes; the time to parse grows faster than
 the size."""

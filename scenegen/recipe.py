@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import json
 import math
 import tomllib
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from scenegen.limits import (
     MOST_VOXELS,
     MOST_VOXELS_IN_FLIGHT,
 )
-from scenegen.recipes import find_kind, kind_names
+from scenegen.recipes import find_kind
 from scenegen.recipes.kind import WorldKind
 
 
@@ -57,7 +58,7 @@ class Recipe:
     """
 
     kind: str
-    """Name of a kind of world, or ``scene`` for worlds drawn by hand."""
+    """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds drawn by hand."""
     world: WorldKind | None = None
     """How worlds are drawn; None for worlds drawn by hand."""
     flight: Flight = field(default_factory=Flight)
@@ -139,19 +140,24 @@ def read_recipe(path: Path, kind: str | None = None) -> Recipe:
         raise RecipeError(f'{where}: names no kind; add a line such as kind = "pillar", or give --kind')
     if kind is not None and kind != named:
         raise RecipeError(f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the two out")
+    if not isinstance(named, str):
+        raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
     return make_recipe(named, tables, where=where)
 
 
 def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
     """The preset of `kind` with the values in `tables` put in; `where` names their source in errors.
 
-    Raises RecipeError naming the table and the parameter.
+    The module of a user's own kind is imported, so `kind` must not come from a stranger's file. Raises
+    RecipeError naming the table and the parameter.
     """
     parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec}
     defaults: dict[str, dict[str, Any]] = {}
     if kind != "scene":
-        _check_name(kind, kind_names(), "kind", where)
-        parts["world"] = found = find_kind(kind)
+        try:
+            parts["world"] = found = find_kind(kind)
+        except ValueError as error:
+            raise RecipeError(f"{where}: {error}") from None
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
     for name, table in tables.items():
         _check_name(name, tuple(sorted(parts)), "table", where)
@@ -162,9 +168,13 @@ def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
         for name, part in parts.items()
     }
     try:
-        return Recipe(kind=kind, **built)
+        recipe = Recipe(kind=kind, **built)
+        json.dumps(recipe.resolved())
+    except TypeError as error:
+        raise RecipeError(f"{where}: [world] of kind {kind}: a parameter cannot stand in a manifest: {error}") from None
     except ValueError as error:
         raise RecipeError(f"{where}: {error}") from None
+    return recipe
 
 
 def _from_table(part: type, table: dict[str, Any], where: str) -> Any:

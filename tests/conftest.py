@@ -1,9 +1,12 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
+from pathlib import Path
+
 import pytest
 
 from scenegen.recipe import Recipe, make_recipe
 from scenegen.source import DrawnWorlds
+from tests.command_line import SMALL as SMALL_FILE
 
 SMALL = {
     "flight": {"viewpoints": 3, "margin_m": 2.0, "min_distance_m": 4.0, "iterations": 300},
@@ -13,7 +16,7 @@ SMALL = {
     "world": {"size_m": (16.0, 16.0, 8.0)},
 }
 
-LONG = ("test_campaign.py", "test_crash.py", "test_silence.py", "test_cli_model.py", "test_export.py", "test_train.py")
+LONG = ("test_campaign.py", "test_crash.py", "test_silence.py", "test_export.py", "test_train.py")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -41,3 +44,11 @@ def drawn(request: pytest.FixtureRequest) -> tuple[Recipe, DrawnWorlds]:
     """A small recipe of each kind, and its source."""
     recipe = small_recipe(request.param)
     return recipe, DrawnWorlds(recipe)
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A recipe file for a small dataset."""
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_FILE)
+    return path

@@ -14,11 +14,12 @@ from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
+from scenegen.checkout import commit
 from scenegen.errors import DatasetError, StoppedError, empty_split
 from scenegen.model.config import TrainConfig
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
-from scenegen.model.provenance import commit, versions
+from scenegen.model.provenance import versions
 from scenegen.model.training.data import Batch, LoaderError, Maps, Samples, TudfOf, epoch_batches, load
 from scenegen.model.training.device import (
     Group,

@@ -17,7 +17,7 @@ from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_sh
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, short
 from scenegen.files import disk_error, remove_drafts
-from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS
+from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
 from scenegen.recipe import Recipe
 from scenegen.source import Source
 from scenegen.stopping import undone_if_stopped
@@ -72,7 +72,7 @@ def plan_dataset(
     seed: int,
     counts: Mapping[str, int],
     compact: bool = False,
-    shard_samples: int = 100,
+    shard_samples: int = USUAL_IN_SHARD,
 ) -> Plan:
     """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units.
 

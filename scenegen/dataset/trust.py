@@ -12,7 +12,7 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.shard import stored_fields
 from scenegen.errors import MOST_TOLD, BrokenError, DatasetError, printable, short
-from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
+from scenegen.limits import MOST_KIND_NAME, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
 from scenegen.sample import SCHEMA
 
 SHARD_FILE = r"^(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)$"
@@ -61,7 +61,7 @@ class Manifest(pydantic.BaseModel, strict=True):
 
     complete: bool
     generator: Annotated[int, pydantic.Field(ge=1)] = 1
-    kind: Annotated[str, pydantic.Field(pattern=r"^\w[\w.-]*$", max_length=100)]
+    kind: Annotated[str, pydantic.Field(pattern=r"^\w[\w.-]*(:\w+)?$", max_length=MOST_KIND_NAME)]
     seed: Annotated[int, pydantic.Field(ge=0, le=MOST_SEED)]
     counts: _Counts
     recipe: _Recipe

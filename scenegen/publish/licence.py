@@ -46,6 +46,8 @@ LICENCES = (
     Licence("PDDL-1.0", "Open Data Commons Public Domain 1.0", "https://opendatacommons.org/licenses/pddl/1-0/"),
 )
 """Licences that are made for data."""
+USUAL = LICENCES[0].spdx
+"""What data get where nothing else is asked for."""
 
 
 def find_licence(spdx: str) -> Licence:

@@ -10,8 +10,9 @@ from typing import Any
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.shard import stored_fields
-from scenegen.errors import PublishError, RecipeError
+from scenegen.errors import PublishError, RecipeError, short
 from scenegen.recipe import read_recipe
+from scenegen.recipes import KINDS
 from scenegen.source import DrawnWorlds
 from scenegen.stopping import undone_if_stopped
 
@@ -34,17 +35,28 @@ def command(found: Mapping[str, Any], out: str) -> str:
     return shlex.join([*words, "--out", out])
 
 
-def recipe_text(found: Mapping[str, Any]) -> str:
-    """A recipe file with every parameter of a manifest, so that no preset's later version changes anything."""
+def recipe_text(found: Mapping[str, Any], title: str) -> str:
+    """A recipe file with every parameter of a manifest, so that no preset's later version changes anything; `title` is
+    its first line."""
     tables = {name: found["recipe"].get(name) for name in ("world", "flight", "accept")}
     tables["lidar"] = found["lidar"]
     names = {"voxel": "voxel_m", "truncation": "truncation_m"}
     tables["grid"] = {names.get(name, name): value for name, value in found["grid"].items()}
-    lines = [f"# every parameter of the dataset {found['digest']}", f"kind = {_toml(found['kind'])}"]
+    lines = [f"# {title}", f"kind = {_toml(found['kind'])}"]
     for name, table in tables.items():
         if table is not None:
             lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
+
+
+def check_kind(there: str, named: str | None) -> None:
+    """Raise PublishError for a dataset of kind `there` whose worlds only a module of somebody's own can draw, unless
+    the user `named` it: no module is imported because a manifest names it."""
+    if there != "scene" and there not in KINDS.known and there != named:
+        raise PublishError(
+            f"the dataset's kind, {short(there)}, is none of scenegen's own, and only its module can say whether the "
+            "recipe makes the same worlds again; give --kind with its name to have it imported"
+        )
 
 
 def check_recipe(found: Mapping[str, Any], text: str) -> None:

@@ -39,7 +39,9 @@ def publish(
     if not dry_run:
         check_token()
     examine(request)
-    report = verify(request.dataset, quick=quick, workers=workers, on_start=on_start, on_done=on_done)
+    report = verify(
+        request.dataset, quick=quick, kind=request.kind, workers=workers, on_start=on_start, on_done=on_done
+    )
     failed = [check for check in report.checks if not check.ok]
     if not report.ok:
         first = f" {failed[0].name}: {failed[0].detail};" if failed else ""

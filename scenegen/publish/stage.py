@@ -18,11 +18,11 @@ from scenegen.inspect import inspect
 from scenegen.publish.card import card
 from scenegen.publish.croissant import croissant
 from scenegen.publish.folder import check_out, drafted, former_date, seal, take
-from scenegen.publish.licence import find_licence
+from scenegen.publish.licence import USUAL, find_licence
 from scenegen.publish.lock import LOCK, environment_lock
 from scenegen.publish.pictures import draw_sample
 from scenegen.publish.publication import Publication
-from scenegen.publish.regenerate import RECIPE, check_recipe, command, recipe_text
+from scenegen.publish.regenerate import RECIPE, check_kind, check_recipe, command, recipe_text
 
 MOST_FILES = 300
 """The most files of a published folder: the Hub, and people, work badly with more."""
@@ -44,8 +44,10 @@ class Request:
     tag: str | None = None
     """The name of the revision. None stands for the format's version and the beginning of the digest, which names the
     content."""
-    licence: str = "CC-BY-4.0"
+    licence: str = USUAL
     """The SPDX name of the data's licence."""
+    kind: str | None = None
+    """The dataset's kind, where its own module may be imported: a user's own, as ``module:Class``."""
     commit: str = "unknown"
     """The commit of the scenegen checkout that publishes."""
 
@@ -86,7 +88,10 @@ def examine(request: Request) -> Dataset:
         )
     if not (dataset.manifest.get("counts") and dataset.manifest.get("shard_samples")):
         raise PublishError(f"{request.dataset}: {manifest.NAME} names no counts, so it cannot say how to make it again")
-    check_recipe(dataset.manifest, recipe_text(dataset.manifest))
+    check_kind(dataset.manifest["kind"], request.kind)
+    check_recipe(
+        dataset.manifest, recipe_text(dataset.manifest, f"every parameter of the dataset {dataset.manifest['digest']}")
+    )
     return dataset
 
 
@@ -123,7 +128,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             "croissant.json": croissant(it, sums),
             "LICENSE": it.licence.text(request.repository.partition("/")[0]),
             LOCK: it.lock,
-            RECIPE: recipe_text(found),
+            RECIPE: recipe_text(found, f"every parameter of the dataset {digest}"),
         }
         for file, text in texts.items():
             write_whole(draft / file, text.encode())

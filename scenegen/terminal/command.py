@@ -1,18 +1,74 @@
-"""Run the command line: what goes wrong ends in one line on standard error, and in an exit code."""
+"""Commands by name, and their end: what goes wrong ends in one line on standard error, and in an exit code."""
 
+import ast
+import importlib.util
 import os
 import sys
 import warnings
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NoReturn
 
 import rich_click as click
 
+from lidarsim.registry import Registry
 from scenegen.errors import ScenegenError, StoppedError, needs, printable
 from scenegen.terminal import stops
 from scenegen.terminal.streams import lost_output, open_streams
 
 EXTRAS = {"torch": "train", "safetensors": "train"}
 """Packages that commands need beyond the core, and the extra that brings each."""
+
+
+class Commands(click.RichGroup):
+    """A group of commands that are imported when they are given, a user's own as ``module:command`` among them."""
+
+    def __init__(self, *, places: Mapping[str, str], **more: Any):
+        """`places` says where each of the known commands stands: name to ``module:command``."""
+        super().__init__(context_settings={"help_option_names": ["-h", "--help"]}, **more)
+        self.registry = Registry(
+            "command", places, needs={"make_context": "as click's commands have it: write @click.command() above it"}
+        )
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The known ones."""
+        return sorted(self.registry.known)
+
+    def get_command(self, ctx: Any, name: str) -> Any:
+        """A stand-in that has the help of the command `name`, so that a list of all imports none; see `find`."""
+        place = self.registry.known.get(name)
+        return None if place is None else click.RichCommand(name=name, help=_first_paragraph(place))
+
+    def find(self, name: str) -> Any:
+        """The command itself. Raises UsageError where there is none."""
+        try:
+            return self.registry.find(name)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """The command that `args` begins with, and the rest; none while a shell completes a name that is not one."""
+        try:
+            return args[0], self.find(args[0]), args[1:]
+        except click.UsageError:
+            if ctx.resilient_parsing:
+                return None, None, []
+            raise
+
+    def invoke(self, ctx: Any) -> None:
+        """Run the command. What it returns is of no use here, so that `main` returns exit codes alone."""
+        super().invoke(ctx)
+
+
+def _first_paragraph(place: str) -> str:
+    """How the docstring of the function ``module:function`` begins, read from its source, which is not imported."""
+    module, _, function = place.partition(":")
+    spec = importlib.util.find_spec(module)
+    assert spec is not None
+    assert spec.origin is not None
+    tree = ast.parse(Path(spec.origin).read_bytes())
+    (found,) = (item for item in tree.body if isinstance(item, ast.FunctionDef) and item.name == function)
+    return (ast.get_docstring(found) or "").partition("\n\n")[0]
 
 
 def run_command(app: Any) -> NoReturn:
@@ -36,8 +92,7 @@ def run_command(app: Any) -> NoReturn:
 def _outcome(app: Any) -> tuple[int, str]:
     """Exit code and line of a run."""
     try:
-        app.main(prog_name="scenegen", standalone_mode=False)
-        return 0, ""
+        return app.main(prog_name="scenegen", standalone_mode=False) or 0, ""
     except click.UsageError as error:
         name = error.ctx.command_path if error.ctx else "scenegen"
         return 2, f"{error.format_message()} (see {name} --help)"

@@ -1,95 +1,83 @@
-"""Types of options and arguments: what is wrong with one is told before anything begins."""
+"""Options of commands: those that several share, and those that are fields of a configuration."""
 
+import dataclasses
 import math
+import typing
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import rich_click as click
-from click.shell_completion import CompletionItem
 
-from scenegen.recipes import kind_names
+from lidarsim.parameters import BOUNDS, Bounds
+from scenegen import SPLITS
+from scenegen.limits import MOST_WORKERS
+from scenegen.terminal.types import DatasetPath, Finite, OutputFile
 
+Function = TypeVar("Function", bound=Callable[..., Any])
 
-class KindName(click.ParamType):
-    """A kind of world; suggests the nearest where there is none of that name."""
-
-    name = "kind"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """The name, if there is such a kind."""
-        if value not in kind_names():
-            import difflib
-
-            near = difflib.get_close_matches(value, kind_names(), n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(kind_names())}"
-            self.fail(f"unknown kind {value!r}; {hint}", param, ctx)
-        return str(value)
-
-    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        """Kinds that begin with what is typed."""
-        return [CompletionItem(name) for name in kind_names() if name.startswith(incomplete)]
-
-
-class DatasetPath(click.ParamType):
-    """A dataset: a folder, or hf://user/name[@revision], which the command fetches, and not the parsing."""
-
-    name = "dataset"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Path | str:
-        """A path as it is, or the Hub's name, if it is one."""
-        from scenegen.dataset.locate import is_remote, parse
-
-        if not is_remote(value):
-            return Path(value)
-        parse(value)
-        return str(value)
-
-    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        """Folders."""
-        return [CompletionItem(incomplete, type="dir")]
+dataset_argument = click.argument("dataset", type=DatasetPath())
+datasets_argument = click.argument("datasets", nargs=-1, type=DatasetPath())
+workers_option = click.option(
+    "--workers", type=click.IntRange(1, MOST_WORKERS), help="Processes.  [default: all cores]"
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+quiet_option = click.option("--quiet", is_flag=True, help="Print errors alone.")
+device_option = click.option(
+    "--device", default="auto", show_default=True, help="Where to compute: cpu, cuda, cuda:1 …"
+)
+kind_option = click.option(
+    "--kind",
+    metavar="MODULE:CLASS",
+    help="The dataset's own kind, where it is not one of scenegen's: its module is imported to draw worlds again.",
+)
 
 
-class OutputFile(click.Path):
-    """A file to write: a new one, or a regular one to replace."""
-
-    def __init__(self) -> None:
-        super().__init__(path_type=Path)
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Path:
-        """The path, if a file may be written there."""
-        from scenegen.errors import DatasetError
-        from scenegen.files import check_target
-
-        path = Path(value)
-        try:
-            check_target(path)
-        except DatasetError as error:
-            self.fail(str(error), param, ctx)
-        return path
+def split_option(default: str, help: str) -> Callable[[Function], Function]:
+    """--split, one of a dataset's."""
+    return click.option("--split", type=click.Choice(SPLITS), default=default, show_default=True, help=help)
 
 
-class Finite(click.ParamType):
-    """A number that is one."""
-
-    name = "float"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """The number."""
-        number = float(click.FLOAT.convert(value, param, ctx))
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number", param, ctx)
-        return number
+def seed_option(help: str) -> Callable[[Function], Function]:
+    """--seed of what is drawn."""
+    return click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help=help)
 
 
-class ShardRange(click.ParamType):
-    """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
+def out_option(help: str, default: Path | None = None, *, file: bool = False) -> Callable[[Function], Function]:
+    """-o: the folder, or, with `file`, the file to write; the parameter is `out`."""
+    kind = OutputFile() if file else click.Path(path_type=Path)
+    names = ("--output", "--out") if file else ("--out", "--output")
+    return click.option("-o", *names, "out", type=kind, default=default, show_default=True, help=help)
 
-    name = "first:stop"
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
-        """The two numbers."""
-        first, colon, stop = str(value).partition(":")
-        short = len(str(value)) <= 40  # and no more digits than int() takes
-        if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
-            self.fail(f"{str(value)[:60]!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx)
-        return int(first), int(stop)
+def options_of(config: type, **helps: str) -> Callable[[Function], Function]:
+    """An option for each field of the dataclass `config` that `helps` names, with that text. Its default, type, choices
+    and bounds are the field's; so is its name, without a unit: `beta_m` becomes --beta."""
+
+    def add(function: Function) -> Function:
+        for name, text in reversed(helps.items()):
+            function = _option(config, name, text)(function)
+        return function
+
+    return add
+
+
+def taken(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of `options` that are fields of the dataclass `config`."""
+    return {item.name: options[item.name] for item in dataclasses.fields(config) if item.name in options}
+
+
+def _option(config: type, name: str, text: str) -> Callable[[Function], Function]:
+    (item,) = (item for item in dataclasses.fields(config) if item.name == name)
+    kind = typing.get_type_hints(config)[name]
+    flag = "--" + name.removesuffix("_m").replace("_", "-")
+    if kind is bool:
+        return click.option(flag, name, is_flag=True, default=item.default, help=text)
+    more: dict[str, Any] = {"default": item.default, "show_default": True, "help": text}
+    if typing.get_origin(kind) is Literal:
+        choices = {str(choice): choice for choice in typing.get_args(kind)}
+        more |= {"type": click.Choice(list(choices)), "default": str(item.default)}
+        return click.option(flag, name, callback=lambda ctx, parameter, value: choices[value], **more)
+    bounds = item.metadata.get(BOUNDS, Bounds())
+    least, most = (None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most))
+    return click.option(flag, name, type=click.IntRange(least, most) if kind is int else Finite(), **more)

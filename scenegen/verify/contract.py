@@ -13,9 +13,9 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.trust import Entry, Manifest
-from scenegen.errors import RecipeError, printable, short
+from scenegen.errors import DatasetError, RecipeError, printable, short
 from scenegen.recipe import Recipe, make_recipe
-from scenegen.recipes import kind_names
+from scenegen.recipes import find_kind, kind_names
 from scenegen.verify.report import BrokenError, Ledger
 
 
@@ -31,7 +31,7 @@ class Contract:
     lidar: Lidar
     recipe: Recipe
     drawn: bool
-    """Whether the recipe can draw the worlds again: they are of a kind known here."""
+    """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
     viewpoints: int
     """Samples of one flight."""
     scenes: dict[str, list[dict[str, str]]] | None
@@ -77,28 +77,31 @@ class Contract:
         return world, turn * self.viewpoints + view
 
 
-def read_contract(folder: Path, ledger: Ledger) -> Contract | None:
+def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Contract | None:
     """The contract of the dataset in `folder`; faults go to the ledger's `manifest`, None where it cannot be read on.
 
-    Raises DatasetError where the folder holds no dataset at all.
+    `kind` names a user's own kind whose module may be imported. Raises DatasetError where the folder holds no dataset
+    at all, or one of another kind than that.
     """
     given = manifest.read(folder)
+    if kind is not None:
+        _check_named(kind, given.get("kind"))
     contract = None
     with ledger.checking("manifest"):
         ledger.count("manifest", files=1)
-        found = _contract(folder, given)
+        found = _contract(folder, given, kind)
         _check_shards(found, given, ledger)
         contract = found
     return contract
 
 
-def _contract(folder: Path, given: dict[str, Any]) -> Contract:
+def _contract(folder: Path, given: dict[str, Any], named: str | None) -> Contract:
     """The manifest with every type checked. Raises BrokenError."""
     try:
         typed = trust.typed(given)
     except BrokenError as error:
         raise BrokenError(f"{manifest.NAME}: {error}") from None
-    drawn = typed.kind in kind_names()
+    drawn = typed.kind in (*kind_names(), named)
     recipe = _recipe(typed, given["recipe"], drawn)
     scenes = None
     if typed.kind == "scene":
@@ -121,6 +124,16 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
         digest=typed.digest,
         fingerprint=manifest.fingerprint_of(given),
     )
+
+
+def _check_named(kind: str, there: Any) -> None:
+    """Raise DatasetError unless the user's own `kind` is the manifest's, and can be imported."""
+    if kind != there:
+        raise DatasetError(f"--kind {kind}: the dataset's kind is {short(there)}; leave --kind out, or give that")
+    try:
+        find_kind(kind)
+    except ValueError as error:
+        raise DatasetError(f"--kind: {error}") from None
 
 
 def _recipe(typed: Manifest, given: dict[str, Any], drawn: bool) -> Recipe:

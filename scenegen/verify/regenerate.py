@@ -53,7 +53,8 @@ def regenerate(contract: Contract, archive: Archive, split: str, unit: int) -> U
 def why_not_comparable(contract: Contract) -> str:
     """Why samples made here need not have the dataset's bits; empty where they must."""
     if not contract.drawn and contract.scenes is None:
-        return f"kind {contract.kind!r} is not installed here: its worlds cannot be drawn again"
+        advice = "; if it is yours, give --kind with its name" if ":" in contract.kind else ""
+        return f"kind {contract.kind!r} is none of scenegen's own: its worlds cannot be drawn again{advice}"
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
     differing = differences(contract.software, software())

@@ -57,8 +57,8 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     (here / "loop").symlink_to("loop")
     (here / "file").write_text("the user's own\n")
     (here / "folder").mkdir()
-    name = random.choice(sorted(app.commands))
-    command = app.commands[name]
+    name = random.choice(sorted(app.registry.known))
+    command = app.find(name)
     words = [name, *MADE.get(name, ())]
     done, asked = [], ["out"]
     for _ in range(random.choice((1, 1, 2))):

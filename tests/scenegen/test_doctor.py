@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenegen import __main__ as cli
 from scenegen import doctor
 from scenegen.dataset import manifest
 from scenegen.draw import Unit, draw_unit
 from scenegen.sample import Sample
+from tests.command_line import run
 
 
 @pytest.fixture(autouse=True)
@@ -52,16 +51,6 @@ def with_a_range_that_changes(number: int, sample: Sample) -> Sample:
 BROKEN = {"returns_occupied": without_one_solid_voxel, "repeatable": with_a_range_that_changes}
 
 
-def run_doctor(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of `scenegen doctor`."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["scenegen", "doctor", *words])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-    said = capsys.readouterr()
-    return int(ended.value.code or 0), said.out, said.err
-
-
 def test_a_fit_machine_is_found_fit(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     asked = []
 
@@ -75,7 +64,7 @@ def test_a_fit_machine_is_found_fit(monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert asked == [0, 0, *range(len(asked) - 2)], "the same unit twice, then one after the other"
     assert found["samples"] == 5 * (len(asked) - 2) > 0
     assert found["samples_per_second_per_core"] > 0
-    code, said, _ = run_doctor(capsys, "--json")
+    code, said, _ = run(capsys, "doctor", "--json")
     assert code == 0
     assert json.loads(said)["ok"] is True
 
@@ -104,7 +93,7 @@ def test_the_command_fails_where_a_law_is_broken(
     law: str, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     spoil(monkeypatch, BROKEN[law])
-    code, said, error = run_doctor(capsys, *words)
+    code, said, error = run(capsys, "doctor", *words)
     assert code == 1
     assert "self-test failed" in error.splitlines()[-1]
     if words:

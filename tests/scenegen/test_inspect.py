@@ -1,7 +1,6 @@
 """What `inspect` says of a dataset is what a reader of its HDF5 files counts."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +8,12 @@ import h5py
 import numpy as np
 import pytest
 
-from scenegen import __main__ as cli
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.inspect import inspect
 from scenegen.source import DrawnWorlds
+from tests.command_line import run
 from tests.conftest import picky_recipe
 
 COUNTS = {"train": 11, "val": 0, "test": 4}
@@ -141,12 +140,8 @@ def test_a_split_without_returns_gives_valid_json(tmp_path: Path, capsys: pytest
     assert statistics["returned"] == {"mean": 0, "std": 0, "min": 0, "max": 0}
     assert statistics["occupied"]["mean"] > 0
     for words in (("--json",), ()):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(sys, "argv", ["scenegen", "inspect", str(folder), *words])
-            with pytest.raises(SystemExit) as ended:
-                cli.main()
-        said = capsys.readouterr().out
-        assert not ended.value.code
+        code, said, _ = run(capsys, "inspect", folder, *words)
+        assert code == 0
         assert "nan" not in said.lower()
 
 

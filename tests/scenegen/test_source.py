@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-import scenegen.recipes
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, SceneError
@@ -155,11 +154,10 @@ def test_the_bundled_scenes_keep_the_laws_at_full_size(name: str) -> None:
 
 def test_a_new_kind_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (Path(__file__).parents[2] / "docs" / "recipes.md").read_text()
-    (tmp_path / "fence.py").write_text(text.split("```python\n")[-1].split("```")[0])
-    monkeypatch.setattr(scenegen.recipes, "__path__", [*scenegen.recipes.__path__, str(tmp_path)])
-    assert "fence" in scenegen.recipes.kind_names()
+    (tmp_path / "my_worlds.py").write_text(text.split("```python\n")[-1].split("```")[0])
+    monkeypatch.syspath_prepend(tmp_path)
     tables = {**SMALL, "world": {"size_m": (16.0, 16.0, 8.0), "radius_m": (0.1, 0.1)}}
-    recipe = make_recipe("fence", {**tables, "accept": {"min_occupied_share": 0.0}}, where="test")
+    recipe = make_recipe("my_worlds:Fence", {**tables, "accept": {"min_occupied_share": 0.0}}, where="test")
     world = DrawnWorlds(recipe).world("train", 0, rng=np.random.default_rng(0))
     assert world.model.ngeom == 16
     assert world.model.geom_size[0, 0] == 0.1

@@ -11,7 +11,7 @@ import pytest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.bench.command import choose_methods, run_bench
+from scenegen.model.commands.bench import choose_methods, run_bench
 from scenegen.model.completion.protocol import Prediction, Thresholds
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.evaluation.methods import Completed, Truth
@@ -217,7 +217,7 @@ def test_one_world_gives_no_interval(tmp_path: Path) -> None:
 
 
 def test_unknown_methods_and_empty_splits_are_refused(dataset: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(ScenegenError, match="known are returns"):
+    with pytest.raises(ScenegenError, match="did you mean 'returns'"):
         choose_methods(["retruns"])
     assert choose_methods(["tests.model.evaluation.test_bench:Nothing"])[0].name == "nothing"
     recipe = small_recipe()

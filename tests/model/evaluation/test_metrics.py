@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from scenegen.dataset.read import Dataset
-from scenegen.model.bench.command import tables
+from scenegen.model.commands.bench import tables
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
 from tests.model.evaluation.test_bench import report_of

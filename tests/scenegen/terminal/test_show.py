@@ -2,7 +2,7 @@
 
 import pytest
 
-from scenegen.terminal.show import say, show_table
+from scenegen.terminal.show import say, show_figures, show_table
 
 FORGED = "pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07\u202e"
 
@@ -25,3 +25,27 @@ def test_lines_are_kept_and_what_is_within_them_is_not(capsys: pytest.CaptureFix
 def test_paths_that_are_no_text_can_be_shown(capsys: pytest.CaptureFixture[str]) -> None:
     say("data/\udcff")
     assert capsys.readouterr().out == "data/\\udcff\n"
+
+
+@pytest.mark.parametrize("wide", [10, 40, 80, 200])
+def test_figures_fit_the_terminal_and_none_is_left_out(
+    wide: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(wide))
+    heads = [f"metric_{n}" for n in range(12)]
+    show_figures({"one": [f"{n}.5" for n in range(12)], "another": ["–"] * 12}, heads, "a title")
+    lines = capsys.readouterr().out.splitlines()
+    narrowest = len("another") + 2 + len("metric_11")
+    assert max(map(len, lines)) <= max(wide, narrowest)
+    assert " ".join(lines).count("–") == 12
+    for n, head in enumerate(heads):
+        at = next(line for line in lines if head in line.split())
+        assert lines[lines.index(at) + 1].split()[1 + at.split().index(head)] == f"{n}.5"
+
+
+def test_in_a_pipe_figures_stand_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    show_figures({"one": ["0.5"] * 50}, ["metric"] * 50)
+    assert len(capsys.readouterr().out.splitlines()) == 2

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import run
 from tests.scenegen.verify import forge
-from tests.test_cli import run
 
 
 def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from scenegen.dataset.read import Dataset
+from tests.command_line import run
 from tests.scenegen.conftest import Check
 from tests.scenegen.hub import TOKEN, Hub
-from tests.test_cli import run
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_published_and_read_back_by_name(
     assert code == 0
     assert said.startswith("<mujoco")
     measured: list[Path] = []
-    monkeypatch.setattr("scenegen.model.bench.command.run_bench", lambda folders, **options: measured.extend(folders))
+    monkeypatch.setattr("scenegen.model.commands.bench.run_bench", lambda folders, **options: measured.extend(folders))
     code, _, _ = run(capfd, "bench", "hf://ada/pillars@v1", made, "--quiet")
     assert code == 0
     assert [Dataset(folder).manifest["digest"] for folder in measured] == [Dataset(made).manifest["digest"]] * 2

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_cli import SMALL, run
+from tests.command_line import SMALL, run
 
 
 @pytest.fixture
@@ -26,6 +26,8 @@ def test_without_arguments_it_takes_what_is_under_data(here: Path, capsys: pytes
     assert report["command"] == "scenegen bench --quick --workers 1"
     assert report["reconstruction"]["pillar"]["truth"]["iou"]["mean"] == 1.0
     assert (here / "bench" / "report.md").read_text().startswith("# Bench")
+    code, said, _ = run(capsys, "bench", "--method", "returns", "--quick", "--workers", 1, "--json", "-o", "other")
+    assert (code, json.loads(said)) == (0, json.loads((here / "other" / "report.json").read_text()))
 
 
 def test_bad_use_ends_in_one_line(
@@ -34,7 +36,7 @@ def test_bad_use_ends_in_one_line(
     (here / "wrong.h5").write_bytes(b"")
     for words, code, named in (
         (("elsewhere",), 1, "not a dataset"),
-        (("data/pillar", "--method", "magic"), 1, "known are returns"),
+        (("data/pillar", "--method", "magic"), 1, "known: returns"),
         (("data/pillar", "--predictions", "wrong.h5"), 1, "cannot be read as HDF5"),
         (("data/pillar", "data/pillar"), 1, "two datasets of one kind"),
         (("data/pillar", "--split", "all"), 2, "--split"),

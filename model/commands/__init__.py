@@ -1,0 +1,1 @@
+"""The commands that train networks, complete maps and score completions, one a file; see `scenegen.commands`."""

@@ -1,0 +1,193 @@
+"""`scenegen bench`: datasets and rows by name, measured, and reported."""
+
+import inspect
+import json
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from lidarsim.registry import Registry
+from scenegen.commands.datasets import find_datasets
+from scenegen.errors import DatasetError, ScenegenError, needs
+from scenegen.model.commands.weights import Weights
+from scenegen.terminal.options import (
+    datasets_argument,
+    json_option,
+    out_option,
+    quiet_option,
+    seed_option,
+    split_option,
+    workers_option,
+)
+from scenegen.terminal.progress import Progress, announce_compilation
+from scenegen.terminal.show import say, show_figures
+
+if TYPE_CHECKING:
+    from scenegen.model.evaluation.methods import Method
+
+METHODS = Registry(
+    "method",
+    {
+        "returns": "scenegen.model.completion.unlearned:Returns",
+        "conservative": "scenegen.model.completion.unlearned:Conservative",
+        "extrude": "scenegen.model.completion.unlearned:Extrude",
+        "truth": "scenegen.model.evaluation.methods:Truth",
+    },
+)
+"""Classes of completers, made without arguments, and the truth; a user's own as ``module:Class``."""
+QUICK_SAMPLES, QUICK_TRIALS = 50, 200
+"""What `--quick` measures of every dataset."""
+
+
+@click.command()
+@datasets_argument
+@click.option("--method", "names", multiple=True, help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS.")
+@click.option(
+    "--weights", type=Weights(), multiple=True, help="A network's row: a bundled name, a file, a run's folder, hf://…"
+)
+@click.option(
+    "--predictions", type=click.Path(path_type=Path), help="HDF5 file of somebody's predictions: one more row."
+)
+@out_option("Folder of the report.", Path("bench"))
+@split_option("test", help="The split that is measured; calibrate on val alone.")
+@click.option("--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most.")
+@seed_option("Decides the goals and the intervals.")
+@workers_option
+@json_option
+@quiet_option
+def bench(
+    datasets: tuple[Path | str, ...], out: Path, workers: int | None, as_json: bool, quiet: bool, **options: Any
+) -> None:
+    """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
+    talk = not (quiet or as_json)
+    if talk:
+        announce_compilation()
+    from scenegen.workers import cores
+
+    report = run_bench(
+        find_datasets(datasets, shown=talk),
+        out=out,
+        workers=workers or cores(),
+        command=shlex.join(["scenegen", *sys.argv[1:]]),
+        progress=lambda label: Progress(label, shown=talk),
+        **options,
+    )
+    if as_json:
+        print(json.dumps(report))
+    elif talk:
+        _show(report)
+        say(f"\nwritten: {out / 'report.md'}, {out / 'report.json'}")
+
+
+def run_bench(
+    folders: Sequence[Path],
+    *,
+    names: Sequence[str],
+    weights: Sequence[str] = (),
+    predictions: Path | None,
+    out: Path,
+    split: str,
+    quick: bool,
+    seed: int,
+    workers: int,
+    command: str,
+    progress: Callable[[str], Progress],
+) -> dict[str, Any]:
+    """Measure, write ``report.json`` and ``report.md`` into `out`, and return the report.
+
+    Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown method.
+    """
+    from scenegen.checkout import commit
+    from scenegen.dataset.read import Dataset
+    from scenegen.files import write_whole
+    from scenegen.model.evaluation.predicted import Predicted
+    from scenegen.model.evaluation.report import build_report, to_markdown
+    from scenegen.model.evaluation.run import BenchConfig
+    from scenegen.model.evaluation.run import bench as measure
+
+    methods = [*choose_methods(names), *map(_network, weights)]
+    called = [method.name for method in methods] + (["predicted"] if predictions is not None else [])
+    twice = [name for name, count in Counter(called).items() if count > 1]
+    if twice:
+        raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
+    datasets = [Dataset(folder) for folder in folders]
+    kinds = [dataset.manifest["kind"] for dataset in datasets]
+    if len(set(kinds)) < len(kinds):
+        raise DatasetError(
+            f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one of each"
+        )
+    config = BenchConfig(split=split, seed=seed)
+    if quick:
+        config = BenchConfig(split=split, seed=seed, samples=QUICK_SAMPLES, trials=QUICK_TRIALS)
+    rows: list[Method] = [*methods]
+    if predictions is not None:
+        predicted = Predicted(predictions)
+        for dataset in datasets:
+            predicted.check(dataset, split)
+        rows.append(predicted)
+    results = []
+    for dataset in datasets:
+        with progress(dataset.manifest["kind"]) as shown:
+            results.append(measure(dataset, rows, config, workers=workers, on_start=shown.start, on_done=shown.count))
+    report = build_report(results, seed=seed, about={"command": command, "commit": commit(), "split": split})
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DatasetError(f"{out}: cannot be made: {error.strerror}; choose another folder with --out") from None
+    write_whole(out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
+    write_whole(out / "report.md", to_markdown(report).encode())
+    return report
+
+
+def choose_methods(names: Sequence[str]) -> "list[Method]":
+    """Rows by name: those that need no learning, `truth`, or ``module:Class`` of a completer; the known ones for none.
+
+    Raises ScenegenError for a name that leads to none, and for a completer that does not keep the protocol.
+    """
+    return [_method(name) for name in names or METHODS.known]
+
+
+def _method(name: str) -> "Method":
+    from scenegen.model.evaluation.methods import Completed, Truth
+
+    try:
+        made = METHODS.find(name)()
+    except ValueError as error:
+        raise ScenegenError(f"--method: {error}") from None
+    except Exception as error:  # a user's own code
+        raise ScenegenError(f"--method {name}: cannot be made by calling it without arguments: {error!r}") from None
+    if isinstance(made, Truth):
+        return made
+    row = Completed(made)
+    try:
+        inspect.signature(made.complete).bind(None, None, grid=None)
+    except TypeError as error:
+        raise ScenegenError(f"--method {name}: `complete` does not take (observed, free, *, grid): {error}") from None
+    return row
+
+
+def _network(weights: str) -> "Method":
+    """A network's row; what it needs is imported here, so that the other rows need no torch."""
+    try:
+        from scenegen.model.evaluation.pretrained import Pretrained
+    except ImportError:
+        raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
+    return Pretrained(weights)
+
+
+def _show(report: dict[str, Any]) -> None:
+    """Both tables: means, at the paper's thresholds."""
+    from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+
+    for kind in report["datasets"]:
+        for table, names in (("reconstruction", tuple(METRICS)), ("planning", tuple(PLAN_METRICS))):
+            rows = {
+                method: [f"{row[name]['mean']:.3f}" if row[name]["n"] else "–" for name in names]
+                for method, row in report[table][kind].items()
+            }
+            show_figures(rows, names, f"{kind}, {table}")

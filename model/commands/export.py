@@ -1,0 +1,26 @@
+"""`scenegen export`: a network as ONNX."""
+
+from pathlib import Path
+
+import rich_click as click
+
+from scenegen.model.commands.weights import Weights
+from scenegen.terminal.options import out_option
+from scenegen.terminal.show import say
+
+
+@click.command()
+@click.argument("weights", type=Weights(), default="proposed")
+@out_option("File to write.  [default: <name>.onnx]", file=True)
+def export(weights: str, out: Path | None) -> None:
+    """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
+    from scenegen.files import make_parent
+    from scenegen.model.checkpoint import load_network
+    from scenegen.model.completion.completer import locate
+    from scenegen.model.export import export_onnx
+
+    network, grid, about = load_network(locate(weights))
+    out = out or Path(f"{Path(weights).stem}.onnx")
+    make_parent(out)
+    export_onnx(network, grid, out, about=about)
+    say(f"written: {out}")

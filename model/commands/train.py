@@ -1,0 +1,147 @@
+"""`scenegen train`: options become a configuration, and the run is reported."""
+
+import json
+import os
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import rich_click as click
+
+from scenegen.commands.datasets import find_datasets
+from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.terminal import stops
+from scenegen.terminal.options import (
+    datasets_argument,
+    device_option,
+    json_option,
+    options_of,
+    out_option,
+    quiet_option,
+    taken,
+)
+from scenegen.terminal.progress import Progress
+from scenegen.terminal.show import say
+
+MOST_LOADERS = 8
+"""Loader processes that are begun unasked, where there is a GPU to feed."""
+
+
+@click.command()
+@datasets_argument
+@options_of(NetworkConfig, variant="Which network to train; docs/network.md says what they are.")
+@options_of(
+    TrainConfig,
+    epochs="Most epochs; the learning rate falls to 0 by the last.",
+    batch="Maps a step, on all devices together.",
+    lr="Learning rate after the warm-up.",
+    patience="Epochs without a lower validation loss after which training ends.",
+    seed="Decides the first weights and the order of samples.",
+)
+@options_of(
+    NetworkConfig,
+    width="Channels at the first level.",
+    stem_stride="Where resolution is halved first; 1 is slower, and sees finer.",
+)
+@options_of(LossConfig, beta_m="Where the Smooth-L1 loss turns from a parabola into a line, metres.")
+@options_of(
+    TrainConfig,
+    augment="Turn and mirror maps about the sensor at random.",
+    precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
+    compile="Run the network through torch.compile.",
+)
+@device_option
+@click.option("--workers", type=click.IntRange(min=0), help="Loader processes.  [default: 0 on a CPU, else up to 8]")
+@out_option("The run's folder.  [default: runs/<variant>]")
+@click.option("--resume", is_flag=True, hidden=True, help="Accepted from older scripts: a run goes on by itself.")
+@json_option
+@quiet_option
+def train(
+    datasets: tuple[Path | str, ...],
+    device: str,
+    workers: int | None,
+    out: Path | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Train the completion network on datasets; under torchrun, on several GPUs.
+
+    Given again after a stop, it goes on where it was.
+    """
+    from scenegen.model.training.data import opened
+    from scenegen.model.training.device import TrainingError, choose_device
+    from scenegen.model.training.loop import Watcher
+    from scenegen.model.training.loop import train as run
+    from scenegen.workers import cores
+
+    first = int(os.environ.get("RANK", "0")) == 0
+    talk = first and not (quiet or as_json)
+    try:
+        config = TrainConfig(
+            network=NetworkConfig(**taken(NetworkConfig, options)),
+            loss=LossConfig(**taken(LossConfig, options)),
+            **taken(TrainConfig, options),
+        )
+    except ValueError as error:
+        raise TrainingError(str(error)) from None
+    out = out or Path("runs") / config.network.variant
+    begin = time.monotonic()
+    # the loop looks for a stop between two steps
+    with Progress(config.network.variant, shown=talk) as progress, stops.noted() as stop:
+        folders = find_datasets(datasets, shown=talk)
+        chosen = choose_device(device)
+        if workers is None:
+            workers = 0 if chosen.type == "cpu" else min(MOST_LOADERS, cores())
+        shown = _Shown(config, progress, talk)
+        rows = run(
+            opened(folders, "train"),
+            opened(folders, "val"),
+            config,
+            out,
+            device=str(chosen),
+            workers=workers,
+            command=shlex.join(["scenegen", *sys.argv[1:]]),
+            watcher=Watcher(on_start=shown.on_start, on_step=shown.on_step, on_epoch=shown.on_epoch, stop=stop),
+        )
+    best = min(rows, key=lambda row: row["val_loss"])
+    seconds = time.monotonic() - begin
+    if first and as_json:
+        print(json.dumps({"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}))
+    if not talk:
+        return
+    if not shown.begun:
+        say(f"{out}: this run is complete already; give another --out for another one")
+    say(
+        f"best: epoch {best['epoch']:.0f} of {len(rows)}, validation loss {best['val_loss']:.4f}, "
+        f"IoU {best['val_iou']:.3f}, Near-MAE {best['val_near_mae']:.3f} m; {out}, {seconds:.0f} s"
+    )
+
+
+class _Shown:
+    """What a run shows of itself: the loss of the last steps, the rate, the time left, and a line an epoch."""
+
+    def __init__(self, config: TrainConfig, progress: Progress, talk: bool):
+        self._config, self._progress, self._talk = config, progress, talk
+        self._recent, self._iou = 0.0, ""
+        self.begun = False
+
+    def on_start(self, epoch: int, total: int, done: int) -> None:
+        self.begun = True
+        label = f"{self._config.network.variant}, epoch {epoch + 1} of {self._config.epochs}"
+        self._progress.restart(label, total, done)
+
+    def on_step(self, maps: int, loss: float) -> None:
+        self._recent = loss if self._recent == 0.0 else 0.98 * self._recent + 0.02 * loss
+        self._progress.count(maps)
+        self._progress.note(f"loss {self._recent:.4f}{self._iou}")
+
+    def on_epoch(self, row: dict[str, float]) -> None:
+        self._iou = f", validation IoU {row['val_iou']:.3f}"
+        if self._talk:
+            say(
+                f"epoch {row['epoch']:.0f}: loss {row['train_loss']:.4f}, validation loss {row['val_loss']:.4f}, "
+                f"IoU {row['val_iou']:.3f}, Near-MAE {row['val_near_mae']:.3f} m, {row['seconds']:.0f} s"
+            )

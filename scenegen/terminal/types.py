@@ -1,0 +1,91 @@
+"""Types of options and arguments: what is wrong with one is told before anything begins."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import rich_click as click
+from click.shell_completion import CompletionItem
+
+from scenegen.recipes import KINDS
+
+
+class KindName(click.ParamType):
+    """A kind of world, or a user's own as module:Class."""
+
+    name = "kind"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """The name, if it can be one; a user's own is imported later."""
+        if ":" not in value and value not in KINDS.known:
+            self.fail(KINDS.unknown(value), param, ctx)
+        return str(value)
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        """Kinds that begin with what is typed."""
+        return [CompletionItem(name) for name in KINDS.known if name.startswith(incomplete)]
+
+
+class DatasetPath(click.ParamType):
+    """A dataset: a folder, or hf://user/name[@revision], which the command fetches, and not the parsing."""
+
+    name = "dataset"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Path | str:
+        """A path as it is, or the Hub's name, if it is one."""
+        from scenegen.dataset.locate import is_remote, parse
+
+        if not is_remote(value):
+            return Path(value)
+        parse(value)
+        return str(value)
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        """Folders."""
+        return [CompletionItem(incomplete, type="dir")]
+
+
+class OutputFile(click.Path):
+    """A file to write: a new one, or a regular one to replace."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Path:
+        """The path, if a file may be written there."""
+        from scenegen.errors import DatasetError
+        from scenegen.files import check_target
+
+        path = Path(value)
+        try:
+            check_target(path)
+        except DatasetError as error:
+            self.fail(str(error), param, ctx)
+        return path
+
+
+class Finite(click.ParamType):
+    """A number that is one."""
+
+    name = "float"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """The number."""
+        number = float(click.FLOAT.convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
+
+class ShardRange(click.ParamType):
+    """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
+
+    name = "first:stop"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
+        """The two numbers."""
+        first, colon, stop = str(value).partition(":")
+        short = len(str(value)) <= 40  # and no more digits than int() takes
+        if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
+            self.fail(f"{str(value)[:60]!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx)
+        return int(first), int(stop)

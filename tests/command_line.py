@@ -1,0 +1,36 @@
+"""The command line as users meet it, for tests: run a command in this process, on small worlds."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from scenegen import __main__ as cli
+
+ROOT = Path(__file__).parents[1]
+SMALL = """
+kind = "pillar"
+[world]
+size_m = [16, 16, 8]
+[flight]
+viewpoints = 3
+margin_m = 2
+min_distance_m = 4
+[accept]
+min_solids = 1
+[lidar]
+rows = 8
+columns = 24
+[grid]
+shape = [24, 24, 16]
+"""
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["scenegen", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    said = capsys.readouterr()
+    return int(ended.value.code or 0), said.out, said.err

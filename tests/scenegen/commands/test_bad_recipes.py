@@ -1,0 +1,87 @@
+"""A recipe that cannot be is refused in one line."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import run
+
+BAD_RECIPES = {
+    "unknown parameter": (
+        "[world]\ndensty = [0.1, 0.2]",
+        "[world]: unknown parameter 'densty'; did you mean 'density'?",
+    ),
+    "unknown table": ("[wrld]\ndensity = [0.1, 0.2]", "unknown table 'wrld'"),
+    "falling range": ("[world]\ndensity = [0.3, 0.2]", "expected [low, high]"),
+    "wrong type": ("[flight]\nviewpoints = 'five'", "viewpoints = 'five'"),
+    "share above one": ("[world]\nround_share = 1.5", "round_share = 1.5: expected a finite number from 0 to 1"),
+    "no room": ("[flight]\nmargin_m = 30.0", "margin_m = 30"),
+    "no grid": ("[grid]\nshape = [80, 0, 40]", "shape"),
+    "no rays": ("[lidar]\nrows = 0", "rows"),
+    "sizes of nothing": (
+        "[world]\nhalf_width_m = [0, 0]",
+        "half_width_m = [0, 0]: expected [low, high] with low <= high, finite numbers above 0",
+    ),
+    "ratio below one": ("[world]\noblong_ratio = 0.5", "oblong_ratio = 0.5"),
+    "shares above one": ("[world]\nround_share = 0.8\noblong_share = 0.5", "expected at most 1"),
+    "an endless density": ("[world]\ndensity = [0.1, inf]", "density = [0.1, inf]: expected"),
+    "an endless spacing": ("[flight]\nspacing_m = inf", "spacing_m = inf"),
+    "an endless height": ("[flight]\naltitude_m = [2, inf]", "altitude_m = [2, inf]: expected"),
+    "too many": ("[world]\ndensity = [90, 90]", "expected 20000 at most"),
+    "words for numbers": ("[flight]\nviewpoints = '5'", "viewpoints = '5'"),
+    "truth for numbers": ("[flight]\nviewpoints = true", "viewpoints = True"),
+    "a million lines": ("[lidar]\nrows = 100000000", "rows = 100000000: expected a whole number from 1 to 1000000"),
+    "no end of distance": ("[grid]\ntruncation_m = 1e9", "truncation_m = 1000000000.0"),
+    "no table": ("world = 3", "expected a table"),
+    "not a number": ("[world]\ndensity = [nan, 0.1]", "density = [nan, 0.1]: expected"),
+    "wrong kind": ('kind = "geometric"', "is a recipe for kind 'geometric'"),
+    "not TOML": ("density = = 3", "not valid TOML"),
+    "two edges": ("[grid]\nshape = [80, 80]", "three whole numbers from 1 to 8192, such as [80, 80, 40]"),
+    "a date": ("[grid]\nshape = 1979-05-27", "shape = datetime.date(1979, 5, 27): expected three whole numbers"),
+    "nested edges": ("[grid]\nshape = [[1], 2, 3]", "shape = [[1], 2, 3]: expected three whole numbers"),
+    "true edges": ("[grid]\nshape = [true, true, true]", "expected three whole numbers"),
+    "an unknown mount": ("[lidar]\nmount = 'gimbal'", "mount = 'gimbal': expected 'tilt' or 'band'"),
+    "text for truth": ("[world]\nground = 'yes'", "ground = 'yes': expected true or false"),
+    "a key that prints": ('[world]\n"\\u001b[2Jall\\nright" = 1', "unknown parameter '\\x1b[2Jall\\nright'"),
+    "an empty kind": ('kind = ""', "is a recipe for kind '', not for 'pillar'"),
+    "a kind of numbers": ("kind = [1]", "is a recipe for kind [1], not for 'pillar'"),
+    "no end of digits": (f"[grid]\nvoxel_m = 0x{'f' * 9000}", "voxel_m = a value of type int"),
+    "more digits than int takes": (f"[grid]\nvoxel_m = {'9' * 9000}", "not valid TOML"),
+    "deep arrays": (f"[grid]\nshape = {'[' * 5000}{']' * 5000}", "nested too deeply"),
+    "deep keys": (f"{'a.' * 30_000}a = 1", "nested too deeply"),
+    "too large": (f"kind = 'pillar' # {'x' * (1 << 16)}", "bytes, expected 65536 at most"),
+    "no end of places": ("[flight]\nspacing_m = 1e-7", "spacing_m = 1e-07: expected"),
+    "as good as no spacing": ("[flight]\nspacing_m = 1e-300", "spacing_m = 1e-300: expected"),
+    "a million places": ("[flight]\nspacing_m = 0.001", "places to scan from along one flight"),
+    "no end of draws": ("[accept]\nmax_draws = 1000000000", "max_draws = 1000000000: expected"),
+    "draws of flights of searches": (
+        "[accept]\nmax_draws = 10000\n[flight]\nflights_per_world = 1000\niterations = 1000000",
+        "expected 1000000000 at most; lower one of them",
+    ),
+    "maps beyond what is read": ("[grid]\nshape = [408, 408, 408]", "67917312 voxels, expected 67108864 at most"),
+    "maps beyond memory": ("[grid]\nshape = [400, 400, 400]\n[flight]\nviewpoints = 17", "expected 16 at most"),
+    "voxels beyond the rays": ("[grid]\nvoxel_m = 90.0\ntruncation_m = 90.0", "voxel_m = 90.0: expected at most the"),
+    "a world as wide as a country": ("[world]\nsize_m = [1e6, 1e6, 10]\ndensity = [0, 0]", "size_m = [1000000.0, 10"),
+    "too dense": ("[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2", "lower world.density = (4.0, 4.0)"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_RECIPES)
+def test_a_bad_recipe_ends_in_one_line(what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text, named = BAD_RECIPES[what]
+    (tmp_path / "r.toml").write_text(text)
+    words = ("--kind", "pillar", "--recipe", tmp_path / "r.toml", "--n", 5, "--out", tmp_path / "d", "--quiet")
+    code, said, error = run(capsys, "generate", *words)
+    assert code == 1
+    assert named in error
+    assert error.count("\n") == 1
+    assert said == ""
+
+
+def test_a_recipe_that_is_no_file_ends_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    for path, named in (("pipe.toml", "not a regular file"), ("", "not a regular file"), ("gone.toml", "no such file")):
+        code, said, error = run(capsys, "generate", "--recipe", tmp_path / path, "--out", tmp_path / "d", "--quiet")
+        assert (code, said, error.count("\n")) == (1, "", 1)
+        assert named in error

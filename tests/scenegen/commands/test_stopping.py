@@ -1,0 +1,65 @@
+"""A run of `scenegen generate` that is stopped leaves nothing behind but whole files."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import ROOT
+
+
+def start(small: Path, out: Path) -> subprocess.Popen[str]:
+    """A run with workers that lasts until it is stopped, well under way."""
+    command = [sys.executable, "-m", "cli", "generate", "--recipe", str(small), "--n", "200000", "--out", str(out)]
+    process = subprocess.Popen(
+        [*command, "--workers", "2", "--shard-samples", "30"],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 150  # with nothing cached, kernels compile first
+    while len(list(out.glob("*.h5"))) < 3:
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        assert time.monotonic() < deadline, "no shard was written"
+        time.sleep(0.05)
+    return process
+
+
+def descendants(pid: int) -> list[int]:
+    """Processes of the session that `pid` leads, itself left out."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == pid and int(entry.name) != pid and fields[0] != "Z":
+            found.append(int(entry.name))
+    return found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_stopped_run_leaves_no_process_and_whole_files(number: int, small: Path, tmp_path: Path) -> None:
+    out = tmp_path / "d"
+    process = start(small, out)
+    assert len(descendants(process.pid)) >= 2
+    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    _, error = process.communicate(timeout=20)
+    deadline = time.monotonic() + 10
+    while descendants(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert descendants(process.pid) == []
+    if number != signal.SIGKILL:
+        assert process.returncode == 130
+        assert "nothing finished is lost" in error
+        assert "Traceback" not in error
+        assert not list(out.glob(".*.tmp"))
+    for path in out.glob("*.h5"):
+        assert path.with_suffix(".worlds.zip").exists()

@@ -1,0 +1,161 @@
+"""A user's own kind, method and command, as the docs show them, by the installed script in a folder of the user's."""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.source import DrawnWorlds
+from tests.command_line import ROOT, SMALL, run
+from tests.conftest import small_recipe
+
+EXAMPLES = {"my_worlds.py": "recipes.md", "my_methods.py": "bench.md", "my_commands.py": "commands.md"}
+OTHERS = ("model.py", "cli.py", "data.py", "tests/__init__.py", "tests/helpers.py")
+"""Modules of the user's that have nothing to do with it, under names that are common in the field."""
+
+
+def example(page: str) -> str:
+    """The last Python file that a page of the docs shows."""
+    return (ROOT / "docs" / page).read_text().split("```python\n")[-1].split("```")[0]
+
+
+@pytest.fixture
+def here(tmp_path: Path) -> Path:
+    """A user's folder, with the examples of the docs."""
+    for name in OTHERS:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("raise AssertionError('imported, and nobody asked for it')")
+    for name, page in EXAMPLES.items():
+        (tmp_path / name).write_text(example(page))
+    own = SMALL.replace('"pillar"', '"my_worlds:Fence"').replace("min_solids = 1", "min_solids = 0")
+    (tmp_path / "fence.toml").write_text(own.replace("[accept]", "[accept]\nmin_occupied_share = 0"))
+    return tmp_path
+
+
+def scenegen(here: Path, *words: str) -> tuple[int, str, str]:
+    """How the installed script ends, in the user's folder."""
+    script = shutil.which("scenegen", path=str(Path(sys.executable).parent))
+    assert script, "install scenegen first: pip install -e ."
+    ended = subprocess.run([script, *words], cwd=here, capture_output=True, text=True, timeout=300, check=False)
+    return ended.returncode, ended.stdout, ended.stderr
+
+
+def done(here: Path, *words: str) -> str:
+    code, said, error = scenegen(here, *words)
+    assert code == 0, error
+    return said
+
+
+def test_a_kind_a_method_and_a_command_of_ones_own(here: Path) -> None:
+    done(here, "generate", "--recipe", "fence.toml", "-n", "6", "--workers", "2")
+    assert '"kind": "my_worlds:Fence"' in (here / "data" / "Fence" / "dataset.json").read_text()
+    assert "ok" in regenerated(done(here, "verify", "data/Fence", "--workers", "2", "--kind", "my_worlds:Fence"))
+    assert "world 0, viewpoint" in done(here, "my_commands:fill", "data/Fence")
+    (here / "my_worlds.py").write_text("raise AssertionError('imported because a manifest names it')")
+    words = ("--method", "my_methods:Grown", "--method", "returns", "--quick", "--workers", "2")
+    assert "grown" in done(here, "bench", "data/Fence", *words)
+    assert "cannot be drawn again" in regenerated(done(here, "verify", "data/Fence", "--workers", "2"))
+    done(here, "inspect", "data/Fence")
+    done(here, "world", "data/Fence", "0")
+    code, _, error = scenegen(here, "publish", "data/Fence", "--repo", "ada/fence", "--dry-run")
+    assert (code, "give --kind" in error, error.count("\n")) == (1, True, 1)
+
+
+def regenerated(table: str) -> str:
+    """The line of what was drawn again."""
+    (line,) = (line for line in table.splitlines() if line.startswith("regenerated"))
+    return line
+
+
+LACKING = {
+    "kind without a module": (("generate", "--quiet", "--kind", "absent:Fence"), 1, "there is no module absent"),
+    "kind of another class": (("generate", "--quiet", "--kind", "wrong:Other"), 1, "lacks `version`, a whole number"),
+    "kind of no base": (
+        ("generate", "--quiet", "--kind", "wrong:Loose"),
+        1,
+        "inherits from scenegen.recipes.kind.WorldKind",
+    ),
+    "kind without add_to": (("generate", "--quiet", "--kind", "wrong:Empty"), 1, "lacks `add_to`, a method"),
+    "kind that is no dataclass": (
+        ("generate", "--quiet", "--kind", "wrong:Bare"),
+        1,
+        "is no dataclass; write @dataclass(",
+    ),
+    "kind with odd values": (("generate", "--quiet", "--kind", "wrong:Odd"), 1, "cannot stand in a manifest"),
+    "a name beyond what readers take": (("generate", "--quiet", "--kind", f"wrong:{'K' * 95}"), 1, "100 at most"),
+    "method without name": (("bench", "DATASET", "--quiet", "--method", "wrong:Nameless"), 1, "lacks `name`, a string"),
+    "method with another signature": (
+        ("bench", "DATASET", "--quiet", "--method", "wrong:Short"),
+        1,
+        "does not take (observed, free, *, grid)",
+    ),
+    "method that needs arguments": (("bench", "DATASET", "--quiet", "--method", "wrong:Needy"), 1, "without arguments"),
+    "method that is absent": (("bench", "DATASET", "--quiet", "--method", "wrong:Gone"), 1, "has no Gone"),
+    "command that is a plain function": (("wrong:plain",), 2, "lacks `make_context`"),
+    "command that is absent": (("trian",), 2, "did you mean 'train'?"),
+    "another kind than the dataset's": (
+        ("verify", "DATASET", "--quiet", "--kind", "my_worlds:Fence"),
+        1,
+        "the dataset's kind is 'pillar'",
+    ),
+}
+WRONG = f"""
+from dataclasses import dataclass
+from scenegen.recipes.kind import WorldKind
+class Other: pass
+class Loose:
+    version, crowding, add_to = 1, (), None
+@dataclass(frozen=True, kw_only=True)
+class Empty(WorldKind):
+    version, crowding = 1, ()
+class Bare(Empty):
+    def add_to(self, spec, *, rng): pass
+@dataclass(frozen=True, kw_only=True)
+class Odd(Bare):
+    label: object = 1j
+class Nameless:
+    def complete(self, observed, free, *, grid): pass
+class Short:
+    name = "short"
+    def complete(self, observed): pass
+class Needy(Short):
+    def __init__(self, size): pass
+def plain(): pass
+@dataclass(frozen=True, kw_only=True)
+class {"K" * 95}(Bare): pass
+"""
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small dataset of pillars; not to be changed."""
+    folder, recipe = tmp_path_factory.mktemp("made") / "pillar", small_recipe()
+    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 0, "test": 3}))
+    return folder
+
+
+@pytest.fixture
+def standing(here: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The user's folder, to stand in; what is imported from it is forgotten afterwards."""
+    before = list(sys.path), set(sys.modules)
+    monkeypatch.chdir(here)
+    yield here
+    sys.path[:] = before[0]
+    for name in ("wrong", "my_worlds"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("what", LACKING)
+def test_one_that_lacks_something_is_told_in_one_line(
+    what: str, standing: Path, dataset: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words, code, told = LACKING[what]
+    (standing / "wrong.py").write_text(WRONG)
+    ended, said, error = run(capsys, *(dataset if word == "DATASET" else word for word in words))
+    assert (ended, said, error.count("\n")) == (code, "", 1)
+    assert told in error
+    assert not (standing / "data").exists()
