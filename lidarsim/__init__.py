@@ -9,11 +9,24 @@ The whole method in five lines, on any MuJoCo world::
     print(len(scan.points()), "returns in", grid.observed.sum(), "voxels")
 """
 
-from lidarsim.casters import Caster, MujocoCaster
+from typing import TYPE_CHECKING, Any
+
 from lidarsim.grid import GridSpec
 from lidarsim.lidar import Lidar
 from lidarsim.pose import Pose
 from lidarsim.scan import Scan, cast
 from lidarsim.voxelize import ObservedGrid, voxelize
 
+if TYPE_CHECKING:
+    from lidarsim.casters import Caster, MujocoCaster
+
 __all__ = ["Caster", "GridSpec", "Lidar", "MujocoCaster", "ObservedGrid", "Pose", "Scan", "cast", "voxelize"]
+
+
+def __getattr__(name: str) -> Any:
+    """Engines are imported when they are asked for: MuJoCo takes longer than everything else here together."""
+    if name not in ("Caster", "MujocoCaster"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from lidarsim import casters
+
+    return getattr(casters, name)
