@@ -46,8 +46,9 @@ class Maps(Dataset):
     def __getitem__(self, key: int | tuple[int, int]) -> tuple[Tensor, Tensor]:
         index, symmetry = key if isinstance(key, tuple) else (key, 0)
         part, row = self._place(index)
-        observed, occupancy = part.stored(row, "observed", "occupancy")
-        return torch.from_numpy(turned(observed, symmetry)), torch.from_numpy(turned(occupancy, symmetry))
+        sample = part[row]
+        observed, occupancy = turned(sample.observed, symmetry), turned(sample.occupancy, symmetry)
+        return torch.from_numpy(observed), torch.from_numpy(occupancy)
 
     def name(self, index: int) -> str:
         """Who sample `index` is, for people: folder, split, number."""
@@ -73,7 +74,7 @@ def check_alike(datasets: Sequence[SampleDataset]) -> None:
                 )
     seen: dict[str, Path] = {}
     for dataset in datasets:
-        digest = str(dataset.manifest["digest"])
+        digest = str(dataset.manifest.digest)
         if digest in seen:
             raise DatasetError(f"{dataset.folder}: holds the same samples as {seen[digest]}; name one of the two")
         seen[digest] = dataset.folder

@@ -69,7 +69,7 @@ def predict_split(
     batches = [list(range(n, min(n + batch, len(maps)))) for n in range(0, len(maps), batch)]
     on_start(len(maps))
     with whole(out) as draft, h5py.File(draft, "w") as file:
-        file.attrs.update({"dataset": dataset.manifest["digest"], "split": split, "method": completer.name})
+        file.attrs.update({"dataset": dataset.manifest.digest, "split": split, "method": completer.name})
         file["world"] = np.array([world for _, world, _ in names], dtype=np.int64)
         file["viewpoint"] = np.array([viewpoint for _, _, viewpoint in names], dtype=np.int64)
         for rows, (observed, _) in zip(batches, load(maps, batches, workers=workers, pinned=False), strict=True):

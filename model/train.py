@@ -236,8 +236,8 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
 def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> dict[str, Any]:
     """What decides a run: a run with another description is another run."""
     return {
-        "datasets": [str(dataset.manifest["digest"]) for dataset in maps.datasets],
-        "kinds": [str(dataset.manifest["kind"]) for dataset in maps.datasets],
+        "datasets": [str(dataset.manifest.digest) for dataset in maps.datasets],
+        "kinds": [str(dataset.manifest.kind) for dataset in maps.datasets],
         "samples": len(maps),
         **dataclasses.asdict(config),
         "precision": str(precision).removeprefix("torch."),

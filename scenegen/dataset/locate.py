@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from scenegen.dataset import manifest
-from scenegen.dataset.trust import check_manifest
+from scenegen.dataset import manifest, trust
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.limits import MOST_MANIFEST_BYTES
 
@@ -94,12 +93,9 @@ def listed_files(folder: Path, name: str) -> dict[str, str]:
     Raises DatasetError where it is no manifest, or lists what no file of a dataset is called: what it says may come
     from a stranger, and is about to be used as file names.
     """
-    found = manifest.read(folder)
-    check_manifest(found, name)
-    files = {}
-    for shard in found["shards"]:
-        files[shard["file"]] = shard["sha256"]
-        files[shard["worlds"]] = shard["worlds_sha256"]
+    files: dict[str, str] = {}
+    for shard in trust.load(folder, name).shards:
+        files |= {shard.file: shard.sha256, shard.worlds: shard.worlds_sha256}
     return files
 
 

@@ -77,14 +77,12 @@ def examine(request: Request) -> Dataset:
     check_out(request.dataset, request.out)
     files = len(listed_files(request.dataset, str(request.dataset))) + _BESIDES
     if files > MOST_FILES:
-        samples = sum(shard["samples"] for shard in dataset.manifest["shards"])
+        samples = sum(shard.samples for shard in dataset.manifest.shards)
         room = (MOST_FILES - _BESIDES) // 2 - len(SPLITS)
         raise PublishError(
             f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; generate it again with "
             f"--shard-samples {-(-samples // room // 100) * 100 + 100}, which changes no sample"
         )
-    if not (dataset.manifest.get("counts") and dataset.manifest.get("shard_samples")):
-        raise PublishError(f"{request.dataset}: {manifest.NAME} names no counts, so it cannot say how to make it again")
     check_recipe(dataset.manifest, recipe_text(dataset.manifest))
     return dataset
 
@@ -96,10 +94,10 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     DatasetError, PublishError.
     """
     dataset = examine(request)
-    found, digest = dataset.manifest, str(dataset.manifest["digest"])
+    found, digest = dataset.manifest, str(dataset.manifest.digest)
     files = listed_files(request.dataset, str(request.dataset))
     content = (request.dataset / manifest.NAME).read_bytes()
-    tag = request.tag or f"v{found['version']}-{digest[:8]}"
+    tag = request.tag or f"v{manifest.VERSION}-{digest[:8]}"
     name = request.repository.partition("/")[2]
     with drafted(request.out) as draft:
         take(request.dataset, draft, files)
@@ -112,7 +110,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             manifest=found,
             statistics=inspect(draft),
             command=command(found, name),
-            lock=environment_lock(found["software"], request.commit),
+            lock=environment_lock(found.software, request.commit),
             checks=checks,
             pictures=_draw(dataset, draft),
         )

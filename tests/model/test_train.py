@@ -92,7 +92,7 @@ def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path,
     assert network.config == SMALL.network
     assert grid == Maps(folders, "val").grid
     assert about["figures"]["val_loss"] == pytest.approx(min(float(row["val_loss"]) for row in rows), rel=1e-5)
-    assert about["settings"]["datasets"] == [str(data.manifest["digest"]) for data in Maps(folders, "val").datasets]
+    assert about["settings"]["datasets"] == [str(data.manifest.digest) for data in Maps(folders, "val").datasets]
     card = (uninterrupted / "card.md").read_text()
     assert f"{about['figures']['val_iou']:.3f}" in card
     assert "This is not the full protocol" in card

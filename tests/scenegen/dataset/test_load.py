@@ -12,6 +12,7 @@ import scenegen
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Split
 from scenegen.errors import DatasetError
+from scenegen.sample import SCHEMA
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
@@ -29,8 +30,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def digest(task: tuple[Split, int]) -> str:
     """All of a sample's fields, in whatever process this runs."""
     split, index = task
-    fields = vars(split[index])
-    return hashlib.sha256(b"".join(np.asarray(value).tobytes() for value in fields.values())).hexdigest()
+    sample = split[index]
+    return hashlib.sha256(b"".join(np.asarray(getattr(sample, name)).tobytes() for name in SCHEMA)).hexdigest()
 
 
 def test_samples_come_lazily_and_described(folder: Path) -> None:
@@ -39,7 +40,7 @@ def test_samples_come_lazily_and_described(folder: Path) -> None:
     assert split._open == {}
     sample, described = split[4], split.describe()
     assert len(split._open) == 1
-    assert set(described) == set(vars(sample))
+    assert set(described) == set(SCHEMA)
     for name, field in described.items():
         value = np.asarray(getattr(sample, name))
         assert (value.dtype.name, value.shape) == (field["dtype"], field["shape"]), name
