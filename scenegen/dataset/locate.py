@@ -5,7 +5,6 @@ import hashlib
 import os
 import re
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from scenegen.dataset import manifest, trust
@@ -107,6 +106,8 @@ def check_files(folder: Path, files: dict[str, str], name: str) -> None:
         if not path.is_file():
             return f"{item[0]} is missing"
         return "" if file_sha256(path) == item[1] else f"{item[0]} is not the file that {manifest.NAME} lists"
+
+    from concurrent.futures import ThreadPoolExecutor  # for what the Hub sends alone; importing it takes time
 
     with ThreadPoolExecutor() as pool:  # hashing lets other threads run
         for wrong in pool.map(check, sorted(files.items())):

@@ -6,7 +6,6 @@ import json
 import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +59,8 @@ def software() -> dict[str, str]:
 
 def installed(package: str) -> str:
     """The installed version of a package, or ``absent``."""
+    from importlib.metadata import PackageNotFoundError, version  # which takes longer than reading a manifest
+
     try:
         return version(package)
     except PackageNotFoundError:
