@@ -372,7 +372,7 @@ def test_the_first_run_says_why_it_takes_longer(
 
 
 def test_help_loads_nothing_heavy() -> None:
-    heavy = "mujoco", "numba", "h5py", "ompl", "scipy", "numpy", "pydantic"
+    heavy = "mujoco", "numba", "h5py", "ompl", "scipy", "numpy"
     code = f"import sys, cli; sys.exit(', '.join(name for name in {heavy!r} if name in sys.modules) or 0)"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=Path(__file__).parents[1], capture_output=True, text=True, check=False

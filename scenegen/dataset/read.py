@@ -111,7 +111,7 @@ class Split(Sequence[Sample]):
             return [self[n] for n in range(*index.indices(len(self)))]
         number, row = self._place(index)
         self._shard(number)  # which says at once if the file is missing or not this dataset's
-        return _Stored(self, number, row)
+        return _Stored.at(self, number, row)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[n] for n in range(len(self)))
@@ -165,8 +165,12 @@ class _Stored(Sample):
     with all its fields.
     """
 
-    def __init__(self, split: Split, number: int, row: int):
-        self.__dict__.update(_split=split, _number=number, _row=row)
+    @classmethod
+    def at(cls, split: Split, number: int, row: int) -> Sample:
+        """The sample in a row of a split's shard."""
+        sample = cls.__new__(cls)  # whose fields come later
+        sample.__dict__.update(_split=split, _number=number, _row=row)
+        return sample
 
     def __getattr__(self, name: str) -> Any:
         if name not in SCHEMA:

@@ -1,6 +1,7 @@
 """Datasets from strangers: whatever stands in a manifest, a shard or an archive ends in one line, and soon."""
 
 import copy
+import dataclasses
 import functools
 import json
 import math
@@ -66,6 +67,55 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
                 except DatasetError as error:
                     count += str(error).count("\n") == 0
     assert count > 250
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "said"),
+    [
+        (("seed",), -1, "seed = -1: expected a whole number from 0 to 9223372036854775807"),
+        (("seed",), 3.0, "seed = 3.0: expected a whole number"),
+        (("complete",), 1, "complete = 1: expected true or false"),
+        (("counts", "val"), None, "counts.val = None: expected a whole number from 0 to 1000000000"),
+        (("counts",), [11], "counts = [11]: expected a table"),
+        (("shards", 1, "samples"), ..., "shards.1.samples is missing: expected a whole number from 1 to 100000"),
+        (("shards", 0), "x", "shards.0 = 'x': expected a table"),
+        (("shards", 0, "file"), "../x", "shards.0.file = '../x': expected such as train-00000.h5"),
+        (("digest",), "abc", "digest = 'abc': expected a SHA-256, 64 hexadecimal digits, or null"),
+        (("grid", "shape"), [80, 80], "grid.shape = [80, 80]: expected three whole numbers from 1 to 8192"),
+        (("grid", "voxel"), 0, "grid.voxel = 0: expected a finite number from 0.001 to 1000"),
+        (("grid", "truncation"), ..., "grid.truncation is missing: expected a value"),
+        (("lidar", "rows"), "many", "lidar.rows = 'many': expected a whole number from 1 to 1000000"),
+        (("lidar", "colour"), 1, "lidar.colour is unknown: expected rows, columns, "),
+        (("fields",), ["observed"], "fields = ['observed']: expected all, or all but the derived ones"),
+        (("recipe", "world"), 3, "recipe.world = 3: expected a table, or null"),
+        (("rejected", "worlds"), {"x": "y"}, "expected a table, each value a whole number from 0"),
+        (("software",), {"numpy": 2}, "software = {'numpy': 2}: expected a table, each value text"),
+    ],
+)
+def test_what_is_wrong_in_a_manifest_is_said_in_our_words(
+    dataset: Path, at: tuple[Any, ...], value: Any, said: str
+) -> None:
+    found = manifest.read(dataset)
+    if value is ...:
+        del _at(found, at[:-1])[at[-1]]
+    else:
+        _at(found, at[:-1])[at[-1]] = value
+    manifest.write(dataset, found)
+    line = refused(lambda: Dataset(dataset))
+    assert line.startswith(f"{dataset}: dataset.json is damaged: ")
+    assert said in line
+
+
+def test_the_checked_manifest_is_what_the_file_says(dataset: Path) -> None:
+    found, typed = manifest.read(dataset), Dataset(dataset).manifest
+    for name in ("kind", "seed", "counts", "complete", "digest", "rejected", "software", "generator", "shard_samples"):
+        assert getattr(typed, name) == found[name], name
+    assert [vars(entry) for entry in typed.shards] == found["shards"]
+    assert (typed.grid.voxel_m, typed.grid.truncation_m) == (found["grid"]["voxel"], found["grid"]["truncation"])
+    assert typed.recipe == small_recipe()
+    assert typed.fingerprint == manifest.fingerprint(typed.parameters)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        typed.seed = 4  # type: ignore[misc]
 
 
 def _at(found: Any, path: tuple[Any, ...]) -> Any:
