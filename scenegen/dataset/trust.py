@@ -180,7 +180,7 @@ def _made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:
     check(table, {}, at)
     for name in table:
         if name not in names:
-            raise BrokenError(f"{at}.{short(name)[1:-1]} is unknown: expected {', '.join(names)}")
+            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(names)}")
     try:
         return part(**{names[name]: value for name, value in table.items()})
     except ValueError as error:

@@ -73,7 +73,7 @@ def read_contract(folder: Path, ledger: Ledger) -> Contract | None:
         try:
             found = Contract(folder=folder, **vars(trust.parse(given)))
             if found.kind == "scene" and found.tables.get("scenes") is None:
-                raise BrokenError("recipe.scenes is missing: expected the worlds of each split")
+                raise BrokenError("recipe.scenes = None: expected the worlds of each split")
             found.recipe  # noqa: B018 (spelled out now, so that what is wrong with it is found here)
         except BrokenError as error:
             raise BrokenError(f"{manifest.NAME}: {error}") from None

@@ -85,7 +85,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
         (("grid", "voxel"), 0, "grid.voxel = 0: expected a finite number from 0.001 to 1000"),
         (("grid", "truncation"), ..., "grid.truncation is missing: expected a value"),
         (("lidar", "rows"), "many", "lidar.rows = 'many': expected a whole number from 1 to 1000000"),
-        (("lidar", "colour"), 1, "lidar.colour is unknown: expected rows, columns, "),
+        (("lidar", "colour"), 1, "lidar: unknown parameter 'colour': expected rows, columns, "),
         (("fields",), ["observed"], "fields = ['observed']: expected all, or all but the derived ones"),
         (("recipe", "world"), 3, "recipe.world = 3: expected a table, or null"),
         (("rejected", "worlds"), {"x": "y"}, "expected a table, each value a whole number from 0"),
