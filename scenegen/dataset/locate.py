@@ -57,7 +57,7 @@ def locate(name: str | Path, *, shown: bool = False) -> Path:
         with client_output(shown):
             _check_listing(repository, revision)
             folder = download(revision, manifest.NAME)
-            listed = listed_files(folder, str(name))
+            listed = trust.load(folder, str(name)).files  # checked before they are used as names
             # by commit, whose name the folder bears: should the branch move on, nothing is mixed
             folder = download(folder.name, manifest.NAME, *listed)
     except DatasetError:
@@ -84,18 +84,6 @@ def client_output(shown: bool) -> Iterator[None]:
         logging.set_verbosity(before)
         if not let_be:
             enable_progress_bars()
-
-
-def listed_files(folder: Path, name: str) -> dict[str, str]:
-    """Every file that the manifest in `folder` lists, with its SHA-256.
-
-    Raises DatasetError where it is no manifest, or lists what no file of a dataset is called: what it says may come
-    from a stranger, and is about to be used as file names.
-    """
-    files: dict[str, str] = {}
-    for shard in trust.load(folder, name).shards:
-        files |= {shard.file: shard.sha256, shard.worlds: shard.worlds_sha256}
-    return files
 
 
 def check_files(folder: Path, files: dict[str, str], name: str) -> None:

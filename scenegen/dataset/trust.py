@@ -112,6 +112,14 @@ class Manifest:
     """Of all samples; None as long as shards are missing."""
 
     @property
+    def files(self) -> dict[str, str]:
+        """Every file that the manifest lists, with its SHA-256."""
+        found: dict[str, str] = {}
+        for entry in self.shards:
+            found |= {entry.file: entry.sha256, entry.worlds: entry.worlds_sha256}
+        return found
+
+    @property
     def layout(self) -> Layout:
         """What every shard has to hold."""
         return layout_of(self.fields, self.grid, self.lidar)

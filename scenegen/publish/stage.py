@@ -10,7 +10,7 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256, listed_files
+from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.read import Dataset
 from scenegen.errors import PublishError
 from scenegen.files import write_whole
@@ -75,7 +75,7 @@ def examine(request: Request) -> Dataset:
     find_licence(request.licence)
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
-    files = len(listed_files(request.dataset, str(request.dataset))) + _BESIDES
+    files = len(dataset.manifest.files) + _BESIDES
     if files > MOST_FILES:
         samples = sum(shard.samples for shard in dataset.manifest.shards)
         room = (MOST_FILES - _BESIDES) // 2 - len(SPLITS)
@@ -95,7 +95,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     """
     dataset = examine(request)
     found, digest = dataset.manifest, str(dataset.manifest.digest)
-    files = listed_files(request.dataset, str(request.dataset))
+    files = found.files
     content = (request.dataset / manifest.NAME).read_bytes()
     tag = request.tag or f"v{manifest.VERSION}-{digest[:8]}"
     name = request.repository.partition("/")[2]
