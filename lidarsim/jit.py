@@ -13,7 +13,7 @@ import stat
 import sys
 import threading
 from collections.abc import Callable
-from functools import cache, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -39,11 +39,13 @@ class _Kernel:
     def __call__(self, *arguments: Any) -> Any:
         return self.compiled(*arguments)
 
+    @cached_property
+    def compiled(self) -> Any:
+        """Numba's dispatcher."""
+        with _LOCK:
+            return _compiled(self.py_func)
+
     def __getattr__(self, name: str) -> Any:
-        if name == "compiled":
-            with _LOCK:
-                self.__dict__.setdefault(name, _compiled(self.py_func))
-            return self.__dict__[name]
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.compiled, name)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from scenegen.errors import BrokenError, short
@@ -58,3 +58,15 @@ def check(found: Any, rules: Mapping[str, Rule], at: str) -> None:
             raise BrokenError(f"{where} is missing: expected {rule.words}")
         if not rule.fits(found[name]):
             raise BrokenError(f"{where} = {short(found[name])}: expected {rule.words}")
+
+
+def ruled(rule: Rule) -> Any:
+    """A field of a dataclass whose values in a file are as `rule` says."""
+    return field(metadata={"rule": rule})
+
+
+def checked(kind: type, found: Any, at: str) -> dict[str, Any]:
+    """The values in the table `found` of those fields of the dataclass `kind` that have a rule. Raises BrokenError."""
+    rules = {item.name: item.metadata["rule"] for item in fields(kind) if "rule" in item.metadata}
+    check(found, rules, at)
+    return {name: found[name] for name in rules}

@@ -13,7 +13,7 @@ from lidarsim import GridSpec, Lidar
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
-from scenegen.dataset.rules import FLAG, LIST, TABLE, Rule, check, optional, table_of, text, whole
+from scenegen.dataset.rules import FLAG, LIST, TABLE, Rule, check, checked, optional, ruled, table_of, text, whole
 from scenegen.errors import BrokenError, DatasetError, RecipeError, printable, short
 from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
 from scenegen.sample import stored_fields
@@ -24,24 +24,14 @@ if TYPE_CHECKING:  # which imports what draws worlds
 T = TypeVar("T")
 
 _COUNT = whole(0, MOST_SAMPLES)
+_FIELDS = Rule(
+    lambda value: value in (list(stored_fields(compact=False)), list(stored_fields(compact=True))),
+    "all, or all but the derived ones",
+)
 _GIVEN = Rule(lambda value: True, "a value")
 _TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
 _DIGEST = text("[0-9a-f]{64}", "a SHA-256, 64 hexadecimal digits")
 _FILE = text(r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)", "such as train-00000.h5 or train-00000.worlds.zip")
-_RULES = {
-    "complete": FLAG,
-    "generator": whole(1, MOST_SEED),
-    "kind": text(r"\w[\w.-]{0,99}", "the name of a kind of worlds"),
-    "seed": whole(0, MOST_SEED),
-    "fields": Rule(
-        lambda value: value in (list(stored_fields(compact=False)), list(stored_fields(compact=True))),
-        "all, or all but the derived ones",
-    ),
-    "shard_samples": whole(1, MOST_SAMPLES_IN_SHARD),
-    "shards": LIST,
-    "digest": optional(_DIGEST),
-    "software": _TEXTS,
-}
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
 _RECIPE_RULES = {
     "version": whole(0, MOST_SEED),
@@ -60,28 +50,19 @@ _RECIPE_RULES = {
         "the worlds of each split",
     ),
 }
-_ENTRY_RULES = {
-    "file": _FILE,
-    "worlds": _FILE,
-    "split": Rule(lambda value: value in SPLITS, "train, val or test"),
-    "samples": whole(1, MOST_SAMPLES_IN_SHARD),
-    "first_world": _COUNT,
-    "sha256": _DIGEST,
-    "worlds_sha256": _DIGEST,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
     """A shard, as the manifest lists it."""
 
-    file: str
-    worlds: str
-    split: str
-    samples: int
-    first_world: int
-    sha256: str
-    worlds_sha256: str
+    file: str = ruled(_FILE)
+    worlds: str = ruled(_FILE)
+    split: str = ruled(Rule(lambda value: value in SPLITS, "train, val or test"))
+    samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
+    first_world: int = ruled(_COUNT)
+    sha256: str = ruled(_DIGEST)
+    worlds_sha256: str = ruled(_DIGEST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,11 +71,11 @@ class Manifest:
 
     parameters: Mapping[str, Any]
     """The part of the file that is known before anything is drawn, as it stands there."""
-    generator: int
+    generator: int = ruled(whole(1, MOST_SEED))
     """The generator that made the dataset, see `scenegen.GENERATOR`."""
-    kind: str
-    seed: int
-    counts: Mapping[str, int]
+    kind: str = ruled(text(r"\w[\w.-]{0,99}", "the name of a kind of worlds"))
+    seed: int = ruled(whole(0, MOST_SEED))
+    counts: Mapping[str, int] = ruled(TABLE)
     """Samples that each split is to hold."""
     tables: Mapping[str, Any]
     """The recipe as it stands in the file: `version`, `flight`, `accept`, and `world` or `scenes`."""
@@ -102,13 +83,13 @@ class Manifest:
     """Names of the fields that shards store."""
     grid: GridSpec
     lidar: Lidar
-    shard_samples: int
-    software: Mapping[str, str]
-    complete: bool
+    shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
+    software: Mapping[str, str] = ruled(_TEXTS)
+    complete: bool = ruled(FLAG)
     shards: tuple[Entry, ...]
-    rejected: Mapping[str, Mapping[str, int]]
+    rejected: Mapping[str, Mapping[str, int]] = ruled(TABLE)
     """Rejections by reason, of `worlds` and of `viewpoints`."""
-    digest: str | None
+    digest: str | None = ruled(optional(_DIGEST))
     """Of all samples; None as long as shards are missing."""
 
     @property
@@ -149,37 +130,27 @@ class Manifest:
 def parse(document: Mapping[str, Any]) -> Manifest:
     """A manifest's content, checked. Raises BrokenError with what is wrong, where, and what was expected."""
     found = {"generator": 1} | dict(document)
-    check(found, _RULES, "")
-    check(found.get("counts"), dict.fromkeys(SPLITS, _COUNT), "counts")
-    check(found.get("rejected"), dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
-    check(found.get("recipe"), {}, "recipe")
+    plain = checked(Manifest, found, "")
+    check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE}, "")
+    check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
+    check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
     check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
-    for number, entry in enumerate(found["shards"]):
-        check(entry, _ENTRY_RULES, f"shards.{number}")
-    shards = tuple(Entry(**{name: entry[name] for name in _ENTRY_RULES}) for entry in found["shards"])
+    check(found["grid"], dict.fromkeys(manifest.GRID, _GIVEN), "grid")
+    shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:
             raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
-    check(found.get("grid"), dict.fromkeys(manifest.GRID, _GIVEN), "grid")
-    grid = _made(GridSpec, found.get("grid"), manifest.GRID, "grid")
+    grid = _made(GridSpec, found["grid"], manifest.GRID, "grid")
     if math.prod(grid.shape) > MOST_VOXELS:
         raise BrokenError(f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most")
     return Manifest(
+        **plain,
         parameters=manifest.parameters_of(document),
-        generator=found["generator"],
-        kind=found["kind"],
-        seed=found["seed"],
-        counts={split: found["counts"][split] for split in SPLITS},
         tables=found["recipe"],
         fields=tuple(found["fields"]),
         grid=grid,
         lidar=_made(Lidar, found.get("lidar"), {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar"),
-        shard_samples=found["shard_samples"],
-        software=found["software"],
-        complete=found["complete"],
         shards=shards,
-        rejected=found["rejected"],
-        digest=found["digest"],
     )
 
 
