@@ -1,4 +1,4 @@
-"""`kernel`: numba's njit with a cache that cannot go stale.
+"""`kernel`: numba's njit, imported with the first call of a kernel, and with a cache that cannot go stale.
 
 Numba keys a cached kernel on its own file alone, so a kernel that calls one in another file would go on running the
 old callee after an update. Here the cache lies in a folder named after numba's version and the content of every file
@@ -11,20 +11,49 @@ import hashlib
 import os
 import stat
 import sys
+import threading
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
-from typing import Any, TypeVar
-
-import numba
+from typing import Any, TypeVar, cast
 
 ROOT = 0
 """The system's own user."""
 F = TypeVar("F", bound=Callable[..., Any])
+_LOCK = threading.RLock()
+"""Numba's settings are changed by one thread at a time."""
 
 
 def kernel(function: F) -> F:
     """Compile `function` on first use; keep the machine code for later processes."""
+    return cast(F, _Kernel(function))
+
+
+class _Kernel:
+    """A function that becomes numba's when it is first called, or when a kernel that calls it is compiled."""
+
+    def __init__(self, function: Callable[..., Any]):
+        update_wrapper(self, function)
+        self.py_func = function
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.compiled(*arguments)
+
+    @cached_property
+    def compiled(self) -> Any:
+        """Numba's dispatcher."""
+        with _LOCK:
+            return _compiled(self.py_func)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.compiled, name)
+
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    """`function` as numba's dispatcher, which compiles it for each type of arguments that it meets."""
+    numba = _numba()
     package = function.__module__.split(".")[0]
     kept = not cache_trouble(package)  # else compiled anew by every process: slower to start, but right
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder(package))
@@ -35,8 +64,23 @@ def kernel(function: F) -> F:
 
 
 @cache
+def _numba() -> Any:
+    """Numba, which is told that a kernel called by another one stands for its dispatcher."""
+    import numba
+    from numba.extending import typeof_impl
+
+    @typeof_impl.register(_Kernel)
+    def dispatcher(value: _Kernel, context: Any) -> Any:
+        return numba.types.Dispatcher(value.compiled)
+
+    return numba
+
+
+@cache
 def cache_folder(package: str) -> Path:
     """Where the kernels of `package`, as they stand on disk, are kept."""
+    import numba
+
     digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
     roots = {Path(__file__).parent, Path(sys.modules[package].__file__ or __file__).parent}
     walks = (walk for root in roots for walk in os.walk(root, followlinks=True))

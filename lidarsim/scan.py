@@ -1,13 +1,18 @@
 """One turn of the sensor: cast every ray, keep the ranges."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.casters import Caster
 from lidarsim.lidar import Lidar
 from lidarsim.pose import Pose
+
+if TYPE_CHECKING:  # whoever casts has an engine imported; who reads a scan needs none
+    from lidarsim.casters import Caster
 
 
 @dataclass(frozen=True, eq=False)

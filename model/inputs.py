@@ -4,7 +4,7 @@ A *named batch* maps names of inputs to arrays. Data, training, validation, comp
 one more channel is one more entry of `INPUTS`, and its name in the `NetworkConfig` of the network that takes it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import GridSpec
 from scenegen.limits import MOST_LENGTH_M
+from scenegen.sample import Sample
 
 SYMMETRIES = 8
 """Rotations by quarter turns about the sensor's vertical axis, each with and without a mirror."""
@@ -46,10 +47,8 @@ class PointScan:
 class Input:
     """One channel that a network may take."""
 
-    stored: tuple[str, ...]
-    """The fields of a sample that it is computed from. Every dataset has to store them (docs/format.md)."""
-    of_sample: Callable[[Mapping[str, Any], GridSpec, Any], NDArray[Any]]
-    """(those fields by name, grid, sensor) → (*grid.shape)."""
+    of_sample: Callable[[Sample, GridSpec, Any], NDArray[Any]]
+    """(sample, grid, sensor) → (*grid.shape). Of a dataset's sample, only the fields that this accesses are read."""
     of_scan: Callable[[PointScan], NDArray[Any]]
     """The same from one scan alone."""
     turns: bool = True
@@ -65,21 +64,14 @@ def _observed(scan: PointScan) -> NDArray[np.bool_]:
 
 
 INPUTS = {
-    "observed": Input(
-        stored=("observed",), of_sample=lambda fields, grid, sensor: fields["observed"], of_scan=_observed
-    ),
+    "observed": Input(of_sample=lambda sample, grid, sensor: sample.observed, of_scan=_observed),
 }
 """Every input by its name. `observed`: the voxels that hold a return."""
 
 
-def fields_for(names: Sequence[str]) -> tuple[str, ...]:
-    """The stored fields that the inputs called `names` are computed from, each once."""
-    return tuple(dict.fromkeys(field for name in names for field in INPUTS[name].stored))
-
-
-def of_sample(names: Sequence[str], fields: Mapping[str, Any], grid: GridSpec, sensor: Any) -> dict[str, NDArray[Any]]:
-    """The inputs called `names`, (*grid.shape) each, from a sample's stored `fields`."""
-    return {name: INPUTS[name].of_sample(fields, grid, sensor) for name in names}
+def of_sample(names: Sequence[str], sample: Sample, grid: GridSpec, sensor: Any) -> dict[str, NDArray[Any]]:
+    """The inputs called `names`, (*grid.shape) each, from a sample."""
+    return {name: INPUTS[name].of_sample(sample, grid, sensor) for name in names}
 
 
 def of_scan(names: Sequence[str], scan: PointScan) -> dict[str, NDArray[Any]]:

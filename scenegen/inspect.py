@@ -16,8 +16,10 @@ def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:
     Raises DatasetError.
     """
     dataset = Dataset(folder, partial=True)
+    it = dataset.manifest
     found = {
-        name: dataset.manifest[name] for name in ("kind", "seed", "complete", "digest", "fields", "grid", "rejected")
+        **{"kind": it.kind, "seed": it.seed, "complete": it.complete, "digest": it.digest, "fields": list(it.fields)},
+        **{"grid": it.parameters["grid"], "rejected": it.rejected},
     }
     splits: dict[str, Any] = {}
     for name in SPLITS:

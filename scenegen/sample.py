@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Lidar, Pose, Scan, voxelize
-from scenegen.truth import distance_field
 
 
 def _stored(dtype: str, axes: str, meaning: str, *, unit: str = "", derived: bool = False) -> Any:
@@ -59,6 +58,11 @@ SCHEMA = {item.name: item.metadata for item in fields(Sample)}
 """Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning` and whether it is `derived`."""
 
 
+def stored_fields(compact: bool) -> tuple[str, ...]:
+    """Names of the fields that a dataset stores."""
+    return tuple(name for name, meta in SCHEMA.items() if not (compact and meta["derived"]))
+
+
 def shape_of(name: str, grid: GridSpec, lidar: Lidar) -> tuple[int, ...]:
     """Shape of one sample's field `name`."""
     axes = SCHEMA[name]["axes"]
@@ -94,4 +98,6 @@ def derive_free(
 
 def derive_tudf(occupancy: NDArray[np.bool_], *, grid: GridSpec) -> NDArray[np.float32]:
     """The `tudf` of a sample from its occupancy, bit for bit."""
+    from scenegen.truth import distance_field  # which imports MuJoCo; reading what is stored does without
+
     return distance_field(occupancy, grid)

@@ -31,7 +31,7 @@ def test_version_completion_and_doctor(capsys: pytest.CaptureFixture[str]) -> No
     assert found["software"]["mujoco"] == mujoco.__version__
 
 
-HEAVY = ("torch", "mujoco", "numba", "h5py", "ompl", "scipy", "numpy", "pydantic")
+HEAVY = ("torch", "mujoco", "numba", "h5py", "ompl", "scipy", "numpy")
 
 
 def loaded(*words: str) -> set[str]:

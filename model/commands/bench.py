@@ -116,7 +116,7 @@ def run_bench(
     if twice:
         raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
     datasets = [Dataset(folder) for folder in folders]
-    kinds = [dataset.manifest["kind"] for dataset in datasets]
+    kinds = [dataset.manifest.kind for dataset in datasets]
     if len(set(kinds)) < len(kinds):
         raise DatasetError(
             f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one of each"
@@ -132,7 +132,7 @@ def run_bench(
         rows.append(predicted)
     results = []
     for dataset in datasets:
-        with progress(dataset.manifest["kind"]) as shown:
+        with progress(dataset.manifest.kind) as shown:
             results.append(measure(dataset, rows, config, workers=workers, on_start=shown.start, on_done=shown.count))
     report = build_report(results, seed=seed, about={"command": command, "commit": commit(), "split": split})
     try:

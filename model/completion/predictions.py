@@ -18,7 +18,7 @@ from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_LENGTH_M
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, Prediction, Thresholds
-from scenegen.model.inputs import PointScan, fields_for, of_sample, of_scan
+from scenegen.model.inputs import PointScan, of_sample, of_scan
 from scenegen.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
@@ -59,18 +59,17 @@ def predict_split(
     check_output(out)
     dataset = Dataset(folder)
     check_grid(completer, dataset.grid, folder)
-    samples, fields = dataset.split(split), fields_for(completer.inputs)
+    samples = dataset.split(split)
     if not len(samples):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
     names = samples.names
 
     def maps(row: int) -> dict[str, NDArray[Any]]:
-        stored = dict(zip(fields, samples.stored(row, *fields), strict=True))
-        return of_sample(completer.inputs, stored, dataset.grid, dataset.lidar)
+        return of_sample(completer.inputs, samples[row], dataset.grid, dataset.lidar)
 
     on_start(len(samples))
     with whole(out) as draft, h5py.File(draft, "w") as file:
-        file.attrs.update({"dataset": dataset.manifest["digest"], "split": split, "method": completer.name})
+        file.attrs.update({"dataset": dataset.manifest.digest, "split": split, "method": completer.name})
         file["world"] = np.array([world for _, world, _ in names], dtype=np.int64)
         file["viewpoint"] = np.array([viewpoint for _, _, viewpoint in names], dtype=np.int64)
         for first in range(0, len(samples), batch):

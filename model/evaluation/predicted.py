@@ -40,7 +40,7 @@ class Predicted:
         much as reading the file.
         """
         names = [name[1:] for name in dataset.split(split).names]
-        digest, shape = str(dataset.manifest["digest"]), dataset.grid.shape
+        digest, shape = str(dataset.manifest.digest), dataset.grid.shape
         voxels = math.prod(shape)
         task = _Wanted(self.path, str(dataset.folder), digest, split, tuple(names), shape)
         try:

@@ -9,7 +9,7 @@ from lidarsim import GridSpec
 from scenegen.errors import DatasetError, printable
 from scenegen.model.completion.completer import Completer, called, locate
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.inputs import fields_for, of_sample
+from scenegen.model.inputs import of_sample
 from scenegen.model.runtime import examine
 from scenegen.sample import Sample
 
@@ -32,10 +32,9 @@ class Pretrained:
         """See `Method.completion`. Raises DatasetError for another grid."""
         torch.set_num_threads(1)
         completer = _opened(str(self._path))
-        fields = {name: getattr(sample, name) for name in fields_for(completer.inputs)}
         try:
             completer.check_grid(grid)
-            return completer(of_sample(completer.inputs, fields, grid, lidar))
+            return completer(of_sample(completer.inputs, sample, grid, lidar))
         except ValueError as error:
             raise DatasetError(str(error)) from None
 

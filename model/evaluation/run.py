@@ -170,7 +170,7 @@ def _work(task: _Task) -> _Outcome:
 
 def _world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """The drawn world's box (2, 3) in the map frame, metres; None for worlds drawn by hand."""
-    world = dataset.manifest["recipe"].get("world")
+    world = dataset.manifest.tables.get("world")
     return None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - origin
 
 
@@ -188,8 +188,8 @@ def _gather(
     trials = [sample for outcome in outcomes for sample in outcome.trials]
     turns = sorted((turn, n) for n, sample in enumerate(trials) for turn in range(len(sample[0])))[: config.trials]
     return DatasetResult(
-        kind=dataset.manifest["kind"],
-        digest=dataset.manifest["digest"],
+        kind=dataset.manifest.kind,
+        digest=str(dataset.manifest.digest),
         worlds=np.array(worlds),
         trial_worlds=np.array([worlds[n] for _, n in turns], dtype=np.int64),
         difficulty=np.array([row for outcome in outcomes for row in outcome.difficulty]),

@@ -13,7 +13,8 @@ from torch.utils.data import DataLoader, Dataset
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError
-from scenegen.model.inputs import INPUTS, SYMMETRIES, fields_for, of_sample, turned
+from scenegen.model.inputs import INPUTS, SYMMETRIES, of_sample, turned
+from scenegen.sample import Sample
 from scenegen.truth import distance_field
 
 Batch = dict[str, Tensor]
@@ -39,8 +40,8 @@ class Samples(Protocol):
 
     def __len__(self) -> int: ...
 
-    def stored(self, index: int, *names: str) -> tuple[Any, ...]:
-        """Fields of one sample by their names in docs/format.md."""
+    def __getitem__(self, index: int) -> Sample:
+        """One sample; only its `occupancy`, and what the inputs access, is asked of it."""
         ...
 
 
@@ -49,12 +50,14 @@ class SplitSamples:
 
     def __init__(self, dataset: SampleDataset, split: str):
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
-        self.kind, self.digest = str(dataset.manifest["kind"]), str(dataset.manifest["digest"])
+        self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
         self._split = dataset.split(split)
-        self.stored = self._split.stored
 
     def __len__(self) -> int:
         return len(self._split)
+
+    def __getitem__(self, index: int) -> Sample:
+        return self._split[index]
 
 
 def opened(folders: Sequence[Path | str], split: str) -> list[Samples]:
@@ -85,11 +88,10 @@ class Maps(Dataset):
     def __getitem__(self, key: int | tuple[int, int]) -> Batch:
         index, symmetry = key if isinstance(key, tuple) else (key, 0)
         source, row = self._place(index)
-        names = tuple(dict.fromkeys((*fields_for(self.inputs), "occupancy")))
-        fields = dict(zip(names, source.stored(row, *names), strict=True))
-        maps = of_sample(self.inputs, fields, source.grid, source.lidar)
+        sample = source[row]
+        maps = of_sample(self.inputs, sample, source.grid, source.lidar)
         maps = {name: turned(values, symmetry if INPUTS[name].turns else 0) for name, values in maps.items()}
-        maps["occupancy"] = turned(fields["occupancy"], symmetry)
+        maps["occupancy"] = turned(sample.occupancy, symmetry)
         return {name: torch.from_numpy(values) for name, values in maps.items()}
 
     def name(self, index: int) -> str:

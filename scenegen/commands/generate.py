@@ -15,7 +15,8 @@ from scenegen.terminal.show import flat, per_split, rejections, say, show_table
 from scenegen.terminal.types import KindName, ShardRange
 
 if TYPE_CHECKING:
-    from scenegen.dataset.build import Plan, Summary
+    from scenegen.dataset.build import Summary
+    from scenegen.dataset.state import Plan
 
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""

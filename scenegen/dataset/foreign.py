@@ -1,7 +1,6 @@
 """HDF5 that other writers made, indexed by the HDF5 library in a process that may crash, hang or take all memory."""
 
 import math
-import multiprocessing
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +22,6 @@ from scenegen.dataset.messages import (
 )
 from scenegen.errors import GuardError, printable
 from scenegen.limits import MOST_HEAP_BYTES, MOST_OBJECTS
-from scenegen.workers import guarded
 
 SECONDS = 20.0
 MEMORY_BYTES = 1 << 30
@@ -40,6 +38,8 @@ def read_index(handle: int, path: Path, most_chunks: int) -> Index:
         return walk(handle, most_chunks)
     except ForeignError as error:
         reason = str(error)
+    from scenegen.workers import guarded  # for such files alone: what it needs takes time to import
+
     try:
         with _children_allowed():
             found = guarded(_index, (path, most_chunks), seconds=SECONDS, memory_bytes=MEMORY_BYTES)
@@ -53,6 +53,8 @@ def read_index(handle: int, path: Path, most_chunks: int) -> Index:
 @contextmanager
 def _children_allowed() -> Iterator[None]:
     """Torch's loaders and verify's workers are daemons, which may start no process; this one ends before they do."""
+    import multiprocessing
+
     settings: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]
     daemon = settings.pop("daemon", None)
     try:

@@ -5,11 +5,9 @@ import hashlib
 import os
 import re
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from scenegen.dataset import manifest
-from scenegen.dataset.trust import check_manifest
+from scenegen.dataset import manifest, trust
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.limits import MOST_MANIFEST_BYTES
 
@@ -59,7 +57,7 @@ def locate(name: str | Path, *, shown: bool = False) -> Path:
         with client_output(shown):
             _check_listing(repository, revision)
             folder = download(revision, manifest.NAME)
-            listed = listed_files(folder, str(name))
+            listed = trust.load(folder, str(name)).files  # checked before they are used as names
             # by commit, whose name the folder bears: should the branch move on, nothing is mixed
             folder = download(folder.name, manifest.NAME, *listed)
     except DatasetError:
@@ -88,21 +86,6 @@ def client_output(shown: bool) -> Iterator[None]:
             enable_progress_bars()
 
 
-def listed_files(folder: Path, name: str) -> dict[str, str]:
-    """Every file that the manifest in `folder` lists, with its SHA-256.
-
-    Raises DatasetError where it is no manifest, or lists what no file of a dataset is called: what it says may come
-    from a stranger, and is about to be used as file names.
-    """
-    found = manifest.read(folder)
-    check_manifest(found, name)
-    files = {}
-    for shard in found["shards"]:
-        files[shard["file"]] = shard["sha256"]
-        files[shard["worlds"]] = shard["worlds_sha256"]
-    return files
-
-
 def check_files(folder: Path, files: dict[str, str], name: str) -> None:
     """Hold `files` (name to SHA-256) against what is in `folder`. Raises DatasetError naming the first that differs."""
 
@@ -111,6 +94,8 @@ def check_files(folder: Path, files: dict[str, str], name: str) -> None:
         if not path.is_file():
             return f"{item[0]} is missing"
         return "" if file_sha256(path) == item[1] else f"{item[0]} is not the file that {manifest.NAME} lists"
+
+    from concurrent.futures import ThreadPoolExecutor  # for what the Hub sends alone; importing it takes time
 
     with ThreadPoolExecutor() as pool:  # hashing lets other threads run
         for wrong in pool.map(check, sorted(files.items())):

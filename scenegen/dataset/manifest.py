@@ -1,23 +1,24 @@
-"""The manifest, `dataset.json`: everything needed to read, check and regenerate a dataset."""
+"""The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust` checks its values."""
 
 import dataclasses
 import hashlib
 import json
 import platform
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lidarsim import GridSpec, Lidar
 from scenegen import GENERATOR, SPLITS, __version__
-from scenegen.dataset.shard import ShardReport, stored_fields
 from scenegen.errors import MOST_TOLD, DatasetError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
-from scenegen.recipe import Recipe
-from scenegen.source import Source
+from scenegen.sample import stored_fields
+
+if TYPE_CHECKING:  # these draw worlds, and import what that takes
+    from scenegen.dataset.shard import ShardReport
+    from scenegen.recipe import Recipe
+    from scenegen.source import Source
 
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
@@ -26,10 +27,12 @@ PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters."""
+GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m"}
+"""A grid's parameters: their names in the file, and in `GridSpec`."""
 
 
 def parameters(
-    recipe: Recipe, source: Source, *, seed: int, counts: Mapping[str, int], compact: bool, shard_samples: int
+    recipe: "Recipe", source: "Source", *, seed: int, counts: Mapping[str, int], compact: bool, shard_samples: int
 ) -> dict[str, Any]:
     """The part of the manifest that is known before anything is drawn, and decides everything after."""
     return {
@@ -41,11 +44,7 @@ def parameters(
         "counts": {split: counts[split] for split in SPLITS},
         "recipe": _plain(recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})),
         "fields": list(stored_fields(compact)),
-        "grid": {
-            "shape": list(recipe.grid.shape),
-            "voxel": recipe.grid.voxel_m,
-            "truncation": recipe.grid.truncation_m,
-        },
+        "grid": _plain({name: getattr(recipe.grid, ours) for name, ours in GRID.items()}),
         "lidar": _plain(dataclasses.asdict(recipe.lidar)),
         "shard_samples": shard_samples,
         "software": software(),
@@ -60,30 +59,27 @@ def software() -> dict[str, str]:
 
 def installed(package: str) -> str:
     """The installed version of a package, or ``absent``."""
+    from importlib.metadata import PackageNotFoundError, version  # which takes longer than reading a manifest
+
     try:
         return version(package)
     except PackageNotFoundError:
         return "absent"
 
 
+def parameters_of(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The `parameters` of a manifest, as they stand in it: all that it does not say of its shards."""
+    return {name: value for name, value in document.items() if name not in OF_SHARDS}
+
+
+def completed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The `parameters` of a manifest, with the generator, which manifests of the first do not name."""
+    return {"generator": 1} | parameters_of(document)
+
+
 def fingerprint(given: Mapping[str, Any]) -> str:
     """A digest of `parameters`, the same for the same dataset."""
     return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
-
-
-def parameters_of(found: Mapping[str, Any]) -> dict[str, Any]:
-    """The `parameters` of a manifest, as they stand in it: all that it does not say of its shards."""
-    return {name: value for name, value in found.items() if name not in OF_SHARDS}
-
-
-def completed(found: Mapping[str, Any]) -> dict[str, Any]:
-    """The `parameters` of a manifest, with the generator, which manifests of the first do not name."""
-    return {"generator": 1} | parameters_of(found)
-
-
-def fingerprint_of(found: Mapping[str, Any]) -> str:
-    """The fingerprint that the shards of a manifest bear."""
-    return fingerprint(parameters_of(found))
 
 
 def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str = "") -> list[str]:
@@ -104,9 +100,8 @@ def _said(value: Any) -> str:
     return text if len(text) <= MOST_TOLD else f"{text[: MOST_TOLD - 3]}..."
 
 
-def assemble(given: Mapping[str, Any], reports: Iterable[ShardReport], *, complete: bool) -> dict[str, Any]:
+def assemble(given: Mapping[str, Any], reports: Sequence["ShardReport"], *, complete: bool) -> dict[str, Any]:
     """The manifest of the shards reported, in order."""
-    reports = list(reports)
     worlds: Counter[str] = Counter()
     viewpoints: Counter[str] = Counter()
     for report in reports:
@@ -128,7 +123,10 @@ def write(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def read(folder: Path) -> dict[str, Any]:
-    """The manifest of `folder`. Raises DatasetError where it has none that this version can read."""
+    """The manifest of `folder` as it stands there, its values unchecked.
+
+    Raises DatasetError where it has none that this version can read.
+    """
     path = folder / NAME
     try:
         manifest = json.loads(read_bounded(path, MOST_MANIFEST_BYTES).decode())
@@ -157,17 +155,6 @@ def _check_depth(found: Any) -> None:
         if not level:
             return
     raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
-
-
-def grid_of(manifest: Mapping[str, Any]) -> GridSpec:
-    """The grid of a dataset."""
-    grid = manifest["grid"]
-    return GridSpec(shape=tuple(grid["shape"]), voxel_m=grid["voxel"], truncation_m=grid["truncation"])
-
-
-def lidar_of(manifest: Mapping[str, Any]) -> Lidar:
-    """The sensor of a dataset."""
-    return Lidar(**manifest["lidar"])
 
 
 def _plain(value: Any) -> Any:

@@ -11,12 +11,11 @@ from typing import Any, overload
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.dataset import manifest
+from scenegen.dataset import trust
 from scenegen.dataset.archive import open_archive
-from scenegen.dataset.layout import ShardFile, layout_of, open_file, open_shard
-from scenegen.dataset.trust import Entry, check_manifest
+from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.sample import Sample, derive_free, derive_tudf, describe_fields
+from scenegen.sample import SCHEMA, Sample, derive_free, derive_tudf, describe_fields
 
 MOST_OPEN = 64
 """Shards that a reader keeps open in one process; a large dataset has more than a process may open."""
@@ -31,11 +30,9 @@ class Dataset:
 
     def __init__(self, folder: Path | str, *, partial: bool = False):
         self.folder = Path(folder)
-        self.manifest = manifest.read(self.folder)
-        checked, self.grid, self.lidar = check_manifest(self.manifest, str(self.folder))
-        self._entries = checked.shards
-        self._fingerprint = manifest.fingerprint_of(self.manifest)
-        if not (checked.complete or partial):
+        self.manifest = trust.load(self.folder)
+        self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
+        if not (self.manifest.complete or partial):
             raise DatasetError(f"{self.folder}: incomplete; give the command that made it again to go on where it was")
 
     def split(self, name: str) -> "Split":
@@ -50,7 +47,7 @@ class Dataset:
         Raises DatasetError where there is no such world.
         """
         member = f"{number:06d}.xml"
-        for shard in self._entries:
+        for shard in self.manifest.shards:
             if shard.split != split or shard.first_world > number:
                 continue
             with (
@@ -63,19 +60,18 @@ class Dataset:
                     return {"world.xml": document} | others
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
-    def _shard(self, entry: Entry) -> ShardFile:
+    def _shard(self, entry: trust.Entry) -> ShardFile:
         """An open shard, of this dataset by its own word; its file is closed once nobody holds it any more."""
         with self._advice():
             path = self.folder / entry.file
             file = open_file(path)
             try:
-                layout = layout_of(self.manifest["fields"], self.grid, self.lidar)
-                shard = open_shard(file, path, entry.samples, layout)
+                shard = open_shard(file, path, entry.samples, self.manifest.layout)
                 shard.check_origin(
                     split=entry.split,
                     first_world=entry.first_world,
                     worlds_sha256=entry.worlds_sha256,
-                    parameters=self._fingerprint,
+                    parameters=self.manifest.fingerprint,
                 )
             except BaseException:
                 file.close()
@@ -98,7 +94,7 @@ class Split(Sequence[Sample]):
     def __init__(self, dataset: Dataset, name: str):
         self.dataset = dataset
         self.name = name
-        self._shards = [shard for shard in dataset._entries if shard.split == name]
+        self._shards = [shard for shard in dataset.manifest.shards if shard.split == name]
         self._start = np.cumsum([0, *(shard.samples for shard in self._shards)])
         self._open: dict[int, ShardFile] = {}
         self._process = os.getpid()
@@ -113,7 +109,9 @@ class Split(Sequence[Sample]):
     def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
         if isinstance(index, slice):
             return [self[n] for n in range(*index.indices(len(self)))]
-        return self._sample(*self._place(index))
+        number, row = self._place(index)
+        self._shard(number)  # which says at once if the file is missing or not this dataset's
+        return _Stored.at(self, number, row)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[n] for n in range(len(self)))
@@ -124,19 +122,6 @@ class Split(Sequence[Sample]):
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
         return describe_fields(self.dataset.grid, self.dataset.lidar)
-
-    def stored(self, index: int, *names: str) -> tuple[Any, ...]:
-        """Fields of one sample as they are stored, and no others: an array or a number for each of `names`.
-
-        Raises IndexError, or DatasetError for a field that the dataset does not store or that is damaged.
-        """
-        absent = [name for name in names if name not in self.dataset.manifest["fields"]]
-        if absent:
-            raise DatasetError(f"{self.dataset.folder}: stores no {', '.join(absent)}")
-        number, row = self._place(index)
-        shard = self._shard(number)
-        with self.dataset._advice():
-            return tuple(shard.value(name, row) for name in names)
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
@@ -155,22 +140,11 @@ class Split(Sequence[Sample]):
             self._open.pop(old, None)  # closed once no other thread reads from it
         return shard
 
-    def _sample(self, number: int, row: int) -> Sample:
+    def _value(self, number: int, row: int, name: str) -> Any:
+        """A stored field of a sample, by shard and row. Raises DatasetError."""
         shard = self._shard(number)
-        grid, lidar = self.dataset.grid, self.dataset.lidar
         with self.dataset._advice():
-            stored = {name: shard.value(name, row) for name in self.dataset.manifest["fields"]}
-            if "free" not in stored:
-                pose = {name: stored[name] for name in ("ranges", "position", "quaternion", "origin")}
-                try:
-                    if not np.isfinite(pose["origin"]).all() or not (pose["ranges"] >= 0).all():
-                        raise ValueError("origin or ranges are no lengths")
-                    stored["free"] = derive_free(**pose, lidar=lidar, grid=grid)
-                except ValueError as error:
-                    raise BrokenError(f"{shard.name}: sample {row}: {error}") from None
-            if "tudf" not in stored:
-                stored["tudf"] = derive_tudf(stored["occupancy"], grid=grid)
-        return Sample(**stored)
+            return shard.value(name, row)
 
     @cached_property
     def names(self) -> list[tuple[str, int, int]]:
@@ -182,3 +156,47 @@ class Split(Sequence[Sample]):
                 worlds, viewpoints = shard.column("world").tolist(), shard.column("viewpoint").tolist()
             found += [(self.name, world, viewpoint) for world, viewpoint in zip(worlds, viewpoints, strict=True)]
         return found
+
+
+class _Stored(Sample):
+    """A sample of a split, each field of which is read, or derived, when it is first asked for, and then kept.
+
+    Files stay open by the split's own rule, however many samples there are. A copy, pickled or not, is a plain `Sample`
+    with all its fields.
+    """
+
+    @classmethod
+    def at(cls, split: Split, number: int, row: int) -> Sample:
+        """The sample in a row of a split's shard."""
+        sample = cls.__new__(cls)  # whose fields come later
+        sample.__dict__.update(_split=split, _number=number, _row=row)
+        return sample
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in SCHEMA:
+            raise AttributeError(f"a sample has no field {name!r}; it has {', '.join(SCHEMA)}")
+        stored = name in self._split.dataset.manifest.fields
+        value = self._split._value(self._number, self._row, name) if stored else self._derived(name)
+        return self.__dict__.setdefault(name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _whole, (tuple(getattr(self, name) for name in SCHEMA),)
+
+    def _derived(self, name: str) -> Any:
+        """`free` or `tudf`, from the fields that it follows from. Raises DatasetError."""
+        dataset = self._split.dataset
+        if name == "tudf":
+            return derive_tudf(self.occupancy, grid=dataset.grid)
+        pose = self.ranges, self.position, self.quaternion, self.origin
+        try:
+            if not np.isfinite(self.origin).all() or not (self.ranges >= 0).all():
+                raise ValueError("origin or ranges are no lengths")
+            return derive_free(*pose, lidar=dataset.lidar, grid=dataset.grid)
+        except ValueError as error:
+            with dataset._advice():
+                raise BrokenError(f"{self._split._shards[self._number].file}: sample {self._row}: {error}") from None
+
+
+def _whole(values: tuple[Any, ...]) -> Sample:
+    """The sample that has these values of its fields, in order."""
+    return Sample(**dict(zip(SCHEMA, values, strict=True)))

@@ -5,8 +5,8 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.dataset.layout import DIGEST, ShardFile, layout_of, open_file, open_shard
+from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
 from scenegen.errors import BrokenError
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
-from scenegen.sample import SCHEMA, Sample, shape_of
+from scenegen.sample import SCHEMA, Sample, shape_of, stored_fields
 from scenegen.source import Source
 
 _LEVEL = 1
@@ -58,17 +59,10 @@ class ShardSpec:
         return self.folder / f"{self.split}-{self.index:05d}.worlds.zip"
 
 
-@dataclass(frozen=True, eq=False)
-class ShardReport:
-    """What the manifest needs to know about a shard on disk."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShardReport(Entry):
+    """A shard on disk: what the manifest is to list, and what else it needs to know."""
 
-    file: str
-    worlds: str
-    split: str
-    samples: int
-    first_world: int
-    sha256: str
-    worlds_sha256: str
     size: int
     """Bytes on disk."""
     rejected: Rejections
@@ -77,13 +71,7 @@ class ShardReport:
 
     def entry(self) -> dict[str, Any]:
         """The shard's entry in the manifest."""
-        names = ("file", "worlds", "split", "samples", "first_world", "sha256", "worlds_sha256")
-        return {name: getattr(self, name) for name in names}
-
-
-def stored_fields(compact: bool) -> tuple[str, ...]:
-    """Names of the fields that a dataset stores."""
-    return tuple(name for name, meta in SCHEMA.items() if not (compact and meta["derived"]))
+        return {item.name: getattr(self, item.name) for item in fields(Entry)}
 
 
 def write_shard(spec: ShardSpec) -> ShardReport:
@@ -126,9 +114,7 @@ def file_digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def read_report(
-    spec: ShardSpec, listed: Mapping[str, Any] | None = None, *, verify: bool = False
-) -> ShardReport | None:
+def read_report(spec: ShardSpec, listed: Entry | None = None, *, verify: bool = False) -> ShardReport | None:
     """The report of a shard that is on disk already, or None where there is none that `spec` describes.
 
     A shard whose files are no longer what the manifest's entry `listed` says, or whose archive is not the one that was
@@ -145,7 +131,7 @@ def read_report(
             shard.check_origin(
                 split=spec.split, first_world=first, worlds_sha256=digests[1], parameters=spec.parameters
             )
-            if listed is not None and (listed["sha256"], listed["worlds_sha256"]) != digests:
+            if listed is not None and (listed.sha256, listed.worlds_sha256) != digests:
                 return None
             if listed is None and verify and not _digests_hold(shard):
                 return None

@@ -1,112 +1,192 @@
 """What readers rely on in a manifest, checked before they do: it may come from a stranger."""
 
+import dataclasses
 import math
 from collections import Counter
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
-
-import pydantic
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from lidarsim import GridSpec, Lidar
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.shard import stored_fields
-from scenegen.errors import MOST_TOLD, BrokenError, DatasetError, printable, short
-from scenegen.limits import MOST_KIND_NAME, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
-from scenegen.sample import SCHEMA
+from scenegen.dataset.layout import Layout, layout_of
+from scenegen.dataset.rules import FLAG, LIST, TABLE, Rule, check, checked, optional, ruled, table_of, text, whole
+from scenegen.errors import BrokenError, DatasetError, RecipeError, printable, short
+from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
+from scenegen.sample import stored_fields
 
-SHARD_FILE = r"^(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)$"
-"""What a file of a dataset may be called, besides the manifest."""
+if TYPE_CHECKING:  # which imports what draws worlds
+    from scenegen.recipe import Recipe
 
-_Count = Annotated[int, pydantic.Field(ge=0, le=MOST_SAMPLES)]
-_File = Annotated[str, pydantic.Field(pattern=SHARD_FILE, max_length=40)]
-_Digest = Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$", max_length=64)]
+T = TypeVar("T")
+
+_COUNT = whole(0, MOST_SAMPLES)
+_FIELDS = Rule(
+    lambda value: value in (list(stored_fields(compact=False)), list(stored_fields(compact=True))),
+    "all, or all but the derived ones",
+)
+_GIVEN = Rule(lambda value: True, "a value")
+_TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
+_DIGEST = text("[0-9a-f]{64}", "a SHA-256, 64 hexadecimal digits")
+_FILE = text(r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)", "such as train-00000.h5 or train-00000.worlds.zip")
+_RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
+_RECIPE_RULES = {
+    "version": whole(0, MOST_SEED),
+    "world": optional(TABLE),
+    "flight": TABLE,
+    "accept": TABLE,
+    "scenes": Rule(
+        lambda value: (
+            value is None
+            or (
+                isinstance(value, dict)
+                and value.keys() <= set(SPLITS)
+                and all(isinstance(worlds, list) and all(map(_TEXTS.fits, worlds)) for worlds in value.values())
+            )
+        ),
+        "the worlds of each split",
+    ),
+}
 
 
-class Entry(pydantic.BaseModel, strict=True, frozen=True):
+@dataclass(frozen=True, kw_only=True)
+class Entry:
     """A shard, as the manifest lists it."""
 
-    file: _File
-    worlds: _File
-    split: Literal["train", "val", "test"]
-    samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)]
-    first_world: _Count
-    sha256: _Digest
-    worlds_sha256: _Digest
+    file: str = ruled(_FILE)
+    worlds: str = ruled(_FILE)
+    split: str = ruled(Rule(lambda value: value in SPLITS, "train, val or test"))
+    samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
+    first_world: int = ruled(_COUNT)
+    sha256: str = ruled(_DIGEST)
+    worlds_sha256: str = ruled(_DIGEST)
 
 
-class _Grid(pydantic.BaseModel, strict=True):
-    shape: Annotated[list[Annotated[int, pydantic.Field(ge=1)]], pydantic.Field(min_length=3, max_length=3)]
-    voxel: float
-    truncation: float
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """A manifest whose values have the types and the bounds that readers rely on."""
+
+    parameters: Mapping[str, Any]
+    """The part of the file that is known before anything is drawn, as it stands there."""
+    generator: int = ruled(whole(1, MOST_SEED))
+    """The generator that made the dataset, see `scenegen.GENERATOR`."""
+    kind: str = ruled(text(r"\w[\w.-]{0,99}", "the name of a kind of worlds"))
+    seed: int = ruled(whole(0, MOST_SEED))
+    counts: Mapping[str, int] = ruled(TABLE)
+    """Samples that each split is to hold."""
+    tables: Mapping[str, Any]
+    """The recipe as it stands in the file: `version`, `flight`, `accept`, and `world` or `scenes`."""
+    fields: tuple[str, ...]
+    """Names of the fields that shards store."""
+    grid: GridSpec
+    lidar: Lidar
+    shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
+    software: Mapping[str, str] = ruled(_TEXTS)
+    complete: bool = ruled(FLAG)
+    shards: tuple[Entry, ...]
+    rejected: Mapping[str, Mapping[str, int]] = ruled(TABLE)
+    """Rejections by reason, of `worlds` and of `viewpoints`."""
+    digest: str | None = ruled(optional(_DIGEST))
+    """Of all samples; None as long as shards are missing."""
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Every file that the manifest lists, with its SHA-256."""
+        found: dict[str, str] = {}
+        for entry in self.shards:
+            found |= {entry.file: entry.sha256, entry.worlds: entry.worlds_sha256}
+        return found
+
+    @property
+    def layout(self) -> Layout:
+        """What every shard has to hold."""
+        return layout_of(self.fields, self.grid, self.lidar)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """What every shard carries, so that it is not taken for another dataset's."""
+        return manifest.fingerprint(self.parameters)
+
+    @cached_property
+    def recipe(self) -> "Recipe":
+        """What the tables spell out; without its world where that is of a kind not known here. Raises BrokenError."""
+        return self.recipe_of()
+
+    def recipe_of(self, named: str | None = None) -> "Recipe":
+        """The recipe, with its world if it is of the kind that a user `named`: no module is imported because a manifest
+        names it. Raises BrokenError."""
+        from scenegen.recipe import make_recipe
+        from scenegen.recipes import kind_names
+
+        tables = {name: table for name, table in self.tables.items() if name not in ("version", "scenes")}
+        tables |= {"lidar": dataclasses.asdict(self.lidar), "grid": dataclasses.asdict(self.grid)}
+        drawn = self.kind in (*kind_names(), named)
+        if not drawn:
+            tables.pop("world", None)
+        try:
+            return make_recipe(self.kind if drawn else "scene", tables, where=manifest.NAME)
+        except RecipeError as error:
+            raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 
 
-class _Counts(pydantic.BaseModel, strict=True):
-    """Samples of each split."""
-
-    train: _Count
-    val: _Count
-    test: _Count
-
-
-class _Recipe(pydantic.BaseModel, strict=True):
-    version: int = 0
-    world: dict[str, Any] | None = None
-    flight: dict[str, Any] = {}
-    accept: dict[str, Any] = {}
-
-
-class Manifest(pydantic.BaseModel, strict=True):
-    """The types and bounds of what readers rely on."""
-
-    complete: bool
-    generator: Annotated[int, pydantic.Field(ge=1)] = 1
-    kind: Annotated[str, pydantic.Field(pattern=r"^\w[\w.-]*(:\w+)?$", max_length=MOST_KIND_NAME)]
-    seed: Annotated[int, pydantic.Field(ge=0, le=MOST_SEED)]
-    counts: _Counts
-    recipe: _Recipe
-    fields: Annotated[list[str], pydantic.Field(max_length=len(SCHEMA))]
-    grid: _Grid
-    lidar: dict[str, str | int | float]
-    shard_samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)]
-    shards: list[Entry]
-    rejected: dict[Literal["worlds", "viewpoints"], dict[str, _Count]]
-    digest: _Digest | None
-    software: dict[str, str]
-
-
-def typed(found: Mapping[str, Any]) -> Manifest:
-    """A manifest whose values have the types and bounds that readers rely on. Raises BrokenError."""
-    try:
-        checked = Manifest.model_validate(found)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        at = printable(".".join(str(step) for step in first["loc"]))
-        raise BrokenError(f"{at[:MOST_TOLD]} = {short(first['input'])}: {first['msg']}") from None
-    if math.prod(checked.grid.shape) > MOST_VOXELS:
-        raise BrokenError(f"grid.shape = {short(checked.grid.shape)}: expected {MOST_VOXELS} voxels at most")
-    if tuple(checked.fields) not in (stored_fields(compact=False), stored_fields(compact=True)):
-        raise BrokenError(f"fields = {short(checked.fields)}: expected all, or all but the derived ones")
-    listed = Counter(name for entry in checked.shards for name in (entry.file, entry.worlds))
-    for name, count in listed.most_common(1):
+def parse(document: Mapping[str, Any]) -> Manifest:
+    """A manifest's content, checked. Raises BrokenError with what is wrong, where, and what was expected."""
+    found = {"generator": 1} | dict(document)
+    plain = checked(Manifest, found, "")
+    check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE}, "")
+    check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
+    check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
+    check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
+    check(found["grid"], dict.fromkeys(manifest.GRID, _GIVEN), "grid")
+    shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
+    for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:
             raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
-    return checked
+    grid = _made(GridSpec, found["grid"], manifest.GRID, "grid")
+    if math.prod(grid.shape) > MOST_VOXELS:
+        raise BrokenError(f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most")
+    return Manifest(
+        **plain,
+        parameters=manifest.parameters_of(document),
+        tables=found["recipe"],
+        fields=tuple(found["fields"]),
+        grid=grid,
+        lidar=_made(Lidar, found.get("lidar"), {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar"),
+        shards=shards,
+    )
 
 
-def check_manifest(found: Mapping[str, Any], name: str) -> tuple[Manifest, GridSpec, Lidar]:
-    """A manifest by which samples can be read, its grid and its sensor; `name` stands in errors.
+def _made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:
+    """The dataclass `part` of a table whose keys `names` are called otherwise there. Raises BrokenError."""
+    check(table, {}, at)
+    for name in table:
+        if name not in names:
+            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(names)}")
+    try:
+        return part(**{names[name]: value for name, value in table.items()})
+    except ValueError as error:
+        said = str(error)
+        for name, ours in names.items():
+            said = said.replace(ours, name)
+        raise BrokenError(f"{at}.{said}") from None
 
-    Raises DatasetError for a value of a wrong type or beyond reason, and for shards that are no dataset's files, or
-    not as many samples as the counts say.
+
+def load(folder: Path, name: str = "") -> Manifest:
+    """The manifest of `folder`, by which samples can be read; `name` stands for the folder in errors.
+
+    Raises DatasetError for a folder without one, for a value of a wrong type or beyond reason, and for shards that are
+    no dataset's files, or not as many samples as the counts say.
     """
     try:
-        checked = typed(found)
-        for split in SPLITS:
-            total, asked = sum(e.samples for e in checked.shards if e.split == split), getattr(checked.counts, split)
-            if total > asked or (checked.complete and total < asked):
+        found = parse(manifest.read(folder))
+        for split, asked in found.counts.items():
+            total = sum(entry.samples for entry in found.shards if entry.split == split)
+            if total > asked or (found.complete and total < asked):
                 raise BrokenError(f"counts.{split} = {asked}, but its shards hold {total} samples")
-        return checked, manifest.grid_of(found), manifest.lidar_of(found)
-    except (BrokenError, ValueError, TypeError, OverflowError) as error:
+        return found
+    except BrokenError as error:
         wrong = printable(error)[:300]
-    raise DatasetError(f"{name}: {manifest.NAME} is damaged: {wrong}; copy the dataset again, or generate it")
+    raise DatasetError(f"{name or folder}: {manifest.NAME} is damaged: {wrong}; copy the dataset again, or generate it")

@@ -24,7 +24,7 @@ FIGURES = {
 
 def card(it: Publication) -> str:
     """The whole card."""
-    parts = [_front_matter(it), f"# {it.name}", f"{it.sentence}. Made by scenegen, seed {it.manifest['seed']}."]
+    parts = [_front_matter(it), f"# {it.name}", f"{it.sentence}. Made by scenegen, seed {it.manifest.seed}."]
     parts += [_pictures(it), _fields(it), _loading(it), _statistics(it), _making(it), _limits(it), _citing(it)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -47,7 +47,7 @@ def _pictures(it: Publication) -> str:
     return (
         f"{shown}\n\nFrom left to right: what the scan observed, what is there (both coloured by height), and how far "
         "the nearest occupied voxel is, in the level just below the sensor, from dark (0 m) to light "
-        f"({it.manifest['grid']['truncation']:g} m). The dot is the sensor. Shown are "
+        f"({it.manifest.grid.truncation_m:g} m). The dot is the sensor. Shown are "
         f"{', '.join(caption for _, caption in it.pictures)}."
     )
 
@@ -58,7 +58,7 @@ def _fields(it: Publication) -> str:
         shape = " × ".join(map(str, field["shape"]))
         kind = f"{field['dtype']} ({shape})" if shape else field["dtype"]
         rows.append(f"| `{name}` | {kind} | {field['unit'] or '–'} | {field['meaning']} |")
-    grid, lidar = it.manifest["grid"], it.manifest["lidar"]
+    grid, lidar = it.manifest.grid, it.manifest.lidar
     absent = [f"`{name}`" for name in ("free", "tudf") if name not in it.fields]
     derived = f" {' and '.join(absent)} follow from these; scenegen derives them on reading." if absent else ""
     table = "\n".join(rows)
@@ -66,10 +66,10 @@ def _fields(it: Publication) -> str:
 
 {table}
 
-Grids are indexed x, y, z; z points up; voxels are {grid["voxel"]:g} m wide and the sensor sits at the map's centre.
-A voxel that is neither observed nor free is unknown. Distances end at {grid["truncation"]:g} m. The LiDAR has
-{lidar["rows"]} × {lidar["columns"]} rays over {lidar["vertical_fov_deg"]:g}° × {lidar["horizontal_fov_deg"]:g}°,
-{lidar["pitch_deg"]:g}° nose down, and reaches {lidar["max_range_m"]:g} m.{derived}
+Grids are indexed x, y, z; z points up; voxels are {grid.voxel_m:g} m wide and the sensor sits at the map's centre.
+A voxel that is neither observed nor free is unknown. Distances end at {grid.truncation_m:g} m. The LiDAR has
+{lidar.rows} × {lidar.columns} rays over {lidar.vertical_fov_deg:g}° × {lidar.horizontal_fov_deg:g}°,
+{lidar.pitch_deg:g}° nose down, and reaches {lidar.max_range_m:g} m.{derived}
 
 Every `SPLIT-NNNNN.h5` is a plain HDF5 file with samples along the first dimension; the `.worlds.zip` beside it holds
 the MuJoCo model (MJCF) of each of its worlds. No world is in two splits. `dataset.json` lists these files with their
@@ -77,7 +77,7 @@ SHA-256, and every parameter; `sha256sum -c SHA256SUMS` checks them all."""
 
 
 def _loading(it: Publication) -> str:
-    first = it.manifest["shards"][0]["file"]
+    first = it.manifest.shards[0].file
     return f"""## Load it
 
 With nothing but h5py and numpy, after
@@ -91,7 +91,7 @@ with h5py.File("{it.name}/{first}") as shard:
     observed = shard["observed"][0]  # input: what the scan saw
     occupancy = shard["occupancy"][0]  # truth
     origin = shard["origin"][0]
-centres = origin + (np.argwhere(occupancy) + 0.5) * {it.manifest["grid"]["voxel"]!r}  # metres, in the world
+centres = origin + (np.argwhere(occupancy) + 0.5) * {it.manifest.grid.voxel_m!r}  # metres, in the world
 print(f"{{observed.sum()}} of {{len(centres)}} occupied voxels were observed")
 ```
 
@@ -126,7 +126,7 @@ def _statistics(it: Publication) -> str:
             cells.append("–" if absent else f"{value['mean'] * factor:.2f} ± {value['std'] * factor:.2f}")
         rows.append(f"| {label}, {unit} | {' | '.join(cells)} |")
     measured = ", ".join(f"{split['sampled']} of {name}" for name, split in splits.items())
-    rejected = it.manifest["rejected"]
+    rejected = it.manifest.rejected
     dropped = "; ".join(
         f"{what}: {', '.join(f'{reason} {count}' for reason, count in counts.items())}"
         for what, counts in rejected.items()
@@ -142,9 +142,9 @@ def _statistics(it: Publication) -> str:
 
 
 def _making(it: Publication) -> str:
-    versions = ", ".join(f"{name} {number}" for name, number in it.manifest["software"].items())
+    versions = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
     scenes = ""
-    if it.manifest["kind"] == "scene":
+    if it.manifest.kind == "scene":
         scenes = "\n\n`SCENES` stands for the MJCF files whose names and digests `dataset.json` lists under `recipe`."
     checks = "\n".join(f"- {name}: {detail}" for name, detail in it.checks)
     return f"""## Make it again
@@ -159,7 +159,7 @@ The versions that made it: {versions}. `{LOCK}` pins them, and all that they nee
 result is the same to the bit, with the digest
 
 ```
-{it.manifest["digest"]}
+{it.manifest.digest}
 ```
 {scenes}
 Before publication `scenegen verify` found:
@@ -192,6 +192,6 @@ The task, the sensor and the maps follow this paper; the data are not its author
   author = {{{{{it.repository.partition("/")[0]}}}}},
   year = {{{it.date[:4]}}},
   howpublished = {{\\url{{{it.url}}}}},
-  note = {{revision {it.tag}, digest {it.manifest["digest"]}}}
+  note = {{revision {it.tag}, digest {it.manifest.digest}}}
 }}
 ```"""

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from scenegen.dataset.manifest import VERSION
 from scenegen.publish.publication import PAPER, Publication
 
 CROISSANT = "http://mlcommons.org/croissant/1.1"
@@ -53,7 +54,7 @@ def croissant(it: Publication, sha256: Mapping[str, str]) -> str:
         "conformsTo": [CROISSANT, RESPONSIBLE],
         "license": it.licence.url,
         "url": it.url,
-        "version": f"{it.manifest['version']}.{it.manifest['recipe'].get('version', 0)}.0",
+        "version": f"{VERSION}.{it.manifest.tables.get('version', 0)}.0",
         "datePublished": it.date,
         "creator": {"@type": "sc:Organization", "name": owner, "url": f"https://huggingface.co/{owner}"},
         "citeAs": f"{owner}: {it.name}, revision {it.tag}, {it.url}. After {PAPER}.",
@@ -68,13 +69,13 @@ def croissant(it: Publication, sha256: Mapping[str, str]) -> str:
 
 def _responsible(it: Publication) -> dict[str, Any]:
     """How the data came about, what they are for, and what they are not."""
-    lidar = it.manifest["lidar"]
-    rejected = sum(sum(counts.values()) for counts in it.manifest["rejected"].values())
-    made = ", ".join(f"{name} {number}" for name, number in it.manifest["software"].items())
+    lidar = it.manifest.lidar
+    rejected = sum(sum(counts.values()) for counts in it.manifest.rejected.values())
+    made = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
     return {
         "rai:dataCollection": (
-            f"Simulated. Random worlds are drawn from seed {it.manifest['seed']}, a planner flies a robot through "
-            f"each, and a LiDAR of {lidar['rows']} × {lidar['columns']} rays is cast from its poses by MuJoCo. "
+            f"Simulated. Random worlds are drawn from seed {it.manifest.seed}, a planner flies a robot through "
+            f"each, and a LiDAR of {lidar.rows} × {lidar.columns} rays is cast from its poses by MuJoCo. "
             "Nothing was recorded in the real world."
         ),
         "rai:dataCollectionType": ["Software Collection"],
@@ -107,7 +108,7 @@ def _responsible(it: Publication) -> dict[str, Any]:
         "rai:dataSocialImpact": "Reproducible data for research on navigation, at the price of minutes of computing.",
         "rai:personalSensitiveInformation": ["None: there are no people, places or personal data in it."],
         "rai:dataReleaseMaintenancePlan": (
-            f"Revision {it.tag} stays as it is; a correction gets a tag of its own. Digest {it.manifest['digest']}."
+            f"Revision {it.tag} stays as it is; a correction gets a tag of its own. Digest {it.manifest.digest}."
         ),
     }
 
@@ -122,7 +123,7 @@ def _distribution(it: Publication, sha256: Mapping[str, str]) -> list[dict[str, 
             "description": "The repository on the Hub; in place of a checksum, the dataset's own digest.",
             "contentUrl": f"{it.url}/tree/{it.tag}",
             "encodingFormat": "git+https",
-            "sha256": it.manifest["digest"],
+            "sha256": it.manifest.digest,
         }
     ]
     for name, digest in sha256.items():

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from scenegen import SPLITS
-from scenegen.dataset import manifest
 from scenegen.dataset.layout import DIGEST
+from scenegen.dataset.trust import Manifest
 from scenegen.publish.licence import Licence
 from scenegen.sample import describe_fields
 
@@ -32,7 +32,7 @@ class Publication:
     licence: Licence
     date: str
     """The day of publication, YYYY-MM-DD."""
-    manifest: Mapping[str, Any]
+    manifest: Manifest
     statistics: Mapping[str, Any]
     """What `scenegen.inspect.inspect` says of the dataset."""
     command: str
@@ -57,9 +57,9 @@ class Publication:
     @property
     def sentence(self) -> str:
         """What the dataset is, in one sentence."""
-        kind = self.manifest["kind"]
-        x, y, z = self.manifest["grid"]["shape"]
-        voxel = self.manifest["grid"]["voxel"]
+        kind = self.manifest.kind
+        x, y, z = self.manifest.grid.shape
+        voxel = self.manifest.grid.voxel_m
         return (
             f"{self.statistics['samples']} pairs of a simulated LiDAR scan and the exact truth around it, in "
             f"{KINDS.get(kind, f'worlds of kind {kind}')}, as {x} × {y} × {z} voxel maps of {voxel:g} m"
@@ -73,8 +73,8 @@ class Publication:
     @property
     def fields(self) -> dict[str, dict[str, Any]]:
         """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
-        known = describe_fields(manifest.grid_of(self.manifest), manifest.lidar_of(self.manifest))
-        stored = {name: known[name] for name in self.manifest["fields"]}
+        known = describe_fields(self.manifest.grid, self.manifest.lidar)
+        stored = {name: known[name] for name in self.manifest.fields}
         return stored | {
             DIGEST: {"dtype": "uint8", "shape": (32,), "unit": "", "meaning": "the sample's own SHA-256 digest"}
         }

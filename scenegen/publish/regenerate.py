@@ -9,10 +9,11 @@ from typing import Any
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.shard import stored_fields
+from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
+from scenegen.sample import stored_fields
 from scenegen.source import DrawnWorlds
 from scenegen.stopping import undone_if_stopped
 
@@ -21,28 +22,27 @@ _NOT_OURS = ("software", "format", "version")
 """Parameters that no recipe decides."""
 
 
-def command(found: Mapping[str, Any], out: str) -> str:
+def command(found: Manifest, out: str) -> str:
     """What to type, next to `RECIPE`, to make the dataset of a manifest again in the folder `out`."""
     words = ["scenegen", "generate", "--recipe", RECIPE]
-    if found["kind"] == "scene":
+    if found.kind == "scene":
         words += ["--scene", "SCENES"]
-    words += ["--n", str(found["counts"]["train"])]
+    words += ["--n", str(found.counts["train"])]
     for split in SPLITS[1:]:
-        words += [f"--{split}", str(found["counts"][split])]
-    words += ["--seed", str(found["seed"]), "--shard-samples", str(found["shard_samples"])]
-    if list(found["fields"]) == list(stored_fields(compact=True)):
+        words += [f"--{split}", str(found.counts[split])]
+    words += ["--seed", str(found.seed), "--shard-samples", str(found.shard_samples)]
+    if found.fields == stored_fields(compact=True):
         words.append("--compact")
     return shlex.join([*words, "--out", out])
 
 
-def recipe_text(found: Mapping[str, Any], title: str) -> str:
+def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes anything; `title` is
     its first line."""
-    tables = {name: found["recipe"].get(name) for name in ("world", "flight", "accept")}
-    tables["lidar"] = found["lidar"]
-    names = {"voxel": "voxel_m", "truncation": "truncation_m"}
-    tables["grid"] = {names.get(name, name): value for name, value in found["grid"].items()}
-    lines = [f"# {title}", f"kind = {_toml(found['kind'])}"]
+    tables = {name: parameters["recipe"].get(name) for name in ("world", "flight", "accept")}
+    tables["lidar"] = parameters["lidar"]
+    tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
+    lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():
         if table is not None:
             lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
@@ -59,7 +59,7 @@ def check_kind(there: str, named: str | None) -> None:
         )
 
 
-def check_recipe(found: Mapping[str, Any], text: str) -> None:
+def check_recipe(found: Manifest, text: str) -> None:
     """Read `text` as ``scenegen generate`` would, and hold what it resolves to against the manifest.
 
     Raises PublishError where this version would make another dataset of it.
@@ -74,20 +74,20 @@ def check_recipe(found: Mapping[str, Any], text: str) -> None:
     given = manifest.parameters(
         recipe,
         DrawnWorlds(recipe),
-        seed=found["seed"],
-        counts=found["counts"],
-        compact=list(found["fields"]) == list(stored_fields(compact=True)),
-        shard_samples=found["shard_samples"],
+        seed=found.seed,
+        counts=found.counts,
+        compact=found.fields == stored_fields(compact=True),
+        shard_samples=found.shard_samples,
     )
-    there = {name: value for name, value in manifest.completed(found).items() if name not in _NOT_OURS}
-    there["recipe"] = {name: value for name, value in found["recipe"].items() if name != "scenes"}
+    there = {name: value for name, value in manifest.completed(found.parameters).items() if name not in _NOT_OURS}
+    there["recipe"] = {name: value for name, value in found.tables.items() if name != "scenes"}
     wrong = manifest.differences(there, {name: value for name, value in given.items() if name not in _NOT_OURS})
     if wrong:
         raise PublishError(f"{_advice(found)}: {wrong[0]}")
 
 
-def _advice(found: Mapping[str, Any]) -> str:
-    made, generator = found.get("software", {}).get("scenegen", "of another version"), found.get("generator", 1)
+def _advice(found: Manifest) -> str:
+    made, generator = found.software.get("scenegen", "of another version"), found.generator
     return (
         f"this scenegen would not make the same dataset again; publish with the one that made it, {made} with "
         f"generator {generator}, or generate it anew"

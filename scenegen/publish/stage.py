@@ -10,8 +10,9 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256, listed_files
+from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError
 from scenegen.files import write_whole
 from scenegen.inspect import inspect
@@ -78,20 +79,16 @@ def examine(request: Request) -> Dataset:
     find_licence(request.licence)
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
-    files = len(listed_files(request.dataset, str(request.dataset))) + _BESIDES
+    files = len(dataset.manifest.files) + _BESIDES
     if files > MOST_FILES:
-        samples = sum(shard["samples"] for shard in dataset.manifest["shards"])
+        samples = sum(shard.samples for shard in dataset.manifest.shards)
         room = (MOST_FILES - _BESIDES) // 2 - len(SPLITS)
         raise PublishError(
             f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; generate it again with "
             f"--shard-samples {-(-samples // room // 100) * 100 + 100}, which changes no sample"
         )
-    if not (dataset.manifest.get("counts") and dataset.manifest.get("shard_samples")):
-        raise PublishError(f"{request.dataset}: {manifest.NAME} names no counts, so it cannot say how to make it again")
-    check_kind(dataset.manifest["kind"], request.kind)
-    check_recipe(
-        dataset.manifest, recipe_text(dataset.manifest, f"every parameter of the dataset {dataset.manifest['digest']}")
-    )
+    check_kind(dataset.manifest.kind, request.kind)
+    check_recipe(dataset.manifest, _recipe(dataset.manifest))
     return dataset
 
 
@@ -102,10 +99,10 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     DatasetError, PublishError.
     """
     dataset = examine(request)
-    found, digest = dataset.manifest, str(dataset.manifest["digest"])
-    files = listed_files(request.dataset, str(request.dataset))
+    found, digest = dataset.manifest, str(dataset.manifest.digest)
+    files = found.files
     content = (request.dataset / manifest.NAME).read_bytes()
-    tag = request.tag or f"v{found['version']}-{digest[:8]}"
+    tag = request.tag or f"v{manifest.VERSION}-{digest[:8]}"
     name = request.repository.partition("/")[2]
     with drafted(request.out) as draft:
         take(request.dataset, draft, files)
@@ -118,7 +115,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             manifest=found,
             statistics=inspect(draft),
             command=command(found, name),
-            lock=environment_lock(found["software"], request.commit),
+            lock=environment_lock(found.software, request.commit),
             checks=checks,
             pictures=_draw(dataset, draft),
         )
@@ -128,12 +125,16 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             "croissant.json": croissant(it, sums),
             "LICENSE": it.licence.text(request.repository.partition("/")[0]),
             LOCK: it.lock,
-            RECIPE: recipe_text(found, f"every parameter of the dataset {digest}"),
+            RECIPE: _recipe(found),
         }
         for file, text in texts.items():
             write_whole(draft / file, text.encode())
         sizes = seal(draft, sums)
     return Staged(folder=request.out, repository=request.repository, tag=tag, files=sizes, digest=digest)
+
+
+def _recipe(found: Manifest) -> str:
+    return recipe_text(found.parameters, f"every parameter of the dataset {found.digest}")
 
 
 def _draw(dataset: Dataset, draft: Path) -> tuple[tuple[str, str], ...]:

@@ -3,47 +3,46 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import pydantic
-
-from lidarsim import GridSpec, Lidar
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
-from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.trust import Entry, Manifest
-from scenegen.errors import DatasetError, RecipeError, printable, short
-from scenegen.recipe import Recipe, make_recipe
+from scenegen.errors import DatasetError, printable, short
+from scenegen.recipe import Recipe
 from scenegen.recipes import find_kind, kind_names
 from scenegen.verify.report import BrokenError, Ledger
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contract:
+class Contract(Manifest):
     """What the manifest promises."""
 
     folder: Path
-    kind: str
-    seed: int
-    fields: tuple[str, ...]
-    grid: GridSpec
-    lidar: Lidar
-    recipe: Recipe
-    drawn: bool
-    """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
-    viewpoints: int
-    """Samples of one flight."""
-    scenes: dict[str, list[dict[str, str]]] | None
-    """Worlds drawn by hand, by split: {"file", "sha256"}; None where a recipe drew them."""
-    generator: int
-    """The generator that made it, see `scenegen.GENERATOR`."""
-    software: dict[str, str]
-    shards: tuple[Entry, ...]
-    rejected: Mapping[Any, dict[str, int]]
-    digest: str | None
-    fingerprint: str
-    """What every shard carries, so that it is not taken for another dataset's."""
+    named: str | None
+    """The kind of a user's own that the user named, so that its module may be imported."""
+
+    @property
+    def drawn(self) -> bool:
+        """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
+        return self.kind in (*kind_names(), self.named)
+
+    @cached_property
+    def recipe(self) -> Recipe:
+        """See `Manifest.recipe`; with its world where the user named its kind."""
+        return self.recipe_of(self.named)
+
+    @property
+    def viewpoints(self) -> int:
+        """Samples of one flight."""
+        return self.recipe.flight.viewpoints
+
+    @property
+    def scenes(self) -> Mapping[str, Sequence[Mapping[str, str]]] | None:
+        """Worlds drawn by hand, by split: {"file", "sha256"}; None where a recipe drew them."""
+        return self.tables["scenes"] if self.kind == "scene" else None
 
     @property
     def starts(self) -> tuple[int, ...]:
@@ -54,11 +53,6 @@ class Contract:
             found.append(total[entry.split])
             total[entry.split] += entry.samples
         return tuple(found)
-
-    @property
-    def layout(self) -> Layout:
-        """What every shard has to hold."""
-        return layout_of(self.fields, self.grid, self.lidar)
 
     def worlds(self, split: str, start: int, samples: int) -> Sequence[int]:
         """Numbers of the worlds that so many samples of a split are of, from the one at `start` on, rising."""
@@ -89,41 +83,16 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Cont
     contract = None
     with ledger.checking("manifest"):
         ledger.count("manifest", files=1)
-        found = _contract(folder, given, kind)
-        _check_shards(found, given, ledger)
+        try:
+            found = Contract(folder=folder, named=kind, **vars(trust.parse(given)))
+            if found.kind == "scene" and found.tables.get("scenes") is None:
+                raise BrokenError("recipe.scenes = None: expected the worlds of each split")
+            found.recipe  # noqa: B018 (spelled out now, so that what is wrong with it is found here)
+        except BrokenError as error:
+            raise BrokenError(f"{manifest.NAME}: {error}") from None
+        _check_shards(found, ledger)
         contract = found
     return contract
-
-
-def _contract(folder: Path, given: dict[str, Any], named: str | None) -> Contract:
-    """The manifest with every type checked. Raises BrokenError."""
-    try:
-        typed = trust.typed(given)
-    except BrokenError as error:
-        raise BrokenError(f"{manifest.NAME}: {error}") from None
-    drawn = typed.kind in (*kind_names(), named)
-    recipe = _recipe(typed, given["recipe"], drawn)
-    scenes = None
-    if typed.kind == "scene":
-        scenes = _scenes(given["recipe"])
-    return Contract(
-        folder=folder,
-        kind=typed.kind,
-        seed=typed.seed,
-        fields=tuple(typed.fields),
-        grid=recipe.grid,
-        lidar=recipe.lidar,
-        recipe=recipe,
-        drawn=drawn,
-        viewpoints=recipe.flight.viewpoints,
-        scenes=scenes,
-        generator=typed.generator,
-        software=typed.software,
-        shards=tuple(typed.shards),
-        rejected=typed.rejected,
-        digest=typed.digest,
-        fingerprint=manifest.fingerprint_of(given),
-    )
 
 
 def _check_named(kind: str, there: Any) -> None:
@@ -136,43 +105,13 @@ def _check_named(kind: str, there: Any) -> None:
         raise DatasetError(f"--kind: {error}") from None
 
 
-def _recipe(typed: Manifest, given: dict[str, Any], drawn: bool) -> Recipe:
-    """The recipe that the manifest spells out; that of an unknown kind is taken without its world."""
-    tables = {name: table for name, table in given.items() if name not in ("version", "scenes")}
-    tables |= {
-        "lidar": typed.lidar,
-        "grid": {
-            "shape": tuple(typed.grid.shape),
-            "voxel_m": typed.grid.voxel,
-            "truncation_m": typed.grid.truncation,
-        },
-    }
-    if not drawn:
-        tables.pop("world", None)
-    try:
-        return make_recipe(typed.kind if drawn else "scene", tables, where=manifest.NAME)
-    except RecipeError as error:
-        raise BrokenError(str(error)) from None
-
-
-def _scenes(recipe: dict[str, Any]) -> dict[str, list[dict[str, str]]]:
-    found = recipe.get("scenes")
-    kind = pydantic.TypeAdapter(dict[Literal["train", "val", "test"], list[dict[str, str]]])
-    try:
-        return {str(split): worlds for split, worlds in kind.validate_python(found, strict=True).items()}
-    except pydantic.ValidationError:
-        raise BrokenError(
-            f"{manifest.NAME}: recipe.scenes = {short(found)}: expected the worlds of each split"
-        ) from None
-
-
-def _check_shards(contract: Contract, given: dict[str, Any], ledger: Ledger) -> None:
+def _check_shards(contract: Contract, ledger: Ledger) -> None:
     """Whether the shards listed are those that the counts ask for, in order, and no other lies in the folder."""
     where = manifest.NAME
-    ledger.expect("manifest", given["complete"], f"{where}: complete is false: give the command that made it again")
+    ledger.expect("manifest", contract.complete, f"{where}: complete is false: give the command that made it again")
     ledger.expect(
         "manifest",
-        (contract.digest is not None) == given["complete"],
+        (contract.digest is not None) == contract.complete,
         f"{where}: digest = {contract.digest}: expected one exactly where complete is true",
     )
     order = [SPLITS.index(entry.split) for entry in contract.shards]
@@ -180,8 +119,8 @@ def _check_shards(contract: Contract, given: dict[str, Any], ledger: Ledger) -> 
     for split in SPLITS:
         entries = [entry for entry in contract.shards if entry.split == split]
         total = sum(entry.samples for entry in entries)
-        asked = given["counts"].get(split, 0)
-        whole = given["complete"]
+        asked = contract.counts[split]
+        whole = contract.complete
         ledger.expect(
             "manifest",
             total == asked if whole else total <= asked,

@@ -52,8 +52,9 @@ def crossed(scan: PointScan) -> np.ndarray:
 
 
 FREE = Input(
-    stored=POSE,
-    of_sample=lambda fields, grid, sensor: derive_free(*(fields[name] for name in POSE), lidar=sensor, grid=grid),
+    of_sample=lambda sample, grid, sensor: derive_free(
+        *(getattr(sample, name) for name in POSE), lidar=sensor, grid=grid
+    ),
     of_scan=crossed,
 )
 """What some ray crossed."""

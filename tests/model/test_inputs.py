@@ -76,7 +76,7 @@ def test_channels_turn_with_their_map_unless_they_are_tied_to_its_axes(
     folders: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ahead = np.arange(24.0, dtype=np.float32)[:, None, None] * np.ones((24, 24, 16), np.float32)
-    tied: dict[str, Any] = {"stored": (), "of_sample": lambda *given: ahead, "of_scan": lambda scan: ahead}
+    tied: dict[str, Any] = {"of_sample": lambda *given: ahead, "of_scan": lambda scan: ahead}
     monkeypatch.setitem(INPUTS, "x", Input(**tied, binary=False, turns=False))
     monkeypatch.setitem(INPUTS, "turned_x", Input(**tied, binary=False))
     maps = Maps(opened(folders, "train"), "train", ("observed", "x", "turned_x"))
@@ -107,7 +107,7 @@ def test_networks_of_earlier_commits_take_observed_voxels(tmp_path: Path) -> Non
 
 
 def test_maps_that_an_input_cannot_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    depth = Input(stored=(), of_sample=lambda *given: None, of_scan=lambda scan: None, binary=False)
+    depth = Input(of_sample=lambda *given: None, of_scan=lambda scan: None, binary=False)
     monkeypatch.setitem(INPUTS, "depth", depth)
     network = Network(NetworkConfig(width=4, inputs=("observed", "depth"))).eval()
     completer = Completer(network, GRID, name="net", inputs=network.config.inputs)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from scenegen.dataset import manifest
-from scenegen.dataset.trust import check_manifest
+from scenegen.dataset.trust import parse
 from scenegen.errors import RecipeError
 from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED
 from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
@@ -75,8 +75,8 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
             outcome["refused"] += 1
             continue
         found = manifest_of(recipe)
-        _, grid, lidar = check_manifest(found, "test")
-        assert (grid, lidar) == (recipe.grid, recipe.lidar)
+        checked = parse(found)
+        assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world is not None
         assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS
         if outcome["made"] % 20 == 0:

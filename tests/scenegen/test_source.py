@@ -54,7 +54,7 @@ def test_a_folder_is_split_by_world_and_visited_in_turn(folder: Path, tmp_path: 
     assert Counter(world for _, world, _ in names) == {0: 9, 1: 6, 2: 6}
     assert [viewpoint for _, world, viewpoint in names if world == 0] == list(range(9))
     assert len(set(names)) == len(names)
-    recorded = dataset.manifest["recipe"]["scenes"]
+    recorded = dataset.manifest.tables["scenes"]
     assert [entry["file"] for entry in recorded["train"]] == [scene.name for scene in source.scenes["train"]]
 
 

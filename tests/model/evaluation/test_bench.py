@@ -62,7 +62,7 @@ def write_predictions(path: Path, dataset: Dataset, *, drop: int = 0, digest: st
     """The truth of the test split as a predictions file."""
     samples = list(dataset.split("test"))[drop:]
     with h5py.File(path, "w") as file:
-        file.attrs["dataset"] = digest or dataset.manifest["digest"]
+        file.attrs["dataset"] = digest or dataset.manifest.digest
         file.attrs["split"] = "test"
         file["world"] = np.array([sample.world for sample in samples], dtype=np.int64)
         file["viewpoint"] = np.array([sample.viewpoint for sample in samples], dtype=np.int64)
@@ -146,7 +146,7 @@ def test_the_report_holds_every_figure_in_its_place(dataset: Dataset, tmp_path: 
     assert {"successes", "failures"} < set(report["planning"]["pillar"]["returns"])
     assert returns["precision"]["mean"] == 1.0
     assert returns["iou"]["low"] <= returns["iou"]["mean"] <= returns["iou"]["high"]
-    assert report["datasets"]["pillar"]["digest"] == dataset.manifest["digest"]
+    assert report["datasets"]["pillar"]["digest"] == dataset.manifest.digest
     text = (tmp_path / "bench" / "report.md").read_text()
     assert "*Proposed*" in text
     assert "0.559 ± 0.058" in text

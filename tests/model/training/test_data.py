@@ -39,15 +39,6 @@ def test_loader_workers_read_the_same_after_their_parent_has_read(folders: list[
         assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_fields_are_read_alone(folders: list[Path]) -> None:
-    full, compact = (Dataset(folder).split("val") for folder in folders)
-    ranges, world = full.stored(-1, "ranges", "world")
-    assert np.array_equal(ranges, full[-1].ranges)
-    assert world == full[-1].world
-    with pytest.raises(DatasetError, match="stores no tudf"):
-        compact.stored(0, "tudf")
-
-
 def test_chunks_that_other_writers_filtered_are_read_too(folders: list[Path], tmp_path: Path) -> None:
     """The contract allows shuffle and checksums, or no filter at all."""
     import shutil

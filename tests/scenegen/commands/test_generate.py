@@ -18,7 +18,7 @@ def test_generate_inspect_and_world_work_together(
     out = tmp_path / "d"
     code, said, _ = run(capsys, "generate", "--recipe", small, "--n", 12, "--out", out, "--workers", 1)
     assert code == 0
-    digest = Dataset(out).manifest["digest"]
+    digest = Dataset(out).manifest.digest
     assert digest in said
     assert f"scenegen inspect {out}" in said
     code, said, _ = run(capsys, "inspect", out, "--json")

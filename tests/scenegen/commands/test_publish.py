@@ -52,7 +52,7 @@ def test_published_and_read_back_by_name(
     monkeypatch.setattr("scenegen.model.commands.bench.run_bench", lambda folders, **options: measured.extend(folders))
     code, _, _ = run(capfd, "bench", "hf://ada/pillars@v1", made, "--quiet")
     assert code == 0
-    assert [Dataset(folder).manifest["digest"] for folder in measured] == [Dataset(made).manifest["digest"]] * 2
+    assert [Dataset(folder).manifest.digest for folder in measured] == [Dataset(made).manifest.digest] * 2
     assert measured[1] == made
 
 

@@ -254,6 +254,34 @@ def test_jobs_that_finish_at_the_same_time_sign_the_whole(tmp_path: Path, monkey
     assert manifest.read(tmp_path / "d")["complete"]
 
 
+def test_a_list_of_shards_that_is_damaged_is_written_anew(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    undisturbed = content(tmp_path / "d")
+    for damage in ({"shards": [{"file": 1}]}, {"shards": None}, {"rejected": 0, "digest": "x"}):
+        manifest.write(tmp_path / "d", manifest.read(tmp_path / "d") | damage)
+        assert make(tmp_path / "d").samples_written == 0
+        assert content(tmp_path / "d") == undisturbed
+
+
+def test_the_manifest_is_read_again_only_where_another_job_may_have_written_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count, original = 0, manifest.read
+
+    def read(folder: Path) -> dict[str, Any]:
+        nonlocal count
+        count += 1
+        return original(folder)
+
+    monkeypatch.setattr(manifest, "read", read)
+    make(tmp_path / "d")
+    assert count == 1  # before it is signed
+    for path in (tmp_path / "d").glob("*-00000.h5"):
+        path.unlink()
+    make(tmp_path / "d")
+    assert count == 1 + 3  # at first, before the first shard is written, and before it is signed
+
+
 def test_damage_after_the_signature_is_noticed_and_mended(tmp_path: Path) -> None:
     make(tmp_path / "d")
     undisturbed = content(tmp_path / "d")

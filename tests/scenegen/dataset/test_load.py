@@ -1,7 +1,10 @@
 """Reading from Python: lazily, with names, shapes and units, in any number of processes and threads."""
 
+import copy
+import dataclasses
 import hashlib
 import multiprocessing
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -10,8 +13,10 @@ import pytest
 
 import scenegen
 from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.read import Split
 from scenegen.errors import DatasetError
+from scenegen.sample import SCHEMA, Sample
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
@@ -29,8 +34,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def digest(task: tuple[Split, int]) -> str:
     """All of a sample's fields, in whatever process this runs."""
     split, index = task
-    fields = vars(split[index])
-    return hashlib.sha256(b"".join(np.asarray(value).tobytes() for value in fields.values())).hexdigest()
+    sample = split[index]
+    return hashlib.sha256(b"".join(np.asarray(getattr(sample, name)).tobytes() for name in SCHEMA)).hexdigest()
 
 
 def test_samples_come_lazily_and_described(folder: Path) -> None:
@@ -39,7 +44,7 @@ def test_samples_come_lazily_and_described(folder: Path) -> None:
     assert split._open == {}
     sample, described = split[4], split.describe()
     assert len(split._open) == 1
-    assert set(described) == set(vars(sample))
+    assert set(described) == set(SCHEMA)
     for name, field in described.items():
         value = np.asarray(getattr(sample, name))
         assert (value.dtype.name, value.shape) == (field["dtype"], field["shape"]), name
@@ -53,6 +58,42 @@ def test_samples_come_lazily_and_described(folder: Path) -> None:
     assert len(scenegen.load(str(folder), split="test")) == 0
     with pytest.raises(DatasetError, match="has no split 'training'"):
         scenegen.load(folder, split="training")
+
+
+def test_a_field_accessed_is_a_field_read_and_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
+    original = ShardFile.value
+
+    def value(shard: ShardFile, name: str, row: int, **options: bool) -> object:
+        read.append(name)
+        return original(shard, name, row, **options)
+
+    monkeypatch.setattr(ShardFile, "value", value)
+    sample = scenegen.load(folder)[7]
+    assert read == []
+    assert sample.occupancy is sample.occupancy
+    assert sample.ranges.shape == (8, 24)
+    assert read == ["occupancy", "ranges"]
+    with pytest.raises(AttributeError, match="a sample has no field 'colour'; it has observed, free"):
+        sample.colour  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_a_copy_of_a_sample_is_plain_and_whole(folder: Path) -> None:
+    sample = scenegen.load(folder)[5]
+    for other in (pickle.loads(pickle.dumps(sample)), copy.copy(sample), dataclasses.replace(sample, world=0)):
+        assert isinstance(sample, Sample)
+        assert set(SCHEMA) == set(vars(other))
+        assert np.array_equal(other.tudf, sample.tudf)
+    assert type(copy.copy(sample)) is Sample
+    assert copy.copy(sample).sha256() == sample.sha256()
+
+
+def test_any_number_of_samples_keeps_few_files_open(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scenegen.dataset.read.MOST_OPEN", 2)
+    split = scenegen.load(folder)
+    samples = split[:]
+    assert [sample.viewpoint for sample in samples] == [viewpoint for _, _, viewpoint in split.names]
+    assert len(split._open) == 2
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])

@@ -55,7 +55,7 @@ def test_what_was_published_is_read_back_by_revision(
     folder = split.dataset.folder
     assert {path.name for path in folder.iterdir()} == {
         "dataset.json",
-        *(shard[key] for shard in split.dataset.manifest["shards"] for key in ("file", "worlds")),
+        *(name for shard in split.dataset.manifest.shards for name in (shard.file, shard.worlds)),
     }
     with pytest.raises(DatasetError, match=r"small-pillars: not a scenegen dataset, it has no dataset.json"):
         locate(NAME)

@@ -1,6 +1,7 @@
 """Datasets from strangers: whatever stands in a manifest, a shard or an archive ends in one line, and soon."""
 
 import copy
+import dataclasses
 import functools
 import json
 import math
@@ -24,6 +25,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.inspect import inspect
+from scenegen.sample import SCHEMA, Sample
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
@@ -36,6 +38,11 @@ def refused(action: Callable[[], Any]) -> str:
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < 600
     return str(error.value)
+
+
+def whole(sample: Sample) -> tuple[Any, ...]:
+    """All its fields, each of which is read when asked for."""
+    return tuple(getattr(sample, name) for name in SCHEMA)
 
 
 def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
@@ -56,10 +63,59 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
                     split = scenegen.load(dataset)
                     assert math.prod(split.describe()["tudf"]["shape"]) < 1 << 27
                     assert split.names is not None
-                    assert len(split[:1]) <= 1
+                    assert len([whole(sample) for sample in split[:1]]) <= 1
                 except DatasetError as error:
                     count += str(error).count("\n") == 0
     assert count > 250
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "said"),
+    [
+        (("seed",), -1, "seed = -1: expected a whole number from 0 to 9223372036854775807"),
+        (("seed",), 3.0, "seed = 3.0: expected a whole number"),
+        (("complete",), 1, "complete = 1: expected true or false"),
+        (("counts", "val"), None, "counts.val = None: expected a whole number from 0 to 1000000000"),
+        (("counts",), [11], "counts = [11]: expected a table"),
+        (("shards", 1, "samples"), ..., "shards.1.samples is missing: expected a whole number from 1 to 100000"),
+        (("shards", 0), "x", "shards.0 = 'x': expected a table"),
+        (("shards", 0, "file"), "../x", "shards.0.file = '../x': expected such as train-00000.h5"),
+        (("digest",), "abc", "digest = 'abc': expected a SHA-256, 64 hexadecimal digits, or null"),
+        (("grid", "shape"), [80, 80], "grid.shape = [80, 80]: expected three whole numbers from 1 to 8192"),
+        (("grid", "voxel"), 0, "grid.voxel = 0: expected a finite number from 0.001 to 1000"),
+        (("grid", "truncation"), ..., "grid.truncation is missing: expected a value"),
+        (("lidar", "rows"), "many", "lidar.rows = 'many': expected a whole number from 1 to 1000000"),
+        (("lidar", "colour"), 1, "lidar: unknown parameter 'colour': expected rows, columns, "),
+        (("fields",), ["observed"], "fields = ['observed']: expected all, or all but the derived ones"),
+        (("recipe", "world"), 3, "recipe.world = 3: expected a table, or null"),
+        (("rejected", "worlds"), {"x": "y"}, "expected a table, each value a whole number from 0"),
+        (("software",), {"numpy": 2}, "software = {'numpy': 2}: expected a table, each value text"),
+    ],
+)
+def test_what_is_wrong_in_a_manifest_is_said_in_our_words(
+    dataset: Path, at: tuple[Any, ...], value: Any, said: str
+) -> None:
+    found = manifest.read(dataset)
+    if value is ...:
+        del _at(found, at[:-1])[at[-1]]
+    else:
+        _at(found, at[:-1])[at[-1]] = value
+    manifest.write(dataset, found)
+    line = refused(lambda: Dataset(dataset))
+    assert line.startswith(f"{dataset}: dataset.json is damaged: ")
+    assert said in line
+
+
+def test_the_checked_manifest_is_what_the_file_says(dataset: Path) -> None:
+    found, typed = manifest.read(dataset), Dataset(dataset).manifest
+    for name in ("kind", "seed", "counts", "complete", "digest", "rejected", "software", "generator", "shard_samples"):
+        assert getattr(typed, name) == found[name], name
+    assert [vars(entry) for entry in typed.shards] == found["shards"]
+    assert (typed.grid.voxel_m, typed.grid.truncation_m) == (found["grid"]["voxel"], found["grid"]["truncation"])
+    assert typed.recipe == small_recipe()
+    assert typed.fingerprint == manifest.fingerprint(typed.parameters)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        typed.seed = 4  # type: ignore[misc]
 
 
 def _at(found: Any, path: tuple[Any, ...]) -> Any:
@@ -123,7 +179,7 @@ def test_no_shard_ends_in_a_traceback_or_takes_the_memory(dataset: Path, damage:
     with h5py.File(dataset / "train-00000.h5", "r+") as file:
         damage(file)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    assert "train-00000.h5" in refused(lambda: scenegen.load(dataset)[0])
+    assert "train-00000.h5" in refused(lambda: whole(scenegen.load(dataset)[0]))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + (100 << 10)  # KB
     assert np.isfinite(scenegen.load(dataset)[3].tudf).all()  # the next shard
 
@@ -256,6 +312,6 @@ def test_a_compact_dataset_derives_nothing_from_a_broken_pose(
         file[field][1] = value
     samples = scenegen.load(tmp_path / "d")
     assert samples[0].free.any()
-    line = refused(lambda: samples[1])
+    line = refused(lambda: whole(samples[1]))
     assert "train-00000.h5: sample 1" in line
     assert said in line

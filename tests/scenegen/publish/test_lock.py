@@ -7,7 +7,7 @@ from scenegen.publish.lock import closure, environment_lock
 
 def test_it_pins_what_scenegen_needs_and_no_extras() -> None:
     found = closure("scenegen-lidar")
-    for name in ("numpy", "mujoco", "h5py", "pydantic-core"):
+    for name in ("numpy", "mujoco", "h5py", "llvmlite"):
         assert found[name] == importlib.metadata.version(name)
     assert not {"pytest", "pyvista", "scenegen", "huggingface-hub"} & set(found)
 

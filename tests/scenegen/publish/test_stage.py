@@ -118,7 +118,7 @@ def test_the_card_says_what_the_files_hold(out: Path, made: Path) -> None:
     assert '  - split: val\n    path: "val-*.h5"' in front
     statistics = inspect(made)["splits"]["train"]["statistics"]["occupied"]
     assert f"| voxels occupied, % | {statistics['mean'] * 100:.2f} ± {statistics['std'] * 100:.2f} |" in card
-    assert Dataset(made).manifest["digest"] in card
+    assert Dataset(made).manifest.digest in card
     assert "- files: 14 files hold" in card
     with h5py.File(out / "train-00000.h5") as shard:
         for name in shard:
@@ -140,7 +140,7 @@ def test_its_command_makes_the_same_dataset(out: Path, made: Path, tmp_path: Pat
         counts={"train": int(options["--n"]), "val": int(options["--val"]), "test": int(options["--test"])},
         shard_samples=int(options["--shard-samples"]),
     )
-    assert build(plan, workers=1).digest == Dataset(made).manifest["digest"]
+    assert build(plan, workers=1).digest == Dataset(made).manifest.digest
 
 
 def test_a_recipe_that_this_version_reads_differently_is_refused(dataset: Path, asked: Request) -> None:
@@ -206,7 +206,7 @@ def test_a_folder_of_somebody_elses_is_let_be(asked: Request, dataset: Path) -> 
     for out in (dataset, dataset / "inside", dataset.parent):
         with pytest.raises(PublishError, match="overlaps the dataset"):
             stage(dataclasses.replace(asked, out=out), CHECKS)
-    assert Dataset(dataset).manifest["complete"]
+    assert Dataset(dataset).manifest.complete
 
 
 def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked: Request, dataset: Path) -> None:

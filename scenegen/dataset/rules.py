@@ -1,0 +1,72 @@
+"""A stranger's JSON, held against rules before anybody relies on it; what is wrong is said in words of our own."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from scenegen.errors import BrokenError, short
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a value may be, as a test and in words."""
+
+    fits: Callable[[Any], bool]
+    words: str
+
+
+FLAG = Rule(lambda value: isinstance(value, bool), "true or false")
+TABLE = Rule(lambda value: isinstance(value, dict), "a table")
+LIST = Rule(lambda value: isinstance(value, list), "a list")
+
+
+def whole(least: int, most: int) -> Rule:
+    """Whole numbers from `least` to `most`."""
+    return Rule(lambda value: type(value) is int and least <= value <= most, f"a whole number from {least} to {most}")
+
+
+def text(pattern: str, words: str) -> Rule:
+    """Texts that match the whole `pattern`, which `words` describe."""
+    matches = re.compile(pattern).fullmatch
+    return Rule(lambda value: isinstance(value, str) and matches(value) is not None, words)
+
+
+def optional(rule: Rule) -> Rule:
+    """What `rule` allows, or null."""
+    return Rule(lambda value: value is None or rule.fits(value), f"{rule.words}, or null")
+
+
+def table_of(rule: Rule) -> Rule:
+    """Tables whose values are as `rule` says, whatever they are called."""
+    return Rule(
+        lambda value: isinstance(value, dict) and all(map(rule.fits, value.values())),
+        f"a table, each value {rule.words}",
+    )
+
+
+def check(found: Any, rules: Mapping[str, Rule], at: str) -> None:
+    """Raise BrokenError unless `found` is a table that has all that `rules` name, each as its rule says.
+
+    `at` is where the table stands in the file, such as ``shards.3``, empty for the whole; it begins the error.
+    """
+    if not isinstance(found, Mapping):
+        raise BrokenError(f"{at} = {short(found)}: expected a table")
+    for name, rule in rules.items():
+        where = f"{at}.{name}" if at else name
+        if name not in found:
+            raise BrokenError(f"{where} is missing: expected {rule.words}")
+        if not rule.fits(found[name]):
+            raise BrokenError(f"{where} = {short(found[name])}: expected {rule.words}")
+
+
+def ruled(rule: Rule) -> Any:
+    """A field of a dataclass whose values in a file are as `rule` says."""
+    return field(metadata={"rule": rule})
+
+
+def checked(kind: type, found: Any, at: str) -> dict[str, Any]:
+    """The values in the table `found` of those fields of the dataclass `kind` that have a rule. Raises BrokenError."""
+    rules = {item.name: item.metadata["rule"] for item in fields(kind) if "rule" in item.metadata}
+    check(found, rules, at)
+    return {name: found[name] for name in rules}

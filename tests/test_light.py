@@ -1,0 +1,53 @@
+"""Importing, loading and reading what is stored import nothing that draws, casts, derives or learns."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+HEAVY = ("mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "pydantic", "h5py", "multiprocessing")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder, recipe = tmp_path_factory.mktemp("light") / "d", small_recipe()
+    counts = {"train": 3, "val": 0, "test": 0}
+    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=True))
+    return folder
+
+
+def imported(code: str) -> set[str]:
+    """Which of the heavy modules a new process has imported after `code`."""
+    report = f"import sys; print(*(name for name in {HEAVY!r} if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "module", ["scenegen", "lidarsim", "scenegen.model.config", "scenegen.__main__", "scenegen.dataset.read"]
+)
+def test_importing_is_light(module: str) -> None:
+    assert imported(f"import {module}") == set()
+
+
+def test_loading_and_reading_what_is_stored_is_light(folder: Path) -> None:
+    code = f"""
+import scenegen
+samples = scenegen.load({str(folder)!r})
+samples[0].observed, samples[1].ranges, samples[2].position, samples.names, samples.describe()
+samples.dataset.manifest.grid, samples.dataset.manifest.lidar, samples.dataset.world("train", 0)
+"""
+    assert imported(code) == set()
+
+
+def test_what_is_derived_cast_or_drawn_is_imported_then(folder: Path) -> None:
+    load = f"import scenegen; samples = scenegen.load({str(folder)!r})\n"
+    assert "numba" in imported(f"{load}samples[0].free")
+    assert "mujoco" in imported(f"{load}assert samples.dataset.manifest.recipe.world")
+    assert "mujoco" in imported("from lidarsim import MujocoCaster")
+    assert imported("import lidarsim; assert not hasattr(lidarsim, 'absent')") == set()
