@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.casters import Caster
-from lidarsim.lidar import Lidar
-from lidarsim.pose import Pose
+from lidarsim.engines import Engine
+from lidarsim.pose import Pose, rotate
+from lidarsim.sensors import Sensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,18 +15,30 @@ class Scan:
     """What a LiDAR at a pose returned. `ranges` alone is measured: everything else about the rays follows."""
 
     ranges: NDArray[np.float32]
-    """(rows, columns), metres along each ray; ``inf`` where nothing returned."""
+    """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
     pose: Pose
-    lidar: Lidar
+    lidar: Sensor
+
+    @property
+    def directions(self) -> NDArray[np.float64]:
+        """Unit vectors of the rays, (*lidar.shape, 3), in the world."""
+        return rotate(self.pose.quaternion, self.lidar.directions_body)
 
     def points(self) -> NDArray[np.float64]:
         """The returns, (M, 3) in the world, in ray order."""
         hit = np.isfinite(self.ranges)
-        directions = self.lidar.directions(self.pose.quaternion)[hit]
-        return self.pose.position + self.ranges[hit].astype(np.float64)[:, None] * directions
+        return self.pose.position + self.ranges[hit].astype(np.float64)[:, None] * self.directions[hit]
 
 
-def cast(caster: Caster, lidar: Lidar, pose: Pose) -> Scan:
-    """Scan the caster's world with `lidar` carried by a body at `pose`."""
-    ranges = caster.cast(pose.position, lidar.directions(pose.quaternion), lidar.max_range_m)
-    return Scan(ranges.astype(np.float32), pose, lidar)
+def cast(engine: Engine, lidar: Sensor, pose: Pose) -> Scan:
+    """Scan the engine's world with `lidar` carried by a body at `pose`. Raises ValueError where the engine gives what are
+    no ranges of the sensor's rays."""
+    directions = rotate(pose.quaternion, lidar.directions_body)
+    ranges = np.asarray(engine.cast(pose.position[None], directions[None], lidar.max_range_m))
+    if ranges.shape != (1, *lidar.shape) or not (ranges >= 0).all():
+        raise ValueError(
+            f"{type(engine).__name__}.cast gave shape {ranges.shape}, expected {(1, *lidar.shape)}"
+            if ranges.shape != (1, *lidar.shape)
+            else f"{type(engine).__name__}.cast gave ranges below 0, or that are no numbers; expected metres, or inf"
+        )
+    return Scan(ranges[0].astype(np.float32), pose, lidar)

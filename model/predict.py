@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim import GridSpec
+from lidarsim.limits import MOST_LENGTH_M
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, GuardError
 from scenegen.files import open_bounded, whole, write_whole
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_LENGTH_M
+from scenegen.limits import GUARD_BYTES, GUARD_S
 from scenegen.model.bench.methods import empty_split
 from scenegen.model.bench.predicted import FIELDS
 from scenegen.model.complete import Prediction, Thresholds

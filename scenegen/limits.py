@@ -47,7 +47,7 @@ MOST_DRAWN_SOLIDS = 20_000
 `verify` gives a shard of a hundred worlds three minutes."""
 MOST_DRAWN_M = 1e4
 """Lengths in a recipe, metres: MJCF's six digits then place solids to a decimetre, and whatever is stacked or scattered
-stays within `MOST_LENGTH_M`."""
+stays within `lidarsim.limits.MOST_LENGTH_M`."""
 LEAST_DRAWN_M = 1e-3
 """Steps and distances of flights, metres: how finely motions are checked."""
 MOST_ELEMENTS = 200_000
@@ -56,12 +56,8 @@ MOST_DEPTH = 200
 """Levels of elements in an MJCF document, or of anything that nests in JSON and TOML."""
 MOST_CELLS = 1 << 24
 """Of a height field, pixels of an image, or numbers of an MJCF attribute."""
-MOST_TRIANGLES = 5_000_000
-"""Of all meshes and height fields of a world, each counted as often as a geom uses it: 360 MB."""
 MOST_BUILTIN = 300
 """A parameter of a mesh that MuJoCo makes by itself, such as its resolution: some 100,000 vertices then."""
-MOST_LENGTH_M = 1e6
-"""Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
 MOST_DOCUMENT_BYTES = 16 << 20
 """Of an MJCF document."""
 MOST_ASSET_BYTES = 64 << 20

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Lidar, Pose, Scan, voxelize
+from lidarsim import GridSpec, Pose, Scan, Sensor, voxelize
 from scenegen.truth import distance_field
 
 
@@ -59,14 +59,14 @@ SCHEMA = {item.name: item.metadata for item in fields(Sample)}
 """Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning` and whether it is `derived`."""
 
 
-def shape_of(name: str, grid: GridSpec, lidar: Lidar) -> tuple[int, ...]:
+def shape_of(name: str, grid: GridSpec, lidar: Sensor) -> tuple[int, ...]:
     """Shape of one sample's field `name`."""
     axes = SCHEMA[name]["axes"]
-    named: dict[str, tuple[int, ...]] = {"grid": grid.shape, "rays": (lidar.rows, lidar.columns), "": ()}
+    named: dict[str, tuple[int, ...]] = {"grid": grid.shape, "rays": lidar.shape, "": ()}
     return named[axes] if axes in named else (int(axes),)
 
 
-def describe_fields(grid: GridSpec, lidar: Lidar) -> dict[str, dict[str, Any]]:
+def describe_fields(grid: GridSpec, lidar: Sensor) -> dict[str, dict[str, Any]]:
     """Every field of a sample: name to its numpy `dtype`, `shape`, `unit` ("" for none), and `meaning`."""
     return {
         name: {
@@ -85,10 +85,10 @@ def derive_free(
     quaternion: NDArray[np.float64],
     origin: NDArray[np.float64],
     *,
-    lidar: Lidar,
+    lidar: Sensor,
     grid: GridSpec,
 ) -> NDArray[np.bool_]:
-    """The `free` of a sample from its stored ranges (rows, columns), pose and origin, bit for bit."""
+    """The `free` of a sample from its stored ranges (*lidar.shape), pose and origin, bit for bit."""
     return voxelize(Scan(ranges, Pose(position, quaternion), lidar), grid, origin).free
 
 

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lidarsim import GridSpec
+from lidarsim import GridSpec, Sensor
+from lidarsim.engines import ENGINES, MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.sensor import write_rays
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
-from scenegen.draw import draw_unit
-from scenegen.errors import DatasetError, short
+from scenegen.errors import DatasetError, printable, short
 from scenegen.files import disk_error, remove_drafts
 from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS
 from scenegen.recipe import Recipe
@@ -34,6 +35,7 @@ class Plan:
     folder: Path
     parameters: dict[str, Any]
     shards: tuple[ShardSpec, ...]
+    lidar: Sensor
 
     @property
     def samples(self) -> int:
@@ -73,16 +75,24 @@ def plan_dataset(
     counts: Mapping[str, int],
     compact: bool = False,
     shard_samples: int = 100,
+    engine: str = MUJOCO,
 ) -> Plan:
     """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units.
 
-    Raises DatasetError for numbers beyond those that readers take.
+    `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an engine that is not to
+    be had, and for numbers beyond those that readers take.
     """
     _check_asked("--seed", seed, 0, MOST_SEED)
     _check_asked("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
     for split, count in counts.items():
         _check_asked("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
-    given = manifest.parameters(recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples)
+    try:
+        ENGINES.find(engine)
+    except ValueError as error:
+        raise DatasetError(printable(error)) from None
+    given = manifest.parameters(
+        recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples, engine=engine
+    )
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints
     step = max(shard_samples // each, 1)
@@ -108,9 +118,10 @@ def plan_dataset(
                     parameters=fingerprint,
                     recipe=recipe,
                     source=source,
+                    engine=engine,
                 )
             )
-    return Plan(folder=folder, parameters=given, shards=tuple(shards))
+    return Plan(folder=folder, parameters=given, shards=tuple(shards), lidar=recipe.lidar)
 
 
 def _check_asked(option: str, value: int, least: int, most: int) -> None:
@@ -145,7 +156,7 @@ def build(
     _check_space(plan, missing)
     # kernels compile here, once, before workers start, and hopeless parameters end here, before anything is written
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
-        _first_unit(missing[0])
+        missing[0].draw(missing[0].first_unit)
     _open_folder(plan, force=force)
     for report in reports.values():
         on_shard(report, False)
@@ -182,12 +193,6 @@ def _look(
             if report is not None:
                 found[shard.file] = report
     return found
-
-
-def _first_unit(shard: ShardSpec) -> None:
-    draw_unit(
-        shard.source, shard.recipe, seed=shard.seed, split=shard.split, unit=shard.first_unit, derived=not shard.compact
-    )
 
 
 def check_folder(plan: Plan, *, force: bool = False) -> None:
@@ -241,6 +246,7 @@ def _open_folder(plan: Plan, *, force: bool) -> None:
     if not same:
         # the new manifest comes first: shards that carry another fingerprint are not taken for its own
         manifest.write(folder, manifest.assemble(plan.parameters, [], complete=False))
+    write_rays(plan.lidar, folder)
     planned = {path for shard in plan.shards for path in (shard.file, shard.worlds_file)}
     for file in _shard_files(folder):
         if not same or file not in planned:  # another dataset's, or left by a replacement that was killed

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from scenegen.dataset import manifest
+from scenegen.dataset.sensor import files_of
 from scenegen.dataset.trust import check_manifest
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.limits import MOST_MANIFEST_BYTES
@@ -96,7 +97,7 @@ def listed_files(folder: Path, name: str) -> dict[str, str]:
     """
     found = manifest.read(folder)
     check_manifest(found, name)
-    files = {}
+    files = files_of(found["lidar"])
     for shard in found["shards"]:
         files[shard["file"]] = shard["sha256"]
         files[shard["worlds"]] = shard["worlds_sha256"]

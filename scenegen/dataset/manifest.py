@@ -1,6 +1,5 @@
 """The manifest, `dataset.json`: everything needed to read, check and regenerate a dataset."""
 
-import dataclasses
 import hashlib
 import json
 import platform
@@ -10,8 +9,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import GridSpec
+from lidarsim.engines import MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
+from scenegen.dataset.sensor import entry_of
 from scenegen.dataset.shard import ShardReport, stored_fields
 from scenegen.errors import MOST_TOLD, DatasetError, printable, short
 from scenegen.files import read_bounded, write_whole
@@ -29,7 +30,14 @@ OF_SHARDS = ("complete", "shards", "rejected", "digest")
 
 
 def parameters(
-    recipe: Recipe, source: Source, *, seed: int, counts: Mapping[str, int], compact: bool, shard_samples: int
+    recipe: Recipe,
+    source: Source,
+    *,
+    seed: int,
+    counts: Mapping[str, int],
+    compact: bool,
+    shard_samples: int,
+    engine: str = MUJOCO,
 ) -> dict[str, Any]:
     """The part of the manifest that is known before anything is drawn, and decides everything after."""
     return {
@@ -46,8 +54,9 @@ def parameters(
             "voxel": recipe.grid.voxel_m,
             "truncation": recipe.grid.truncation_m,
         },
-        "lidar": _plain(dataclasses.asdict(recipe.lidar)),
+        "lidar": entry_of(recipe.lidar),
         "shard_samples": shard_samples,
+        **({} if engine == MUJOCO else {"engine": engine}),
         "software": software(),
     }
 
@@ -163,11 +172,6 @@ def grid_of(manifest: Mapping[str, Any]) -> GridSpec:
     """The grid of a dataset."""
     grid = manifest["grid"]
     return GridSpec(shape=tuple(grid["shape"]), voxel_m=grid["voxel"], truncation_m=grid["truncation"])
-
-
-def lidar_of(manifest: Mapping[str, Any]) -> Lidar:
-    """The sensor of a dataset."""
-    return Lidar(**manifest["lidar"])
 
 
 def _plain(value: Any) -> Any:

@@ -14,6 +14,7 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import open_archive
 from scenegen.dataset.layout import ShardFile, layout_of, open_file, open_shard
+from scenegen.dataset.sensor import sensor_of
 from scenegen.dataset.trust import Entry, check_manifest
 from scenegen.errors import BrokenError, DatasetError, short
 from scenegen.sample import Sample, derive_free, derive_tudf, describe_fields
@@ -32,7 +33,9 @@ class Dataset:
     def __init__(self, folder: Path | str, *, partial: bool = False):
         self.folder = Path(folder)
         self.manifest = manifest.read(self.folder)
-        checked, self.grid, self.lidar = check_manifest(self.manifest, str(self.folder))
+        checked, self.grid = check_manifest(self.manifest, str(self.folder))
+        with self._advice():
+            self.lidar = sensor_of(self.manifest["lidar"], self.folder)
         self._entries = checked.shards
         self._fingerprint = manifest.fingerprint_of(self.manifest)
         if not (checked.complete or partial):

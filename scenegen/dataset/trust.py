@@ -7,9 +7,11 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import GridSpec
+from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.sensor import files_of
 from scenegen.dataset.shard import stored_fields
 from scenegen.errors import MOST_TOLD, BrokenError, DatasetError, printable, short
 from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
@@ -67,7 +69,8 @@ class Manifest(pydantic.BaseModel, strict=True):
     recipe: _Recipe
     fields: Annotated[list[str], pydantic.Field(max_length=len(SCHEMA))]
     grid: _Grid
-    lidar: dict[str, str | int | float]
+    lidar: dict[str, str | int | float | list[int]]
+    engine: Annotated[str, pydantic.Field(pattern=r"^[A-Za-z_][\w.:]*$", max_length=200)] = MUJOCO
     shard_samples: Annotated[int, pydantic.Field(ge=1, le=MOST_SAMPLES_IN_SHARD)]
     shards: list[Entry]
     rejected: dict[Literal["worlds", "viewpoints"], dict[str, _Count]]
@@ -94,8 +97,8 @@ def typed(found: Mapping[str, Any]) -> Manifest:
     return checked
 
 
-def check_manifest(found: Mapping[str, Any], name: str) -> tuple[Manifest, GridSpec, Lidar]:
-    """A manifest by which samples can be read, its grid and its sensor; `name` stands in errors.
+def check_manifest(found: Mapping[str, Any], name: str) -> tuple[Manifest, GridSpec]:
+    """A manifest by which samples can be read, and its grid; `name` stands in errors.
 
     Raises DatasetError for a value of a wrong type or beyond reason, and for shards that are no dataset's files, or
     not as many samples as the counts say.
@@ -106,7 +109,8 @@ def check_manifest(found: Mapping[str, Any], name: str) -> tuple[Manifest, GridS
             total, asked = sum(e.samples for e in checked.shards if e.split == split), getattr(checked.counts, split)
             if total > asked or (checked.complete and total < asked):
                 raise BrokenError(f"counts.{split} = {asked}, but its shards hold {total} samples")
-        return checked, manifest.grid_of(found), manifest.lidar_of(found)
+        files_of(found["lidar"])
+        return checked, manifest.grid_of(found)
     except (BrokenError, ValueError, TypeError, OverflowError) as error:
         wrong = printable(error)[:300]
     raise DatasetError(f"{name}: {manifest.NAME} is damaged: {wrong}; copy the dataset again, or generate it")

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from lidarsim import Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import DIGEST
@@ -33,6 +34,7 @@ class Publication:
     date: str
     """Of publication, YYYY-MM-DD."""
     manifest: Mapping[str, Any]
+    lidar: Sensor
     statistics: Mapping[str, Any]
     """What `scenegen.inspect.inspect` says."""
     command: str
@@ -73,7 +75,7 @@ class Publication:
     @property
     def fields(self) -> dict[str, dict[str, Any]]:
         """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
-        known = describe_fields(manifest.grid_of(self.manifest), manifest.lidar_of(self.manifest))
+        known = describe_fields(manifest.grid_of(self.manifest), self.lidar)
         stored = {name: known[name] for name in self.manifest["fields"]}
         return stored | {
             DIGEST: {"dtype": "uint8", "shape": (32,), "unit": "", "meaning": "the sample's own SHA-256 digest"}

@@ -7,8 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.sensor import recipe_entry, write_rays
 from scenegen.dataset.shard import stored_fields
 from scenegen.errors import PublishError, RecipeError
 from scenegen.recipe import read_recipe
@@ -31,13 +34,15 @@ def command(found: Mapping[str, Any], out: str) -> str:
     words += ["--seed", str(found["seed"]), "--shard-samples", str(found["shard_samples"])]
     if list(found["fields"]) == list(stored_fields(compact=True)):
         words.append("--compact")
+    if "engine" in found:
+        words += ["--engine", found["engine"]]
     return shlex.join([*words, "--out", out])
 
 
 def recipe_text(found: Mapping[str, Any]) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes anything."""
     tables = {name: found["recipe"].get(name) for name in ("world", "flight", "accept")}
-    tables["lidar"] = found["lidar"]
+    tables["lidar"] = recipe_entry(found["lidar"])
     names = {"voxel": "voxel_m", "truncation": "truncation_m"}
     tables["grid"] = {names.get(name, name): value for name, value in found["grid"].items()}
     lines = [f"# every parameter of the dataset {found['digest']}", f"kind = {_toml(found['kind'])}"]
@@ -47,14 +52,17 @@ def recipe_text(found: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def check_recipe(found: Mapping[str, Any], text: str) -> None:
-    """Read `text` as ``scenegen generate`` would, and hold what it resolves to against the manifest.
+def check_recipe(dataset: Dataset, text: str) -> None:
+    """Read `text` as ``scenegen generate`` would, next to the dataset's files, and hold what it resolves to against the
+    manifest.
 
     Raises PublishError where this version would make another dataset of it.
     """
+    found = dataset.manifest
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
         path = Path(folder, RECIPE)
         path.write_text(text, encoding="utf-8")
+        write_rays(dataset.lidar, path.parent)
         try:
             recipe = read_recipe(path)
         except RecipeError as error:
@@ -66,6 +74,7 @@ def check_recipe(found: Mapping[str, Any], text: str) -> None:
         counts=found["counts"],
         compact=list(found["fields"]) == list(stored_fields(compact=True)),
         shard_samples=found["shard_samples"],
+        engine=found.get("engine", MUJOCO),
     )
     there = {name: value for name, value in manifest.completed(found).items() if name not in _NOT_OURS}
     there["recipe"] = {name: value for name, value in found["recipe"].items() if name != "scenes"}

@@ -85,7 +85,7 @@ def examine(request: Request) -> Dataset:
         )
     if not (dataset.manifest.get("counts") and dataset.manifest.get("shard_samples")):
         raise PublishError(f"{request.dataset}: {manifest.NAME} names no counts, so it cannot say how to make it again")
-    check_recipe(dataset.manifest, recipe_text(dataset.manifest))
+    check_recipe(dataset, recipe_text(dataset.manifest))
     return dataset
 
 
@@ -110,6 +110,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             licence=find_licence(request.licence),
             date=former_date(request.out, content) or datetime.datetime.now(datetime.UTC).date().isoformat(),
             manifest=found,
+            lidar=dataset.lidar,
             statistics=inspect(draft),
             command=command(found, name),
             lock=environment_lock(found["software"], request.commit),

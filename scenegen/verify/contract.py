@@ -8,10 +8,11 @@ from typing import Any, Literal
 
 import pydantic
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.layout import Layout, layout_of
+from scenegen.dataset.sensor import sensor_of
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.errors import RecipeError, printable, short
 from scenegen.recipe import Recipe, make_recipe
@@ -28,7 +29,7 @@ class Contract:
     seed: int
     fields: tuple[str, ...]
     grid: GridSpec
-    lidar: Lidar
+    lidar: Sensor
     recipe: Recipe
     drawn: bool
     """Whether the recipe can draw the worlds again: they are of a kind known here."""
@@ -38,6 +39,8 @@ class Contract:
     """Worlds drawn by hand, by split: {"file", "sha256"}; None where a recipe drew them."""
     generator: int
     """The generator that made it, see `scenegen.GENERATOR`."""
+    engine: str
+    """Name of the engine that cast its rays. Never imported unless it is one of ours."""
     software: dict[str, str]
     shards: tuple[Entry, ...]
     rejected: Mapping[Any, dict[str, int]]
@@ -99,7 +102,7 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
     except BrokenError as error:
         raise BrokenError(f"{manifest.NAME}: {error}") from None
     drawn = typed.kind in kind_names()
-    recipe = _recipe(typed, given["recipe"], drawn)
+    recipe = _recipe(typed, given["recipe"], drawn, sensor_of(typed.lidar, folder))
     scenes = None
     if typed.kind == "scene":
         scenes = _scenes(given["recipe"])
@@ -115,6 +118,7 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
         viewpoints=recipe.flight.viewpoints,
         scenes=scenes,
         generator=typed.generator,
+        engine=typed.engine,
         software=typed.software,
         shards=tuple(typed.shards),
         rejected=typed.rejected,
@@ -123,11 +127,10 @@ def _contract(folder: Path, given: dict[str, Any]) -> Contract:
     )
 
 
-def _recipe(typed: Manifest, given: dict[str, Any], drawn: bool) -> Recipe:
+def _recipe(typed: Manifest, given: dict[str, Any], drawn: bool, sensor: Sensor) -> Recipe:
     """The recipe that the manifest spells out; that of an unknown kind is taken without its world."""
     tables = {name: table for name, table in given.items() if name not in ("version", "scenes")}
     tables |= {
-        "lidar": typed.lidar,
         "grid": {
             "shape": tuple(typed.grid.shape),
             "voxel_m": typed.grid.voxel,
@@ -137,7 +140,7 @@ def _recipe(typed: Manifest, given: dict[str, Any], drawn: bool) -> Recipe:
     if not drawn:
         tables.pop("world", None)
     try:
-        return make_recipe(typed.kind if drawn else "scene", tables, where=manifest.NAME)
+        return make_recipe(typed.kind if drawn else "scene", tables, where=manifest.NAME, sensor=sensor)
     except RecipeError as error:
         raise BrokenError(str(error)) from None
 

@@ -7,12 +7,13 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec, Lidar, MujocoCaster, Pose, cast, voxelize
+from lidarsim.solids.model import solids_of
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError
 from scenegen.recipe import Recipe, preset
 from scenegen.sample import SCHEMA, derive_free, derive_tudf
 from scenegen.source import DrawnWorlds
-from scenegen.truth import distance_field, rasterize, solids_of
+from scenegen.truth import distance_field, rasterize
 from scenegen.world import compile_world
 from tests.conftest import picky_recipe, small_recipe
 

@@ -10,13 +10,13 @@ import pytest
 import trimesh
 
 import scenegen.source
+from lidarsim.limits import MOST_TRIANGLES
+from lidarsim.solids.model import solids_of
 from scenegen.errors import BrokenError, SceneError
-from scenegen.limits import MOST_TRIANGLES
 from scenegen.quiet import quiet_mujoco
 from scenegen.scene import Scene, load_scene
 from scenegen.screen import screen
 from scenegen.source import read_scenes
-from scenegen.truth import solids_of
 from scenegen.world import compile_world
 
 REACH_M = 100.0

@@ -3,11 +3,11 @@
 import mujoco
 import numpy as np
 import pytest
+from scenegen.verify.intersect import cast as intersect
 
 from lidarsim import Lidar, MujocoCaster, Pose, cast
-from scenegen.truth import Solids
+from lidarsim.solids.shapes import Solids
 from scenegen.verify.archive import compile_solids
-from scenegen.verify.intersect import cast as intersect
 from scenegen.verify.rays import audit, disagrees, ray_directions
 
 HFIELD = '<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3" elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>'
