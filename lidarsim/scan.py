@@ -31,14 +31,15 @@ class Scan:
 
 
 def cast(engine: Engine, lidar: Sensor, pose: Pose) -> Scan:
-    """Scan the engine's world with `lidar` carried by a body at `pose`. Raises ValueError where the engine gives what are
-    no ranges of the sensor's rays."""
+    """Scan the engine's world with `lidar` carried by a body at `pose`.
+
+    Raises ValueError where the engine gives what are no ranges of the sensor's rays.
+    """
     directions = rotate(pose.quaternion, lidar.directions_body)
     ranges = np.asarray(engine.cast(pose.position[None], directions[None], lidar.max_range_m))
-    if ranges.shape != (1, *lidar.shape) or not (ranges >= 0).all():
-        raise ValueError(
-            f"{type(engine).__name__}.cast gave shape {ranges.shape}, expected {(1, *lidar.shape)}"
-            if ranges.shape != (1, *lidar.shape)
-            else f"{type(engine).__name__}.cast gave ranges below 0, or that are no numbers; expected metres, or inf"
-        )
+    name, expected = type(engine).__name__, (1, *lidar.shape)
+    if ranges.shape != expected:
+        raise ValueError(f"{name}.cast gave ranges of shape {ranges.shape}, expected {expected}")
+    if not (ranges >= 0).all():
+        raise ValueError(f"{name}.cast gave ranges below 0, or that are no numbers; expected metres, or inf")
     return Scan(ranges[0].astype(np.float32), pose, lidar)

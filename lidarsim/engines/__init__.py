@@ -1,6 +1,7 @@
 """Engines: what a ray meets in a world, and how far away. One file an engine; each fills `Engine`."""
 
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,19 +26,14 @@ class Engine(Protocol):
         """Metres along the rays to the first surface, for P poses at once.
 
         `origins` (P, 3) are in the world frame, and so are the unit vectors `directions` (P, *shape, 3). The answer has
-        shape (P, *shape), with ``inf`` where nothing is met within `max_range_m`. What one pose gives does not depend on
-        the others.
+        shape (P, *shape), with ``inf`` where nothing is met within `max_range_m`. What one pose gives does not depend
+        on the others.
         """
         ...
 
 
-class EngineFactory(Protocol):
-    """What makes an engine of a world: `Engine.of`."""
-
-    def __call__(self, model: Any, data: Any = None, /) -> Engine:
-        """See `Engine.of`."""
-        ...
-
+EngineFactory = Callable[["mujoco.MjModel", "mujoco.MjData"], Engine]
+"""What makes an engine of a world: `Engine.of`."""
 
 ENGINES = Registry(
     "engine",

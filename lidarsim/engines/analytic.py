@@ -31,8 +31,9 @@ class AnalyticEngine:
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
         """See `lidarsim.engines.Engine.cast`."""
-        starts = np.ascontiguousarray(origins, dtype=np.float64)
-        vectors = np.ascontiguousarray(directions, dtype=np.float64)
+        # copies, for the kernel is compiled for arrays that can be written
+        starts = np.array(origins, dtype=np.float64, order="C")
+        vectors = np.array(directions, dtype=np.float64, order="C")
         solids, poses = self._solids, len(starts)
         ranges = np.full(vectors.shape[:-1], np.inf)
         if ranges.size:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.solids.model import visible_geoms
+from lidarsim.solids.model import check_forwarded, visible_geoms
 
 NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 """The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within range."""
@@ -43,10 +43,7 @@ class MujocoEngine:
         """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never forwarded."""
         starts = np.ascontiguousarray(origins, dtype=np.float64)
         vectors = np.ascontiguousarray(directions, dtype=np.float64)
-        if self._model.ngeom and not self._data.geom_xmat[0].any():  # no rotation is all zeros
-            raise ValueError(
-                "the MjData was never forwarded, so no geom has a place: call mujoco.mj_forward(model, data)"
-            )
+        check_forwarded(self._model, self._data)
         ranges = np.empty(vectors.shape[:-1], dtype=np.float64)
         # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a third of the time
         lower, upper = _boxes(self._model, self._data)

@@ -104,8 +104,9 @@ class BeamTable:
         return hashlib.sha256(self.npy).hexdigest()
 
     def __eq__(self, other: object) -> bool:
-        same = isinstance(other, BeamTable) and self.max_range_m == other.max_range_m
-        return same and np.array_equal(self.rays, other.rays)
+        if not isinstance(other, BeamTable):
+            return NotImplemented
+        return self.max_range_m == other.max_range_m and np.array_equal(self.rays, other.rays)
 
     def __hash__(self) -> int:
         return hash((self.shape, self.max_range_m))

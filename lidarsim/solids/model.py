@@ -14,12 +14,13 @@ from lidarsim.solids.surfaces import height_field, mesh_surface
 def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solids:
     """The solids of `model` in its reference configuration, or in that of `data` where given.
 
-    Raises ValueError for a geom whose shape has no closed form here (a signed distance field's), for numbers that are
+    Raises ValueError for data that were never forwarded, for a geom whose shape has no closed form here (a signed distance field's), for numbers that are
     not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
     """
     if data is None:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
+    check_forwarded(model, data)
     seen = visible_geoms(model)
     _check(model, data, seen)
     bent = seen & ((model.geom_type == MESH) | (model.geom_type == HFIELD))
@@ -44,6 +45,12 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solid
     return Solids(
         shape, size, position, rotation, lower, upper, np.concatenate(soups), start, np.array(filled, dtype=np.bool_)
     )
+
+
+def check_forwarded(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise ValueError for data in which no geom has a place yet, and which would show an empty world."""
+    if model.ngeom and not data.geom_xmat[0].any():  # no rotation is all zeros
+        raise ValueError("the MjData was never forwarded, so no geom has a place: call mujoco.mj_forward(model, data)")
 
 
 def visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:

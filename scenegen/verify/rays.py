@@ -50,8 +50,11 @@ def audit(
     solids: int,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Cast the rays of one sample anew by `engine`, among so many `solids`: their numbers in C order, (n,); the ranges found, (n,) metres, inf where none;
-    how far the stored ones are from them, (n,) metres, where no return counts as one from the end of the range."""
+    """Cast the rays of one sample anew by `engine`, whose world has so many `solids`.
+
+    Returns their numbers in C order, (n,); the ranges found, (n,) metres, inf where none; how far the stored ones are
+    from them, (n,) metres, where no return counts as one from the end of the range.
+    """
     directions = ray_directions(lidar, quaternion).reshape(-1, 3)
     chosen = np.arange(len(directions))
     most = max(MOST_PAIRS // max(solids, 1), 100)
