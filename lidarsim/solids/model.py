@@ -14,8 +14,8 @@ from lidarsim.solids.surfaces import height_field, mesh_surface
 def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solids:
     """The solids of `model` in its reference configuration, or in that of `data` where given.
 
-    Raises ValueError for data that were never forwarded, for a geom whose shape has no closed form here (a signed distance field's), for numbers that are
-    not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
+    Raises ValueError for data that were never forwarded, for a geom whose shape has no closed form here (a signed
+    distance field's), for numbers that are not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
     """
     if data is None:
         data = mujoco.MjData(model)

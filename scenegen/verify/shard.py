@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Engine, Pose, Scan, voxelize
+from lidarsim.engines import ENGINES
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.layout import DIGEST, ShardFile, most_bytes, open_file, open_shard
 from scenegen.dataset.trust import Entry
@@ -322,7 +323,8 @@ class _Samples:
 def _make_again(task: Task, shard: ShardFile, archive: Archive, ledger: Ledger) -> None:
     """A few of the shard's flights flown again, and their samples compared bit for bit."""
     reason = task.not_comparable
-    if reason and not task.contract.drawn and task.contract.scenes is None:
+    foreign = task.contract.engine not in ENGINES.known
+    if reason and (foreign or (not task.contract.drawn and task.contract.scenes is None)):
         ledger.skip("regenerated", reason)
         return
     each = task.contract.viewpoints

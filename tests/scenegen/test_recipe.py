@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from scenegen.dataset import manifest
+from scenegen.dataset.sensor import sensor_of
 from scenegen.dataset.trust import check_manifest
 from scenegen.errors import RecipeError
 from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED
@@ -75,7 +76,8 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
             outcome["refused"] += 1
             continue
         found = manifest_of(recipe)
-        _, grid, lidar = check_manifest(found, "test")
+        _, grid = check_manifest(found, "test")
+        lidar = sensor_of(found["lidar"], Path())
         assert (grid, lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world is not None
         assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS
