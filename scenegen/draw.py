@@ -60,7 +60,7 @@ def draw_unit(
         streams = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
         world_rng, flight_rng = (np.random.default_rng(stream) for stream in streams)
         world = source.world(split, number, rng=world_rng)
-        views = _fly(world, _engine_of(engine, world), recipe, rejected, rng=flight_rng)
+        views = _fly(world, engine_of(engine, world), recipe, rejected, rng=flight_rng)
         if views:
             first = turn * recipe.flight.viewpoints
             samples = tuple(
@@ -72,7 +72,8 @@ def draw_unit(
 
 
 @functools.lru_cache(maxsize=8)
-def _engine_of(engine: EngineFactory, world: World) -> Engine:
+def engine_of(engine: EngineFactory, world: World) -> Engine:
+    """What casts the rays of `world`."""
     return engine(world.model, world.data)
 
 

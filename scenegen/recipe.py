@@ -219,8 +219,8 @@ def _from_table(part: type, table: dict[str, Any], where: str) -> Any:
             raise RecipeError(f"{where} {name}: is missing, and has no default; give it a value")
     try:
         return part(**table)
-    except ValueError as error:
-        raise RecipeError(f"{where} {error}") from None
+    except (ValueError, TypeError) as error:  # a user's own sensor may check its values in either way
+        raise RecipeError(f"{where} {printable(error)}") from None
 
 
 def _check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None:
