@@ -161,7 +161,7 @@ def make_recipe(
         _check_name(kind, kind_names(), "kind", where)
         parts["world"] = found = find_kind(kind)
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
-    tables = tables | ({"lidar": {}} if sensor else {})
+    tables = tables | ({"lidar": {}} if sensor is not None else {})
     for name, table in tables.items():
         _check_name(name, tuple(sorted(parts)), "table", where)
         if not isinstance(table, dict):
@@ -172,7 +172,7 @@ def make_recipe(
         name: _from_table(part, _rooted(part, given[name], folder), f"{where}: [{name}]")
         for name, part in parts.items()
     }
-    if sensor:
+    if sensor is not None:
         built["lidar"] = sensor
     try:
         return Recipe(kind=kind, **built)

@@ -138,11 +138,11 @@ class BeamFile:
     @cached_property
     def _table(self) -> BeamTable:
         if not self.rays.is_file():  # and no pipe, whose reading might never end
-            raise ValueError(f"rays = {shown(str(self.rays))}: there is no such file")
+            raise ValueError(f"rays = {self.rays.name!a}: there is no such file in {str(self.rays.parent)!a}")
         with open(self.rays, "rb") as file:
             content = file.read(most_bytes(MOST_RAYS) + 1)
         if self.sha256 and hashlib.sha256(content).hexdigest() != self.sha256:
-            raise ValueError(f"rays = {shown(str(self.rays))}: is not the file whose sha256 is {shown(self.sha256)}")
+            raise ValueError(f"rays = {self.rays.name!a}: is not the file whose sha256 is {self.sha256[:64]!a}")
         return BeamTable(rays=read_npy(content), max_range_m=self.max_range_m, made_by=self.made_by)
 
     @property

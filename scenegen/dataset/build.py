@@ -156,7 +156,7 @@ def build(
     _check_space(plan, missing)
     # kernels compile here, once, before workers start, and hopeless parameters end here, before anything is written
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
-        missing[0].draw(missing[0].first_unit)
+        _first_unit(missing[0])
     _open_folder(plan, force=force)
     for report in reports.values():
         on_shard(report, False)
@@ -193,6 +193,10 @@ def _look(
             if report is not None:
                 found[shard.file] = report
     return found
+
+
+def _first_unit(shard: ShardSpec) -> None:
+    shard.draw(shard.first_unit)
 
 
 def check_folder(plan: Plan, *, force: bool = False) -> None:

@@ -95,9 +95,13 @@ def write_rays(sensor: Sensor, folder: Path) -> None:
 
 
 def _raster(entry: Mapping[str, Any]) -> Lidar:
+    known = [item.name for item in dataclasses.fields(Lidar)]
+    for name in entry:
+        if name not in known:
+            raise BrokenError(f"lidar: unknown parameter {short(name)}; known: {', '.join(known)}")
     try:
         return Lidar(**entry)
-    except (ValueError, TypeError) as error:
+    except ValueError as error:
         raise BrokenError(f"lidar: {printable(error)[:200]}") from None
 
 

@@ -1,5 +1,6 @@
 """The recipe and the command that make a dataset again, from its manifest alone, and the check that they do."""
 
+import re
 import shlex
 import shutil
 import tempfile
@@ -48,7 +49,7 @@ def recipe_text(found: Mapping[str, Any]) -> str:
     lines = [f"# every parameter of the dataset {found['digest']}", f"kind = {_toml(found['kind'])}"]
     for name, table in tables.items():
         if table is not None:
-            lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+            lines += ["", f"[{name}]", *(f"{_key(key)} = {_toml(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
 
 
@@ -89,6 +90,11 @@ def _advice(found: Mapping[str, Any]) -> str:
         f"this scenegen would not make the same dataset again; publish with the one that made it, {made} with "
         f"generator {generator}, or generate it anew"
     )
+
+
+def _key(name: str) -> str:
+    """A key in TOML: a manifest's may come from a stranger, and must not add lines of its own."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name, re.ASCII) else _toml(name)
 
 
 def _toml(value: Any) -> str:

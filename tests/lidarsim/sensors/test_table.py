@@ -69,7 +69,7 @@ def test_a_file_is_a_sensor_by_name(tmp_path: Path) -> None:
     assert isinstance(found, BeamFile)
     assert BeamTable.of(found) == table
     for wrong, told in (
-        (BeamFile(rays=tmp_path / "fun.npy"), "fun.npy'?: there is no such file"),
+        (BeamFile(rays=tmp_path / "fun.npy"), "rays = 'fun.npy': there is no such file in"),
         (BeamFile(rays=tmp_path / "fan.npy", sha256="0" * 64), "is not the file whose sha256 is"),
     ):
         with pytest.raises(ValueError, match=told):

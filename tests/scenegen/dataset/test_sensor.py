@@ -17,7 +17,8 @@ from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.sensor import RAYS, entry_of, sensor_of, write_rays
 from scenegen.draw import draw_unit
-from scenegen.errors import BrokenError, DatasetError
+from scenegen.errors import BrokenError, DatasetError, PublishError
+from scenegen.publish.regenerate import check_recipe, recipe_text
 from scenegen.source import DrawnWorlds
 from scenegen.verify import verify
 from tests.conftest import small_recipe
@@ -169,6 +170,20 @@ def test_no_reader_imports_what_a_manifest_names(tmp_path: Path, monkeypatch: py
     with pytest.raises(DatasetError, match=r"lidar\.sensor = 'trap:Sensor'"):
         Dataset(folder)
     assert not verify(folder).ok
+    assert "trap" not in sys.modules
+
+
+def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
+    tmp_path: Path, table: BeamTable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lidar = dataclasses.replace(table, made_by="''' #")
+    dataset = build_with(tmp_path / "data", lidar)
+    check_recipe(dataset, recipe_text(dataset.manifest))
+    (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
+    monkeypatch.chdir(tmp_path)
+    dataset.manifest["recipe"]["accept"]["y = 1\n[lidar]\nsensor = 'trap:Sensor'\nx = '''"] = 1
+    with pytest.raises(PublishError, match="would not make the same dataset"):
+        check_recipe(dataset, recipe_text(dataset.manifest))
     assert "trap" not in sys.modules
 
 
