@@ -77,7 +77,7 @@ def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(example
         ("my_sensor.py", "np.cos(away),", "2 * np.cos(away),", "[lidar] sensor Rosette: a ray's direction has length"),
         ("my_sensor.py", "return (self.rays,)", "return (7,)", "directions_body has shape (300, 3), expected (7, 3)"),
         ("my_sensor.py", "20.0", "'a' / 2", "[lidar] sensor Rosette: it fails: "),
-        ("my.toml", "rays = 300", "rays = 'many'", "[lidar] sensor Rosette: it fails: "),
+        ("my.toml", "rays = 300", "rays = 'many'", "[lidar] sensor Rosette: "),
         ("my_sensor.py", "@dataclass(frozen=True, kw_only=True)\n", "", "expected a dataclass"),
     ],
 )
