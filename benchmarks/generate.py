@@ -38,6 +38,7 @@ STAGES: dict[str, tuple[Any, str]] = {
     "draw world, write MJCF, compile": (source_module, "write_world"),
     "  of which compile, read solids": (world_module, "compile_world"),
     "plan flight": (draw_module, "plan"),
+    "make engine": (draw_module, "engine_of"),
     "cast rays": (draw_module, "cast"),
     "occupancy": (draw_module, "rasterize"),
     "observed and free": (draw_module, "voxelize"),

@@ -10,12 +10,11 @@ import numpy as np
 import pyvista as pv
 
 from lidarsim import Pose, Scan
+from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE, Solids
 from scenegen.draw import Unit, draw_unit
 from scenegen.recipe import Recipe, preset
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
-from scenegen.truth import Solids
-from scenegen.truth.shapes import BOX, CYLINDER, SPHERE
 
 OUT = Path(__file__).parent / "pictures"
 HEIGHTS = "viridis"

@@ -1,18 +1,13 @@
 """One turn of the sensor: cast every ray, keep the ranges."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.lidar import Lidar
-from lidarsim.pose import Pose
-
-if TYPE_CHECKING:  # whoever casts has an engine imported; who reads a scan needs none
-    from lidarsim.casters import Caster
+from lidarsim.engines import Engine
+from lidarsim.pose import Pose, rotate
+from lidarsim.sensors import Sensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,18 +15,31 @@ class Scan:
     """What a LiDAR at a pose returned. `ranges` alone is measured: everything else about the rays follows."""
 
     ranges: NDArray[np.float32]
-    """(rows, columns), metres along each ray; ``inf`` where nothing returned."""
+    """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
     pose: Pose
-    lidar: Lidar
+    lidar: Sensor
+
+    @property
+    def directions(self) -> NDArray[np.float64]:
+        """Unit vectors of the rays, (*lidar.shape, 3), in the world."""
+        return rotate(self.pose.quaternion, self.lidar.directions_body)
 
     def points(self) -> NDArray[np.float64]:
         """The returns, (M, 3) in the world, in ray order."""
         hit = np.isfinite(self.ranges)
-        directions = self.lidar.directions(self.pose.quaternion)[hit]
-        return self.pose.position + self.ranges[hit].astype(np.float64)[:, None] * directions
+        return self.pose.position + self.ranges[hit].astype(np.float64)[:, None] * self.directions[hit]
 
 
-def cast(caster: Caster, lidar: Lidar, pose: Pose) -> Scan:
-    """Scan the caster's world with `lidar` carried by a body at `pose`."""
-    ranges = caster.cast(pose.position, lidar.directions(pose.quaternion), lidar.max_range_m)
-    return Scan(ranges.astype(np.float32), pose, lidar)
+def cast(engine: Engine, lidar: Sensor, pose: Pose) -> Scan:
+    """Scan the engine's world with `lidar` carried by a body at `pose`.
+
+    Raises ValueError where the engine gives what are no ranges of the sensor's rays.
+    """
+    directions = rotate(pose.quaternion, lidar.directions_body)
+    ranges = np.asarray(engine.cast(pose.position[None], directions[None], lidar.max_range_m))
+    name, expected = type(engine).__name__, (1, *lidar.shape)
+    if ranges.shape != expected:
+        raise ValueError(f"{name}.cast gave ranges of shape {ranges.shape}, expected {expected}")
+    if not (ranges >= 0).all():
+        raise ValueError(f"{name}.cast gave ranges below 0, or that are no numbers; expected metres, or inf")
+    return Scan(ranges[0].astype(np.float32), pose, lidar)

@@ -35,7 +35,7 @@ def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = No
     """
     position = scan.pose.position
     origin = grid.origin_at(position) if origin is None else np.asarray(origin, dtype=np.float64)
-    directions = np.ascontiguousarray(scan.lidar.directions(scan.pose.quaternion)).reshape(-1, 3)
+    directions = scan.directions.reshape(-1, 3)
     observed = np.zeros(grid.shape, dtype=np.bool_)
     free = np.zeros(grid.shape, dtype=np.bool_)
     _walk(position, directions, scan.ranges.reshape(-1), scan.lidar.max_range_m, origin, grid.voxel_m, observed, free)

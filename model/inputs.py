@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import GridSpec
-from scenegen.limits import MOST_LENGTH_M
+from lidarsim.limits import MOST_LENGTH_M
 from scenegen.sample import Sample
 
 SYMMETRIES = 8

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.jit import kernel
+from lidarsim.solids.shapes import Solids
 from scenegen.truth.shapes import distance
-from scenegen.truth.solids import Solids
 from scenegen.truth.triangles import crossing, triangle_distance
 
 CELL_M = 2.0

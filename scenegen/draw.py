@@ -1,12 +1,14 @@
 """One unit of work: a world is drawn, flown through and scanned, and its samples come out. The whole method is here."""
 
+import functools
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from lidarsim import Pose, Scan, cast, voxelize
+from lidarsim import Engine, MujocoEngine, Pose, Scan, cast, voxelize
+from lidarsim.engines import EngineFactory
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
 from scenegen.flight import plan, viewpoints
@@ -36,9 +38,19 @@ class Unit:
     rejected: Rejections
 
 
-def draw_unit(source: Source, recipe: Recipe, *, seed: int, split: str, unit: int, derived: bool = True) -> Unit:
+def draw_unit(
+    source: Source,
+    recipe: Recipe,
+    *,
+    seed: int,
+    split: str,
+    unit: int,
+    derived: bool = True,
+    engine: EngineFactory = MujocoEngine.of,
+) -> Unit:
     """Samples of unit `unit` of `split`: they depend on the arguments alone, not on what was drawn before.
 
+    `engine` makes what casts the rays of a world, which a world drawn by hand shares among its flights.
     A draw that is rejected is made again under the same number. `derived` False leaves `tudf` out (an empty array
     stands in); `free` comes with `observed` anyway. Raises GenerationError after `recipe.accept.max_draws` draws.
     """
@@ -48,7 +60,7 @@ def draw_unit(source: Source, recipe: Recipe, *, seed: int, split: str, unit: in
         streams = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
         world_rng, flight_rng = (np.random.default_rng(stream) for stream in streams)
         world = source.world(split, number, rng=world_rng)
-        views = _fly(world, recipe, rejected, rng=flight_rng)
+        views = _fly(world, engine_of(engine, world), recipe, rejected, rng=flight_rng)
         if views:
             first = turn * recipe.flight.viewpoints
             samples = tuple(
@@ -59,8 +71,14 @@ def draw_unit(source: Source, recipe: Recipe, *, seed: int, split: str, unit: in
     raise GenerationError(_hopeless(recipe, rejected, split, number))
 
 
+@functools.lru_cache(maxsize=8)
+def engine_of(engine: EngineFactory, world: World) -> Engine:
+    """What casts the rays of `world`."""
+    return engine(world.model, world.data)
+
+
 def _fly(
-    world: World, recipe: Recipe, rejected: Rejections, *, rng: np.random.Generator
+    world: World, engine: Engine, recipe: Recipe, rejected: Rejections, *, rng: np.random.Generator
 ) -> list[tuple[Scan, np.ndarray]] | None:
     """Scans and occupancies from one flight's viewpoints, in flight order; None, with the reason counted, if the world
     yields no acceptable flight."""
@@ -76,7 +94,7 @@ def _fly(
         kept: list[tuple[float, Scan, np.ndarray]] = []
         for n in range(len(candidates)):
             if _apart(candidates.positions[n], kept, recipe.flight.spacing_m):
-                view = _look(world, candidates.pose(n), recipe, rejected)
+                view = _look(world, engine, candidates.pose(n), recipe, rejected)
                 if view is not None:
                     kept.append((candidates.flown_m[n], *view))
             if len(kept) == recipe.flight.viewpoints:
@@ -86,9 +104,14 @@ def _fly(
     return None
 
 
-def _look(world: World, pose: Pose, recipe: Recipe, rejected: Rejections) -> tuple[Scan, np.ndarray] | None:
+def _look(
+    world: World, engine: Engine, pose: Pose, recipe: Recipe, rejected: Rejections
+) -> tuple[Scan, np.ndarray] | None:
     """The scan and the occupancy at a viewpoint; None, with the reason counted, where there is next to nothing."""
-    scan = cast(world.caster, recipe.lidar, pose)
+    try:
+        scan = cast(engine, recipe.lidar, pose)
+    except ValueError as error:
+        raise GenerationError(f"the engine fails: {error}") from None
     if np.count_nonzero(np.isfinite(scan.ranges)) < scan.ranges.size * recipe.accept.min_returned_share:
         rejected.viewpoints["few_returns"] += 1
         return None

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from scenegen.truth.shapes import HFIELD, MESH, PLANE
+from lidarsim.solids.shapes import HFIELD, MESH, PLANE
 from scenegen.world import FLIGHT_BOUNDS, least_memory
 
 

@@ -9,6 +9,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from lidarsim import Pose
+from lidarsim.limits import MOST_LENGTH_M
 from lidarsim.parameters import check, number
 from scenegen.clearance import CAP_M, Clearance
 from scenegen.errors import GenerationError
@@ -18,7 +19,6 @@ from scenegen.limits import (
     MOST_DRAWN_M,
     MOST_FLIGHTS,
     MOST_ITERATIONS,
-    MOST_LENGTH_M,
     MOST_VIEWPOINTS,
 )
 

@@ -5,8 +5,7 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.truth import Solids
-from scenegen.truth.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
 
 ROUND_M = 1e-5
 """Lengths are rounded to this before they are hashed: more than arithmetic can move them, less than matters."""

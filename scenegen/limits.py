@@ -61,12 +61,8 @@ MOST_DEPTH = 200
 """The most levels to which MJCF, JSON or TOML may nest."""
 MOST_CELLS = 1 << 24
 """The most cells of a height field, pixels of an image, or numbers in an MJCF attribute."""
-MOST_TRIANGLES = 5_000_000
-"""The most triangles of a world's meshes and height fields, each counted as often as a geom uses it: 360 MB."""
 MOST_BUILTIN = 300
 """The largest parameter of a mesh that MuJoCo makes by itself, such as its resolution: some 100,000 vertices."""
-MOST_LENGTH_M = 1e6
-"""The largest size or coordinate in a world, metres: float64 then keeps a tenth of a nanometre."""
 MOST_DOCUMENT_BYTES = 16 << 20
 """The most bytes of an MJCF document."""
 MOST_ASSET_BYTES = 64 << 20

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.parameters import check, number
+from lidarsim.sensors import RASTER, SENSORS
 from scenegen.errors import DatasetError, RecipeError, printable, short
 from scenegen.files import read_bounded
 from scenegen.flight import Flight
@@ -63,10 +64,13 @@ class Recipe:
     """How worlds are drawn; None for worlds drawn by hand."""
     flight: Flight = field(default_factory=Flight)
     accept: Acceptance = field(default_factory=Acceptance)
-    lidar: Lidar = field(default_factory=Lidar)
+    lidar: Sensor = field(default_factory=Lidar)
+    """The sensor. One that is no raster becomes the table of its rays, which needs no code of the user's any more."""
     grid: GridSpec = field(default_factory=GridSpec)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.lidar, Lidar | BeamTable):
+            object.__setattr__(self, "lidar", _beam_table(self.lidar))
         grid, flight = self.grid, self.flight
         voxels = math.prod(grid.shape)
         if voxels > MOST_VOXELS:
@@ -119,6 +123,7 @@ def read_recipe(path: Path, kind: str | None = None) -> Recipe:
     """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar] and [grid] of what differs
     from the preset. `kind`, where given, stands in for the file's.
 
+    A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its `[lidar] sensor` first.
     Raises RecipeError naming the file, the table and the parameter.
     """
     where = printable(path)
@@ -142,14 +147,17 @@ def read_recipe(path: Path, kind: str | None = None) -> Recipe:
         raise RecipeError(f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the two out")
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
-    return make_recipe(named, tables, where=where)
+    return make_recipe(named, tables, where=where, folder=path.parent)
 
 
-def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
+def make_recipe(
+    kind: str, tables: dict[str, Any], *, where: str, folder: Path = Path(), sensor: Sensor | None = None
+) -> Recipe:
     """The preset of `kind` with the values in `tables` put in; `where` names their source in errors.
 
-    The module of a user's own kind is imported, so `kind` must not come from a stranger's file. Raises
-    RecipeError naming the table and the parameter.
+    The modules of a user's own kind and sensor are imported, so neither name may come from a stranger's file. Paths in
+    `tables` are relative to `folder`. A `sensor` that is given takes the place of the table [lidar], which is then not
+    looked at. Raises RecipeError naming the table and the parameter.
     """
     parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec}
     defaults: dict[str, dict[str, Any]] = {}
@@ -159,14 +167,19 @@ def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
         except ValueError as error:
             raise RecipeError(f"{where}: {error}") from None
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
+    tables = tables | ({"lidar": {}} if sensor is not None else {})
     for name, table in tables.items():
         _check_name(name, tuple(sorted(parts)), "table", where)
         if not isinstance(table, dict):
             raise RecipeError(f"{where}: {name} = {short(table)}: expected a table, [{name}], of parameters")
+    given = {name: defaults.get(name, {}) | dict(tables.get(name, {})) for name in parts}
+    parts["lidar"] = _find_sensor(given["lidar"].pop("sensor", RASTER), where)
     built = {
-        name: _from_table(part, defaults.get(name, {}) | dict(tables.get(name, {})), f"{where}: [{name}]")
+        name: _from_table(part, _rooted(part, given[name], folder), f"{where}: [{name}]")
         for name, part in parts.items()
     }
+    if sensor is not None:
+        built["lidar"] = sensor
     try:
         recipe = Recipe(kind=kind, **built)
         json.dumps(recipe.resolved())
@@ -175,6 +188,34 @@ def make_recipe(kind: str, tables: dict[str, Any], *, where: str) -> Recipe:
     except ValueError as error:
         raise RecipeError(f"{where}: {error}") from None
     return recipe
+
+
+def _find_sensor(name: Any, where: str) -> type:
+    """The class of the sensor called `name`."""
+    try:
+        found = SENSORS.find(name if isinstance(name, str) else short(name))
+    except ValueError as error:
+        raise RecipeError(f"{where}: [lidar] {printable(error)}") from None
+    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+        raise RecipeError(f"{where}: [lidar] sensor = {short(name)}: expected a dataclass, whose fields a recipe sets")
+    return found
+
+
+def _beam_table(sensor: Sensor) -> BeamTable:
+    """The rays of a user's own sensor. Raises ValueError, whatever its code raises."""
+    try:
+        return BeamTable.of(sensor)
+    except Exception as error:
+        said = printable(error) if isinstance(error, ValueError) else f"it fails: {printable(repr(error))}"
+        raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {said}") from None
+
+
+def _rooted(part: type, table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A table of values whose paths are relative to `folder`, the recipe's."""
+    paths = {item.name for item in dataclasses.fields(part) if item.type in (Path, "Path")}
+    return {
+        name: folder / value if name in paths and isinstance(value, str) else value for name, value in table.items()
+    }
 
 
 def _from_table(part: type, table: dict[str, Any], where: str) -> Any:
@@ -188,8 +229,8 @@ def _from_table(part: type, table: dict[str, Any], where: str) -> Any:
             raise RecipeError(f"{where} {name}: is missing, and has no default; give it a value")
     try:
         return part(**table)
-    except ValueError as error:
-        raise RecipeError(f"{where} {error}") from None
+    except (ValueError, TypeError) as error:  # a user's own sensor may check its values in either way
+        raise RecipeError(f"{where} {printable(error)}") from None
 
 
 def _check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Lidar, Pose, Scan, voxelize
+from lidarsim import GridSpec, Pose, Scan, Sensor, voxelize
+from scenegen.truth import distance_field
 
 
 def _stored(dtype: str, axes: str, meaning: str, *, unit: str = "", derived: bool = False) -> Any:
@@ -63,14 +64,14 @@ def stored_fields(compact: bool) -> tuple[str, ...]:
     return tuple(name for name, meta in SCHEMA.items() if not (compact and meta["derived"]))
 
 
-def shape_of(name: str, grid: GridSpec, lidar: Lidar) -> tuple[int, ...]:
+def shape_of(name: str, grid: GridSpec, lidar: Sensor) -> tuple[int, ...]:
     """Shape of one sample's field `name`."""
     axes = SCHEMA[name]["axes"]
-    named: dict[str, tuple[int, ...]] = {"grid": grid.shape, "rays": (lidar.rows, lidar.columns), "": ()}
+    named: dict[str, tuple[int, ...]] = {"grid": grid.shape, "rays": lidar.shape, "": ()}
     return named[axes] if axes in named else (int(axes),)
 
 
-def describe_fields(grid: GridSpec, lidar: Lidar) -> dict[str, dict[str, Any]]:
+def describe_fields(grid: GridSpec, lidar: Sensor) -> dict[str, dict[str, Any]]:
     """Every field of a sample: name to its numpy `dtype`, `shape`, `unit` ("" for none), and `meaning`."""
     return {
         name: {
@@ -89,15 +90,14 @@ def derive_free(
     quaternion: NDArray[np.float64],
     origin: NDArray[np.float64],
     *,
-    lidar: Lidar,
+    lidar: Sensor,
     grid: GridSpec,
 ) -> NDArray[np.bool_]:
-    """The `free` of a sample from its stored ranges (rows, columns), pose and origin, bit for bit."""
+    """The `free` of a sample from its stored ranges (*lidar.shape), pose and origin, bit for bit."""
     return voxelize(Scan(ranges, Pose(position, quaternion), lidar), grid, origin).free
 
 
 def derive_tudf(occupancy: NDArray[np.bool_], *, grid: GridSpec) -> NDArray[np.float32]:
     """The `tudf` of a sample from its occupancy, bit for bit."""
-    from scenegen.truth import distance_field  # which imports MuJoCo; reading what is stored does without
 
     return distance_field(occupancy, grid)

@@ -7,7 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from lidarsim.casters.mujoco import visible_geoms
+from lidarsim.solids.model import solids_of, visible_geoms
+from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
 from scenegen.errors import BrokenError, SceneError
 from scenegen.flatten import flatten
 from scenegen.geometry import geometry_digest
@@ -15,8 +16,6 @@ from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.parts import look_over
 from scenegen.quiet import quiet_mujoco
 from scenegen.screen import screen
-from scenegen.truth import Solids, solids_of
-from scenegen.truth.shapes import HFIELD, MESH, PLANE
 from scenegen.world import compile_world, least_memory, one_line
 
 MOST_MOVED = 1e-6

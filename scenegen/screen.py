@@ -7,6 +7,7 @@ import struct
 from collections.abc import Mapping
 from xml.parsers import expat
 
+from lidarsim.limits import MOST_LENGTH_M
 from scenegen.errors import BrokenError, short
 from scenegen.limits import (
     MOST_ASKED,
@@ -15,7 +16,6 @@ from scenegen.limits import (
     MOST_DEPTH,
     MOST_ELEMENTS,
     MOST_GEOMS,
-    MOST_LENGTH_M,
 )
 
 FORBIDDEN = {"include", "attach", "model", "plugin", "extension", "replicate", "composite", "flexcomp", "skin", "flex"}

@@ -8,13 +8,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import MujocoCaster
-from lidarsim.casters.mujoco import visible_geoms
+from lidarsim.limits import MOST_LENGTH_M
+from lidarsim.solids.model import solids_of, visible_geoms
+from lidarsim.solids.shapes import Solids
 from scenegen.clearance import Clearance
 from scenegen.errors import SceneError, printable, short
-from scenegen.limits import MOST_LENGTH_M
 from scenegen.quiet import quiet_mujoco
-from scenegen.truth import Solids, solids_of
 
 FLIGHT_BOUNDS = "flight_bounds"
 """Name of the MJCF <numeric> that holds the box, least corner then greatest, in which the sensor may fly."""
@@ -22,15 +21,16 @@ FLIGHT_BOUNDS = "flight_bounds"
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One world, ready to be scanned. The compiled model is the one source of truth: rays, occupancy and collision
-    checks all read it, whether a recipe drew the world or a person did."""
+    """One world, ready for an engine to scan it. The compiled model is the one source of truth: rays, occupancy and
+    collision checks all read it, whether a recipe drew the world or a person did."""
 
     mjcf: bytes
     """The document, UTF-8."""
     assets: Mapping[str, bytes]
     """The files that the document refers to, by the names it uses."""
     model: mujoco.MjModel
-    caster: MujocoCaster
+    data: mujoco.MjData
+    """The model's reference configuration, forwarded: where its geoms are. Not to be changed."""
     solids: Solids
     flight_bounds: NDArray[np.float64]
     """(2, 3): least and greatest corner of the box in which the sensor may fly, metres."""
@@ -91,7 +91,7 @@ def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name
         solids = solids_of(model, data)
     except ValueError as error:
         raise SceneError(f"{name}: {one_line(error)}") from None
-    return World(mjcf, assets, model, MujocoCaster(model, data), solids, _flight_bounds(model, solids, name), unseen)
+    return World(mjcf, assets, model, data, solids, _flight_bounds(model, solids, name), unseen)
 
 
 def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> NDArray[np.float64]:

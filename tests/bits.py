@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim import Lidar
+from lidarsim.solids.model import solids_of
 from scenegen.chance import attitudes, log_uniform, normal
 from scenegen.draw import draw_unit
 from scenegen.flight import viewpoints
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds, Source, read_scenes
-from scenegen.truth import solids_of
 
 SCENES = Path(__file__).parent.parent / "scenes"
 UNITS = 2

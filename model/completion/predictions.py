@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim import GridSpec
+from lidarsim.limits import MOST_LENGTH_M
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, GuardError, empty_split
 from scenegen.files import open_bounded, whole, write_whole
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_LENGTH_M
+from scenegen.limits import GUARD_BYTES, GUARD_S
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, Prediction, Thresholds

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lidarsim.engines import ENGINES, MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.shard import ShardReport, ShardSpec, write_shard
 from scenegen.dataset.state import Plan, State
-from scenegen.draw import draw_unit
-from scenegen.errors import DatasetError, short
+from scenegen.errors import DatasetError, printable, short
 from scenegen.files import remove_drafts
 from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
 from scenegen.recipe import Recipe
@@ -49,16 +49,24 @@ def plan_dataset(
     counts: Mapping[str, int],
     compact: bool = False,
     shard_samples: int = USUAL_IN_SHARD,
+    engine: str = MUJOCO,
 ) -> Plan:
     """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units.
 
-    Raises DatasetError for numbers beyond those that readers take.
+    `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an engine that is not to
+    be had, and for numbers beyond those that readers take.
     """
     _check_asked("--seed", seed, 0, MOST_SEED)
     _check_asked("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
     for split, count in counts.items():
         _check_asked("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
-    given = manifest.parameters(recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples)
+    try:
+        ENGINES.find(engine)
+    except ValueError as error:
+        raise DatasetError(printable(error)) from None
+    given = manifest.parameters(
+        recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples, engine=engine
+    )
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints
     step = max(shard_samples // each, 1)
@@ -84,9 +92,10 @@ def plan_dataset(
                     parameters=fingerprint,
                     recipe=recipe,
                     source=source,
+                    engine=engine,
                 )
             )
-    return Plan(folder=folder, parameters=given, shards=tuple(shards))
+    return Plan(folder=folder, parameters=given, shards=tuple(shards), lidar=recipe.lidar)
 
 
 def _check_asked(option: str, value: int, least: int, most: int) -> None:
@@ -138,9 +147,7 @@ def build(
 
 
 def _first_unit(shard: ShardSpec) -> None:
-    draw_unit(
-        shard.source, shard.recipe, seed=shard.seed, split=shard.split, unit=shard.first_unit, derived=not shard.compact
-    )
+    shard.draw(shard.first_unit)
 
 
 def check_folder(plan: Plan, *, force: bool = False) -> None:

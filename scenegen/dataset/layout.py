@@ -16,7 +16,7 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import GridSpec, Sensor
 from scenegen.dataset.foreign import read_index
 from scenegen.dataset.messages import Hdf5Error, Stored
 from scenegen.errors import BrokenError, DatasetError, printable, short
@@ -34,7 +34,7 @@ Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 """Every dataset that a shard has to hold: its type, and the shape of one sample."""
 
 
-def layout_of(fields: Iterable[str], grid: GridSpec, lidar: Lidar) -> Layout:
+def layout_of(fields: Iterable[str], grid: GridSpec, lidar: Sensor) -> Layout:
     """The layout of a shard that stores `fields`."""
     found = {name: (np.dtype(SCHEMA[name]["dtype"]), shape_of(name, grid, lidar)) for name in fields}
     return {**found, DIGEST: (np.dtype(np.uint8), (32,))}

@@ -1,6 +1,5 @@
 """The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust` checks its values."""
 
-import dataclasses
 import hashlib
 import json
 import platform
@@ -9,7 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lidarsim.engines import MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
+from scenegen.dataset.sensor import entry_of
 from scenegen.errors import MOST_TOLD, DatasetError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
@@ -32,7 +33,14 @@ GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m"}
 
 
 def parameters(
-    recipe: "Recipe", source: "Source", *, seed: int, counts: Mapping[str, int], compact: bool, shard_samples: int
+    recipe: "Recipe",
+    source: "Source",
+    *,
+    seed: int,
+    counts: Mapping[str, int],
+    compact: bool,
+    shard_samples: int,
+    engine: str = MUJOCO,
 ) -> dict[str, Any]:
     """The part of the manifest that is known before anything is drawn, and decides everything after."""
     return {
@@ -45,8 +53,9 @@ def parameters(
         "recipe": _plain(recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})),
         "fields": list(stored_fields(compact)),
         "grid": _plain({name: getattr(recipe.grid, ours) for name, ours in GRID.items()}),
-        "lidar": _plain(dataclasses.asdict(recipe.lidar)),
+        "lidar": entry_of(recipe.lidar),
         "shard_samples": shard_samples,
+        **({} if engine == MUJOCO else {"engine": engine}),
         "software": software(),
     }
 

@@ -32,6 +32,9 @@ def text(pattern: str, words: str) -> Rule:
     return Rule(lambda value: isinstance(value, str) and matches(value) is not None, words)
 
 
+DIGEST = text("[0-9a-f]{64}", "a SHA-256, 64 hexadecimal digits")
+
+
 def optional(rule: Rule) -> Rule:
     """What `rule` allows, or null."""
     return Rule(lambda value: value is None or rule.fits(value), f"{rule.words}, or null")

@@ -15,10 +15,11 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.engines import ENGINES, MUJOCO
 from scenegen.dataset.layout import DIGEST, ShardFile, layout_of, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
-from scenegen.errors import BrokenError
+from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA, Sample, shape_of, stored_fields
@@ -47,6 +48,24 @@ class ShardSpec:
     """Digest of the manifest's parameters; written into the shard, so that it is never taken for another dataset's."""
     recipe: Recipe
     source: Source
+    engine: str = MUJOCO
+    """Name of the engine that casts the rays; see `lidarsim.engines.ENGINES`."""
+
+    def draw(self, unit: int) -> Unit:
+        """Unit `unit` of the split. Raises GenerationError, and DatasetError for an engine that is not to be had."""
+        try:
+            engine = ENGINES.find(self.engine).of
+        except ValueError as error:
+            raise DatasetError(str(error)) from None
+        return draw_unit(
+            self.source,
+            self.recipe,
+            seed=self.seed,
+            split=self.split,
+            unit=unit,
+            derived=not self.compact,
+            engine=engine,
+        )
 
     @property
     def file(self) -> Path:
@@ -81,11 +100,7 @@ def write_shard(spec: ShardSpec) -> ShardReport:
     """
     with _ShardContent(spec) as content:
         for unit in range(spec.first_unit, spec.first_unit + spec.units):
-            content.add(
-                draw_unit(
-                    spec.source, spec.recipe, seed=spec.seed, split=spec.split, unit=unit, derived=not spec.compact
-                )
-            )
+            content.add(spec.draw(unit))
         worlds = content.worlds()
         samples = content.samples(worlds_sha256=file_digest(worlds))
     write_whole(spec.worlds_file, worlds)

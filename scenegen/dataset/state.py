@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lidarsim import GridSpec
+from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
+from scenegen.dataset.sensor import write_rays
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, remove_drafts
@@ -24,6 +25,7 @@ class Plan:
     folder: Path
     parameters: dict[str, Any]
     shards: tuple[ShardSpec, ...]
+    lidar: Sensor
 
     @property
     def samples(self) -> int:
@@ -81,7 +83,7 @@ class State:
         differing = manifest.differences(manifest.completed(there), self.plan.parameters)
         if not differing:
             try:
-                return {entry.file: entry for entry in trust.parse(there).shards}
+                return {entry.file: entry for entry in trust.parse(there, folder).shards}
             except BrokenError:  # what it says of its shards is damaged: they are held against their own digests
                 return {}
         if not self._force and _shard_files(folder):
@@ -120,6 +122,7 @@ class State:
             # the new manifest comes first: shards that carry another fingerprint are not taken for its own
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
             self._listed = {}
+        write_rays(self.plan.lidar, folder)
         planned = {path for shard in self.plan.shards for path in (shard.file, shard.worlds_file)}
         for file in _shard_files(folder):
             if not begun or file not in planned:  # another dataset's, or left by a replacement that was killed

@@ -9,13 +9,28 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import GridSpec, Sensor
+from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
-from scenegen.dataset.rules import FLAG, LIST, TABLE, Rule, check, checked, optional, ruled, table_of, text, whole
+from scenegen.dataset.rules import (
+    DIGEST,
+    FLAG,
+    LIST,
+    TABLE,
+    Rule,
+    check,
+    checked,
+    optional,
+    ruled,
+    table_of,
+    text,
+    whole,
+)
+from scenegen.dataset.sensor import files_of, sensor_of
 from scenegen.errors import BrokenError, DatasetError, RecipeError, printable, short
-from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
+from scenegen.limits import MOST_KIND_NAME, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
 from scenegen.sample import stored_fields
 
 if TYPE_CHECKING:  # which imports what draws worlds
@@ -30,7 +45,6 @@ _FIELDS = Rule(
 )
 _GIVEN = Rule(lambda value: True, "a value")
 _TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
-_DIGEST = text("[0-9a-f]{64}", "a SHA-256, 64 hexadecimal digits")
 _FILE = text(r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)", "such as train-00000.h5 or train-00000.worlds.zip")
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
 _RECIPE_RULES = {
@@ -61,8 +75,8 @@ class Entry:
     split: str = ruled(Rule(lambda value: value in SPLITS, "train, val or test"))
     samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
     first_world: int = ruled(_COUNT)
-    sha256: str = ruled(_DIGEST)
-    worlds_sha256: str = ruled(_DIGEST)
+    sha256: str = ruled(DIGEST)
+    worlds_sha256: str = ruled(DIGEST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +87,7 @@ class Manifest:
     """The part of the file that is known before anything is drawn, as it stands there."""
     generator: int = ruled(whole(1, MOST_SEED))
     """The generator that made the dataset, see `scenegen.GENERATOR`."""
-    kind: str = ruled(text(r"\w[\w.-]{0,99}", "the name of a kind of worlds"))
+    kind: str = ruled(text(rf"(?=.{{1,{MOST_KIND_NAME}}}$)\w[\w.-]*(:\w+)?", "the name of a kind of worlds"))
     seed: int = ruled(whole(0, MOST_SEED))
     counts: Mapping[str, int] = ruled(TABLE)
     """Samples that each split is to hold."""
@@ -82,23 +96,31 @@ class Manifest:
     fields: tuple[str, ...]
     """Names of the fields that shards store."""
     grid: GridSpec
-    lidar: Lidar
+    folder: Path
+    """Where the file lies."""
+    engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
+    """What cast the rays; never imported unless it is one of ours."""
     shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
     software: Mapping[str, str] = ruled(_TEXTS)
     complete: bool = ruled(FLAG)
     shards: tuple[Entry, ...]
     rejected: Mapping[str, Mapping[str, int]] = ruled(TABLE)
     """Rejections by reason, of `worlds` and of `viewpoints`."""
-    digest: str | None = ruled(optional(_DIGEST))
+    digest: str | None = ruled(optional(DIGEST))
     """Of all samples; None as long as shards are missing."""
 
     @property
     def files(self) -> dict[str, str]:
         """Every file that the manifest lists, with its SHA-256."""
-        found: dict[str, str] = {}
+        found = files_of(self.parameters["lidar"])
         for entry in self.shards:
             found |= {entry.file: entry.sha256, entry.worlds: entry.worlds_sha256}
         return found
+
+    @cached_property
+    def lidar(self) -> Sensor:
+        """The sensor. Raises BrokenError where the table of its rays is damaged."""
+        return sensor_of(self.parameters["lidar"], self.folder)
 
     @property
     def layout(self) -> Layout:
@@ -122,25 +144,28 @@ class Manifest:
         from scenegen.recipes import kind_names
 
         tables = {name: table for name, table in self.tables.items() if name not in ("version", "scenes")}
-        tables |= {"lidar": dataclasses.asdict(self.lidar), "grid": dataclasses.asdict(self.grid)}
+        tables["grid"] = dataclasses.asdict(self.grid)
         drawn = self.kind in (*kind_names(), named)
         if not drawn:
             tables.pop("world", None)
         try:
-            return make_recipe(self.kind if drawn else "scene", tables, where=manifest.NAME)
+            return make_recipe(self.kind if drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
         except RecipeError as error:
             raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 
 
-def parse(document: Mapping[str, Any]) -> Manifest:
-    """A manifest's content, checked. Raises BrokenError with what is wrong, where, and what was expected."""
-    found = {"generator": 1} | dict(document)
+def parse(document: Mapping[str, Any], folder: Path) -> Manifest:
+    """The content of the manifest in `folder`, checked. Raises BrokenError with what is wrong, where, and what was
+    expected."""
+    found: dict[str, Any] = {"generator": 1, "engine": MUJOCO} | dict(document)
     plain = checked(Manifest, found, "")
     check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE}, "")
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
     check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
     check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
     check(found["grid"], dict.fromkeys(manifest.GRID, _GIVEN), "grid")
+    check(found, {"lidar": TABLE}, "")
+    files_of(found["lidar"])
     shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:
@@ -154,7 +179,7 @@ def parse(document: Mapping[str, Any]) -> Manifest:
         tables=found["recipe"],
         fields=tuple(found["fields"]),
         grid=grid,
-        lidar=_made(Lidar, found.get("lidar"), {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar"),
+        folder=folder,
         shards=shards,
     )
 
@@ -181,7 +206,7 @@ def load(folder: Path, name: str = "") -> Manifest:
     no dataset's files, or not as many samples as the counts say.
     """
     try:
-        found = parse(manifest.read(folder))
+        found = parse(manifest.read(folder), folder)
         for split, asked in found.counts.items():
             total = sum(entry.samples for entry in found.shards if entry.split == split)
             if total > asked or (found.complete and total < asked):

@@ -58,7 +58,7 @@ def _fields(it: Publication) -> str:
         shape = " × ".join(map(str, field["shape"]))
         kind = f"{field['dtype']} ({shape})" if shape else field["dtype"]
         rows.append(f"| `{name}` | {kind} | {field['unit'] or '–'} | {field['meaning']} |")
-    grid, lidar = it.manifest.grid, it.manifest.lidar
+    grid = it.manifest.grid
     absent = [f"`{name}`" for name in ("free", "tudf") if name not in it.fields]
     derived = f" {' and '.join(absent)} follow from these; scenegen derives them on reading." if absent else ""
     table = "\n".join(rows)
@@ -68,8 +68,7 @@ def _fields(it: Publication) -> str:
 
 Grids are indexed x, y, z; z points up; voxels are {grid.voxel_m:g} m wide and the sensor sits at the map's centre.
 A voxel that is neither observed nor free is unknown. Distances end at {grid.truncation_m:g} m. The LiDAR has
-{lidar.rows} × {lidar.columns} rays over {lidar.vertical_fov_deg:g}° × {lidar.horizontal_fov_deg:g}°,
-{lidar.pitch_deg:g}° nose down, and reaches {lidar.max_range_m:g} m.{derived}
+{it.manifest.lidar}.{derived}
 
 Every `SPLIT-NNNNN.h5` is a plain HDF5 file with samples along the first dimension; the `.worlds.zip` beside it holds
 the MuJoCo model (MJCF) of each of its worlds. No world is in two splits. `dataset.json` lists these files with their

@@ -4,12 +4,18 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from lidarsim.engines import MUJOCO
 from scenegen.dataset.manifest import VERSION
 from scenegen.publish.publication import PAPER, Publication
 
 CROISSANT = "http://mlcommons.org/croissant/1.1"
 RESPONSIBLE = "http://mlcommons.org/croissant/RAI/1.0"
-FORMATS = {".h5": "application/x-hdf5", ".zip": "application/zip", ".json": "application/json"}
+FORMATS = {
+    ".h5": "application/x-hdf5",
+    ".zip": "application/zip",
+    ".json": "application/json",
+    ".npy": "application/octet-stream",
+}
 TYPES = {
     "bool": "sc:Boolean",
     "uint8": "cr:UInt8",
@@ -69,13 +75,14 @@ def croissant(it: Publication, sha256: Mapping[str, str]) -> str:
 
 def _responsible(it: Publication) -> dict[str, Any]:
     """How the data came about, what they are for, and what they are not."""
-    lidar = it.manifest.lidar
+    engine = it.manifest.engine
     rejected = sum(sum(counts.values()) for counts in it.manifest.rejected.values())
     made = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
     return {
         "rai:dataCollection": (
             f"Simulated. Random worlds are drawn from seed {it.manifest.seed}, a planner flies a robot through "
-            f"each, and a LiDAR of {lidar.rows} × {lidar.columns} rays is cast from its poses by MuJoCo. "
+            f"each, and a LiDAR of {' × '.join(map(str, it.manifest.lidar.shape))} rays is cast from its poses by "
+            f"{'MuJoCo' if engine == MUJOCO else f'the engine {engine}'}. "
             "Nothing was recorded in the real world."
         ),
         "rai:dataCollectionType": ["Software Collection"],

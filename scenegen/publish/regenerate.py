@@ -1,5 +1,6 @@
 """The recipe and the command that make a dataset again, from its manifest alone, and the check that they do."""
 
+import re
 import shlex
 import shutil
 import tempfile
@@ -7,8 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.sensor import recipe_entry, write_rays
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
 from scenegen.recipe import read_recipe
@@ -33,6 +37,8 @@ def command(found: Manifest, out: str) -> str:
     words += ["--seed", str(found.seed), "--shard-samples", str(found.shard_samples)]
     if found.fields == stored_fields(compact=True):
         words.append("--compact")
+    if found.engine != MUJOCO:
+        words += ["--engine", found.engine]
     return shlex.join([*words, "--out", out])
 
 
@@ -40,12 +46,12 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes anything; `title` is
     its first line."""
     tables = {name: parameters["recipe"].get(name) for name in ("world", "flight", "accept")}
-    tables["lidar"] = parameters["lidar"]
+    tables["lidar"] = recipe_entry(parameters["lidar"])
     tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():
         if table is not None:
-            lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+            lines += ["", f"[{name}]", *(f"{_key(key)} = {_toml(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
 
 
@@ -59,14 +65,17 @@ def check_kind(there: str, named: str | None) -> None:
         )
 
 
-def check_recipe(found: Manifest, text: str) -> None:
-    """Read `text` as ``scenegen generate`` would, and hold what it resolves to against the manifest.
+def check_recipe(dataset: Dataset, text: str) -> None:
+    """Read `text` as ``scenegen generate`` would, next to the dataset's files, and hold what it resolves to against the
+    manifest.
 
     Raises PublishError where this version would make another dataset of it.
     """
+    found = dataset.manifest
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
         path = Path(folder, RECIPE)
         path.write_text(text, encoding="utf-8")
+        write_rays(dataset.lidar, path.parent)
         try:
             recipe = read_recipe(path)
         except RecipeError as error:
@@ -78,6 +87,7 @@ def check_recipe(found: Manifest, text: str) -> None:
         counts=found.counts,
         compact=found.fields == stored_fields(compact=True),
         shard_samples=found.shard_samples,
+        engine=found.engine,
     )
     there = {name: value for name, value in manifest.completed(found.parameters).items() if name not in _NOT_OURS}
     there["recipe"] = {name: value for name, value in found.tables.items() if name != "scenes"}
@@ -92,6 +102,11 @@ def _advice(found: Manifest) -> str:
         f"this scenegen would not make the same dataset again; publish with the one that made it, {made} with "
         f"generator {generator}, or generate it anew"
     )
+
+
+def _key(name: str) -> str:
+    """A key in TOML: a manifest's may come from a stranger, and must not add lines of its own."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name, re.ASCII) else _toml(name)
 
 
 def _toml(value: Any) -> str:

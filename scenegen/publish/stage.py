@@ -88,7 +88,7 @@ def examine(request: Request) -> Dataset:
             f"--shard-samples {-(-samples // room // 100) * 100 + 100}, which changes no sample"
         )
     check_kind(dataset.manifest.kind, request.kind)
-    check_recipe(dataset.manifest, _recipe(dataset.manifest))
+    check_recipe(dataset, _recipe(dataset.manifest))
     return dataset
 
 

@@ -2,6 +2,5 @@
 
 from scenegen.truth.distance import distance_field
 from scenegen.truth.occupancy import rasterize
-from scenegen.truth.solids import Solids, solids_of
 
-__all__ = ["Solids", "distance_field", "rasterize", "solids_of"]
+__all__ = ["distance_field", "rasterize"]

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
-from scenegen.truth.shapes import BOX, CYLINDER, distance, touches
-from scenegen.truth.solids import Solids
+from lidarsim.solids.shapes import BOX, CYLINDER, Solids
+from scenegen.truth.shapes import distance, touches
 from scenegen.truth.triangles import inside_columns, triangle_touches
 
 SLACK_M = 1e-6

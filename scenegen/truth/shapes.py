@@ -14,9 +14,7 @@ import math
 import numpy as np
 
 from lidarsim.jit import kernel
-
-PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
-"""The codes of MuJoCo's `mjtGeom`."""
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 
 @kernel

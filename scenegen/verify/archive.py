@@ -5,10 +5,13 @@ from io import BufferedReader
 
 import mujoco
 
+from lidarsim import AnalyticEngine, Engine, MujocoEngine
+from lidarsim.engines import MUJOCO
+from lidarsim.solids.model import solids_of
+from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.quiet import quiet_mujoco
 from scenegen.screen import screen
-from scenegen.truth import Solids, solids_of
 from scenegen.verify.report import BrokenError
 from scenegen.world import one_line
 
@@ -48,3 +51,12 @@ def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Soli
             return solids_of(mujoco.MjModel.from_xml_string(document.decode(), assets))
     except (ValueError, MemoryError, mujoco.FatalError) as error:
         raise BrokenError(f"{name}: MuJoCo cannot compile it: {one_line(error)[:200]}") from None
+
+
+def auditor(document: bytes, assets: dict[str, bytes], solids: Solids, *, made_with: str) -> Engine:
+    """The engine that casts rays anew in a world whose `solids` have been compiled: never the one that the dataset was
+    `made_with`, and always one of ours."""
+    if made_with == MUJOCO:
+        return AnalyticEngine(solids)
+    with quiet_mujoco():
+        return MujocoEngine.of(mujoco.MjModel.from_xml_string(document.decode(), assets))

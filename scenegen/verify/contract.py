@@ -20,7 +20,6 @@ from scenegen.verify.report import BrokenError, Ledger
 class Contract(Manifest):
     """What the manifest promises."""
 
-    folder: Path
     named: str | None
     """The kind of a user's own that the user named, so that its module may be imported."""
 
@@ -84,7 +83,7 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Cont
     with ledger.checking("manifest"):
         ledger.count("manifest", files=1)
         try:
-            found = Contract(folder=folder, named=kind, **vars(trust.parse(given)))
+            found = Contract(named=kind, **vars(trust.parse(given, folder)))
             if found.kind == "scene" and found.tables.get("scenes") is None:
                 raise BrokenError("recipe.scenes = None: expected the worlds of each split")
             found.recipe  # noqa: B018 (spelled out now, so that what is wrong with it is found here)

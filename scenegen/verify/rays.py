@@ -1,13 +1,11 @@
-"""A second opinion on stored ranges: the rays of a sample, cast anew without MuJoCo."""
+"""A second opinion on stored ranges: the rays of a sample, cast anew by another engine."""
 
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Lidar
-from scenegen.truth import Solids
-from scenegen.verify.intersect import cast
+from lidarsim import Engine, Lidar, Sensor
 
 TOLERANCE_M = 1e-6
 """How far a stored range may be from ours, and one part in 2^23 of it besides, which is what float32 keeps."""
@@ -15,18 +13,24 @@ MOST_PAIRS = 2_000_000_000
 """Rays times solids that are tried for one sample; of more, a random part of the rays is audited."""
 
 
-def ray_directions(lidar: Lidar, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors (rows, columns, 3) in the world, written from docs/sensor.md and not from `lidarsim`."""
+def ray_directions(lidar: Sensor, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors (*lidar.shape, 3) in the world, those of a raster written from docs/sensor.md and not from
+    `lidarsim`. A table of rays is as it was given: from it there is nothing to derive."""
+    body = _raster(lidar) if isinstance(lidar, Lidar) else lidar.directions_body
+    w, u = quaternion[0], quaternion[1:]
+    twice = 2.0 * np.cross(u, body)
+    return np.asarray(body + w * twice + np.cross(u, twice))
+
+
+def _raster(lidar: Lidar) -> NDArray[np.float64]:
+    """Unit vectors (rows, columns, 3) in the body frame."""
     rows = _angles(lidar.rows, lidar.vertical_fov_deg, full_turn=False)[:, None]
     a = _angles(lidar.columns, lidar.horizontal_fov_deg, full_turn=lidar.horizontal_fov_deg == 360.0)[None, :]
     pitch = math.radians(lidar.pitch_deg)
     e, tilt = (rows, pitch) if lidar.mount == "tilt" else (rows - pitch, 0.0)
     x, y, z = np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e) + 0.0 * a
     # R_y takes x to (cos, 0, -sin)
-    body = np.stack([x * math.cos(tilt) + z * math.sin(tilt), y, z * math.cos(tilt) - x * math.sin(tilt)], axis=-1)
-    w, u = quaternion[0], quaternion[1:]
-    twice = 2.0 * np.cross(u, body)
-    return np.asarray(body + w * twice + np.cross(u, twice))
+    return np.stack([x * math.cos(tilt) + z * math.sin(tilt), y, z * math.cos(tilt) - x * math.sin(tilt)], axis=-1)
 
 
 def _angles(count: int, fov_deg: float, *, full_turn: bool) -> NDArray[np.float64]:
@@ -40,19 +44,23 @@ def audit(
     ranges: NDArray[np.float32],
     position: NDArray[np.float64],
     quaternion: NDArray[np.float64],
-    solids: Solids,
-    lidar: Lidar,
+    engine: Engine,
+    lidar: Sensor,
     *,
+    solids: int,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Cast the rays of one sample anew: their numbers in C order, (n,); the ranges found, (n,) metres, inf where none;
-    how far the stored ones are from them, (n,) metres, where no return counts as one from the end of the range."""
+    """Cast the rays of one sample anew by `engine`, whose world has so many `solids`.
+
+    Returns their numbers in C order, (n,); the ranges found, (n,) metres, inf where none; how far the stored ones are
+    from them, (n,) metres, where no return counts as one from the end of the range.
+    """
     directions = ray_directions(lidar, quaternion).reshape(-1, 3)
     chosen = np.arange(len(directions))
-    most = max(MOST_PAIRS // max(len(solids.shape) + len(solids.triangles), 1), 100)
+    most = max(MOST_PAIRS // max(solids, 1), 100)
     if len(chosen) > most:
         chosen = np.sort(rng.choice(chosen, most, replace=False))
-    found = cast(position, directions[chosen], solids, lidar.max_range_m)
+    found = engine.cast(position[None], directions[None, chosen], lidar.max_range_m)[0]
     stored = np.minimum(ranges.reshape(-1)[chosen].astype(np.float64), lidar.max_range_m)
     return chosen, found, np.abs(stored - np.minimum(found, lidar.max_range_m))
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lidarsim.engines import ENGINES
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences, software
 from scenegen.draw import Unit, draw_unit
@@ -44,8 +45,11 @@ def regenerate(contract: Contract, archive: Archive, split: str, unit: int) -> U
     source: DrawnWorlds | ArchivedWorlds = DrawnWorlds(recipe)
     if contract.scenes is not None:
         source = ArchivedWorlds(archive, {name: len(worlds) for name, worlds in contract.scenes.items()})
+    if contract.engine not in ENGINES.known:
+        raise BrokenError(f"{split} flight {unit} cannot be made again: its engine is not imported")
+    engine = ENGINES.find(contract.engine).of
     try:
-        return draw_unit(source, recipe, seed=contract.seed, split=split, unit=unit, derived=True)
+        return draw_unit(source, recipe, seed=contract.seed, split=split, unit=unit, derived=True, engine=engine)
     except (GenerationError, RecipeError, SceneError) as error:
         raise BrokenError(f"{split} flight {unit} cannot be made again: {error}") from None
 

@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Pose, Scan, voxelize
+from lidarsim import Engine, Pose, Scan, voxelize
+from lidarsim.engines import ENGINES
+from lidarsim.solids.shapes import Solids
 from scenegen.dataset.layout import DIGEST, ShardFile, most_bytes, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.geometry import geometry_digest
 from scenegen.quiet import quiet_mujoco
 from scenegen.sample import SCHEMA, derive_tudf
-from scenegen.truth import Solids, rasterize
-from scenegen.verify.archive import Archive, compile_solids, read_archive
+from scenegen.truth import rasterize
+from scenegen.verify.archive import Archive, auditor, compile_solids, read_archive
 from scenegen.verify.contract import Contract
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate
@@ -159,9 +161,10 @@ def _spans(numbers: Sequence[int]) -> str:
     return f"{numbers[0]} to {numbers[-1]} ({len(numbers)})" if numbers else "none"
 
 
-def _compile(task: Task, archive: Archive | None, found: Findings) -> dict[int, Solids]:
-    """Every archived world's solids, and a digest of its geometry; of its outline alone where `quick`."""
-    compiled: dict[int, Solids] = {}
+def _compile(task: Task, archive: Archive | None, found: Findings) -> dict[int, tuple[Solids, Engine]]:
+    """Every archived world's solids and what audits rays among them, and a digest of its geometry; of its outline alone
+    where `quick`."""
+    compiled: dict[int, tuple[Solids, Engine]] = {}
     for number in sorted(archive.documents) if archive else ():
         with found.ledger.checking("splits"):
             assert archive is not None
@@ -169,16 +172,17 @@ def _compile(task: Task, archive: Archive | None, found: Findings) -> dict[int, 
             if task.quick:
                 found.worlds.setdefault(archive.outlines[number], number)
                 continue
-            solids = compile_solids(*archive.world(number), f"{task.entry.worlds}: {number:06d}.xml")
+            world = archive.world(number)
+            solids = compile_solids(*world, f"{task.entry.worlds}: {number:06d}.xml")
             found.worlds.setdefault(geometry_digest(solids), number)
-            compiled[number] = solids
+            compiled[number] = solids, auditor(*world, solids, made_with=task.contract.engine)
     return compiled
 
 
 class _Samples:
     """All samples of an open shard, one after the other."""
 
-    def __init__(self, task: Task, shard: ShardFile, solids: dict[int, Solids], found: Findings):
+    def __init__(self, task: Task, shard: ShardFile, solids: dict[int, tuple[Solids, Engine]], found: Findings):
         self._task, self._shard, self._solids, self._found = task, shard, solids, found
         self._ledger = found.ledger
         self._rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
@@ -273,16 +277,16 @@ class _Samples:
             with self._ledger.checking("free"):
                 self._ledger.count("free", samples=1)
                 self._same("free", row, stored["free"], seen.free, "ranges")
-        solids = self._solids.get(int(stored["world"]))
-        if solids is None:
+        if int(stored["world"]) not in self._solids:
             return
+        solids, engine = self._solids[int(stored["world"])]
         with self._ledger.checking("occupancy"):
             self._ledger.count("occupancy", samples=1)
             truth = rasterize(solids, contract.grid, stored["origin"])
             self._same("occupancy", row, stored["occupancy"], truth, f"world {int(stored['world'])}")
         if row in self._audited:
             with self._ledger.checking("rays"):
-                self._cast_again(row, stored, solids)
+                self._cast_again(row, stored, engine, len(solids.shape) + len(solids.triangles))
 
     def _same(
         self, check: str, row: int, stored: NDArray[Any], again: NDArray[Any], source: str, *, name: str = ""
@@ -295,23 +299,23 @@ class _Samples:
             line = f"{name or check} is not what follows from {source}: {len(differing)} voxels differ{here}"
             self._expect(check, False, row, line)
 
-    def _cast_again(self, row: int, stored: dict[str, NDArray[Any]], solids: Solids) -> None:
+    def _cast_again(self, row: int, stored: dict[str, NDArray[Any]], engine: Engine, solids: int) -> None:
         lidar = self._task.contract.lidar
         rays, found, gap = audit(
-            stored["ranges"], stored["position"], stored["quaternion"], solids, lidar, rng=self._rng
+            stored["ranges"], stored["position"], stored["quaternion"], engine, lidar, solids=solids, rng=self._rng
         )
         wrong = disagrees(gap, found, lidar.max_range_m)
         self._ledger.count("rays", samples=1, rays=len(rays))
         self._ledger.note_greatest("rays", "greatest difference in m", float(gap[~wrong].max(initial=0.0)))
         if wrong.any():
             n = int(np.flatnonzero(wrong)[np.argmax(gap[wrong])])
-            row_column = divmod(int(rays[n]), lidar.columns)
+            place = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
             self._expect(
                 "rays",
                 False,
                 row,
-                f"{np.count_nonzero(wrong)} of {len(rays)} rays differ; ray {row_column} has "
-                f"{stored['ranges'][row_column]} m, the solids of world {int(stored['world'])} are {found[n]:.7g} m "
+                f"{np.count_nonzero(wrong)} of {len(rays)} rays differ; ray {place} has "
+                f"{stored['ranges'][place]} m, the solids of world {int(stored['world'])} are {found[n]:.7g} m "
                 "away",
             )
 
@@ -319,7 +323,8 @@ class _Samples:
 def _make_again(task: Task, shard: ShardFile, archive: Archive, ledger: Ledger) -> None:
     """A few of the shard's flights flown again, and their samples compared bit for bit."""
     reason = task.not_comparable
-    if reason and not task.contract.drawn and task.contract.scenes is None:
+    foreign = task.contract.engine not in ENGINES.known
+    if reason and (foreign or (not task.contract.drawn and task.contract.scenes is None)):
         ledger.skip("regenerated", reason)
         return
     each = task.contract.viewpoints

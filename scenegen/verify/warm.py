@@ -4,12 +4,11 @@ import functools
 
 import numpy as np
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import AnalyticEngine, GridSpec, Lidar
 from scenegen.draw import draw_unit
 from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
 from scenegen.verify.archive import compile_solids
-from scenegen.verify.intersect import cast
 from scenegen.verify.twins import candidates, fold, signature
 
 
@@ -31,7 +30,7 @@ def warm_up() -> None:
     }
     recipe = make_recipe("pillar", tables, where="warm-up")
     sample = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples[0]
-    cast(np.array([0.0, 0.0, 5.0]), lidar.directions([1.0, 0.0, 0.0, 0.0]).reshape(-1, 3), solids, 10.0)
+    AnalyticEngine(solids).cast([[0.0, 0.0, 5.0]], lidar.directions_body[None], 10.0)
     blocks = signature(sample.occupancy)
     folds = np.stack([fold(sample.observed)] * 2)
     candidates(np.stack([blocks, blocks]), folds, np.array([1, 1]), np.array([0, 1]))

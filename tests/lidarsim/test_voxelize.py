@@ -7,8 +7,6 @@ answer, they do so only within 1e-9 m of a grid plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import mujoco
 import numpy as np
 import pytest
@@ -16,24 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lidarsim import GridSpec, Lidar, MujocoCaster, ObservedGrid, Pose, Scan, cast, voxelize
+from lidarsim import BeamTable, GridSpec, Lidar, MujocoEngine, ObservedGrid, Pose, Scan, cast, voxelize
 from tests.lidarsim import reference
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 SMALL = GridSpec(shape=(6, 5, 4), voxel_m=0.3)
 DYADIC = GridSpec(shape=(8, 8, 8), voxel_m=0.25)
 """A grid whose planes are exact in float64 about the origin: no rounding can excuse a wrong side."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rays(Lidar):
-    """A lidar with rays of one's own choosing, in the world, whatever the attitude."""
-
-    rays: np.ndarray = field(default_factory=lambda: np.zeros((1, 1, 3)))
-
-    def directions(self, quaternion: object) -> np.ndarray:
-        """The chosen rays."""
-        return self.rays
 
 
 def scan_of(rays: object, ranges: object, position: object = (0.0, 0.0, 0.0), max_range_m: float = 10.0) -> Scan:
@@ -43,13 +30,14 @@ def scan_of(rays: object, ranges: object, position: object = (0.0, 0.0, 0.0), ma
     directions = directions / longest
     directions = directions / np.sqrt(np.sum(directions**2, axis=-1, keepdims=True))
     reach = np.broadcast_to(np.asarray(ranges, dtype=np.float32).reshape(-1, 1), (len(directions), 1))
-    lidar = Rays(rows=len(directions), columns=1, max_range_m=max_range_m, rays=directions)
+    rays = np.concatenate([directions, np.zeros((len(directions), 1, 1))], axis=-1)
+    lidar = BeamTable(rays=rays, max_range_m=max_range_m)
     return Scan(ranges=reach.copy(), pose=Pose(position=np.asarray(position, float), quaternion=LEVEL), lidar=lidar)
 
 
 def inputs(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple:
     """What every reference takes first: origin, voxel, shape, position, directions."""
-    directions = scan.lidar.directions(scan.pose.quaternion)
+    directions = scan.directions
     return got.origin, grid.voxel_m, grid.shape, scan.pose.position, directions
 
 
@@ -460,7 +448,7 @@ def test_a_quarter_turn_of_scene_and_sensor_turns_the_grids(seed: int) -> None:
     worlds = (geoms, position, yaw), ([turned(g) for g in geoms], quarter.apply(position), yaw + np.pi / 2)
     scans, grids = [], []
     for world, place, heading in worlds:
-        caster = MujocoCaster(mujoco.MjModel.from_xml_string(reference.world_xml(world)))
+        caster = MujocoEngine.of(mujoco.MjModel.from_xml_string(reference.world_xml(world)))
         scans.append(cast(caster, Lidar(), Pose.level(place, heading)))
         grids.append(voxelize(scans[-1], grid))
 

@@ -10,8 +10,8 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lidarsim.solids.model import solids_of
 from scenegen.clearance import CAP_M, Clearance
-from scenegen.truth import solids_of
 
 Floats = NDArray[np.float64]
 Distances = Callable[[Floats], Floats]

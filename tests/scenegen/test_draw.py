@@ -6,13 +6,14 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from lidarsim import GridSpec, Lidar, MujocoCaster, Pose, cast, voxelize
+from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, cast, voxelize
+from lidarsim.solids.model import solids_of
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError
 from scenegen.recipe import Recipe, preset
 from scenegen.sample import SCHEMA, derive_free, derive_tudf
 from scenegen.source import DrawnWorlds
-from scenegen.truth import distance_field, rasterize, solids_of
+from scenegen.truth import distance_field, rasterize
 from scenegen.world import compile_world
 from tests.conftest import picky_recipe, small_recipe
 
@@ -67,7 +68,7 @@ def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn: Drawn)
     unit = draw(drawn)
     model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
     for sample in unit.samples:
-        scan = cast(MujocoCaster(model), recipe.lidar, Pose(sample.position, sample.quaternion))
+        scan = cast(MujocoEngine.of(model), recipe.lidar, Pose(sample.position, sample.quaternion))
         np.testing.assert_array_equal(scan.ranges, sample.ranges)
         np.testing.assert_array_equal(rasterize(solids_of(model), recipe.grid, sample.origin), sample.occupancy)
 
@@ -120,7 +121,7 @@ def test_turning_the_world_by_a_right_angle_turns_the_sample(kind: str) -> None:
     cells = 0
     for sample in unit.samples:
         attitude = (turn * Rotation.from_quat(sample.quaternion.copy(), scalar_first=True)).as_quat(scalar_first=True)
-        scan = cast(turned.caster, recipe.lidar, Pose(turn.apply(sample.position.copy()), attitude))
+        scan = cast(MujocoEngine.of(turned.model), recipe.lidar, Pose(turn.apply(sample.position.copy()), attitude))
         seen = voxelize(scan, recipe.grid)
         truth = rasterize(turned.solids, recipe.grid, seen.origin)
         # MJCF prints six digits, so the turned world is off by some 1e-5 m and a few voxels may differ

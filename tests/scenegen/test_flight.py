@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from lidarsim.pose import rotate
+from lidarsim.solids.model import solids_of
 from scenegen.clearance import Clearance
 from scenegen.errors import GenerationError
 from scenegen.flight import Flight, plan, viewpoints
-from scenegen.truth import solids_of
 
 Floats = NDArray[np.float64]
 Geom = mujoco.mjtGeom

@@ -75,7 +75,7 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
             outcome["refused"] += 1
             continue
         found = manifest_of(recipe)
-        checked = parse(found)
+        checked = parse(found, Path())
         assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world is not None
         assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS

@@ -10,13 +10,14 @@ import pytest
 import trimesh
 
 import scenegen.source
+from lidarsim import MujocoEngine
+from lidarsim.limits import MOST_TRIANGLES
+from lidarsim.solids.model import solids_of
 from scenegen.errors import BrokenError, SceneError
-from scenegen.limits import MOST_TRIANGLES
 from scenegen.quiet import quiet_mujoco
 from scenegen.scene import Scene, load_scene
 from scenegen.screen import screen
 from scenegen.source import read_scenes
-from scenegen.truth import solids_of
 from scenegen.world import compile_world
 
 REACH_M = 100.0
@@ -73,7 +74,7 @@ def assert_as_mujoco_compiles_it(path: Path) -> Scene:
     for origin in rng.uniform(-10, 10, (8, 3)):
         directions = rng.uniform(-6, 6, (100, 3)) - origin
         directions /= np.linalg.norm(directions, axis=1)[:, None]
-        ours = world.caster.cast(origin, directions, REACH_M)
+        ours = MujocoEngine.of(world.model).cast(origin[None], directions[None], REACH_M)[0]
         np.testing.assert_allclose(ours, own_rays(path, origin, directions), rtol=0, atol=1e-5)
     return scene
 

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
-from scenegen.truth import rasterize, solids_of
+from lidarsim.solids.model import solids_of
+from scenegen.truth import rasterize
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import EITHER, FREE, OCCUPIED, Floats, Judged, Shape, disagreements, judge
 

@@ -1,75 +1,38 @@
-"""The second intersector, against arithmetic that needs none; and MuJoCo's rays against it, on every shape."""
+"""The audit of stored ranges: which engine makes it, where the rays point, how much of a difference is one."""
 
 import mujoco
 import numpy as np
 import pytest
 
-from lidarsim import Lidar, MujocoCaster, Pose, cast
-from scenegen.truth import Solids
-from scenegen.verify.archive import compile_solids
-from scenegen.verify.intersect import cast as intersect
+from lidarsim import Lidar, MujocoEngine, Pose, cast
+from lidarsim.engines import ENGINES
+from lidarsim.pose import rotate
+from scenegen.verify.archive import auditor, compile_solids
 from scenegen.verify.rays import audit, disagrees, ray_directions
 
-HFIELD = '<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3" elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>'
-MESH = '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>'
-SHAPES = {
-    "plane": 'type="plane" size="0 0 1" euler="10 20 0" pos="0 0 -1"',
-    "sphere": 'type="sphere" size="0.7"',
-    "capsule": 'type="capsule" size="0.3 0.8" euler="30 40 50"',
-    "ellipsoid": 'type="ellipsoid" size="0.3 0.8 0.5" euler="30 40 50"',
-    "cylinder": 'type="cylinder" size="0.6 0.4" euler="30 40 50"',
-    "box": 'type="box" size="0.3 0.8 0.5" euler="30 40 50"',
-    "hfield": 'type="hfield" hfield="h" pos="0.3 0.2 -0.5"',
-    "mesh": 'type="mesh" mesh="m" euler="30 40 50"',
-}
+WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/><geom type="sphere" size="1" pos="-3 1 0"/>
+</worldbody></mujoco>"""
 
 
-def document(*geoms: str) -> bytes:
-    body = "".join(f"<geom {geom}/>" for geom in geoms)
-    return f"<mujoco><asset>{HFIELD}{MESH}</asset><worldbody>{body}</worldbody></mujoco>".encode()
+@pytest.mark.parametrize(("made_with", "audits"), [("mujoco", "AnalyticEngine"), ("analytic", "MujocoEngine")])
+def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(made_with: str, audits: str) -> None:
+    engine = auditor(WORLD, {}, compile_solids(WORLD, {}, "w"), made_with=made_with)
+    assert type(engine).__name__ == audits
+    model = mujoco.MjModel.from_xml_string(WORLD.decode())
+    lidar, pose = Lidar(rows=8, columns=30, max_range_m=6.0), Pose.level((0.0, 0.0, 0.0), 0.4)
+    scan = cast(ENGINES.find(made_with).of(model), lidar, pose)
+    seen = [scan.ranges, pose.position, pose.quaternion]
+    numbers, found, gap = audit(*seen, engine, lidar, solids=2, rng=np.random.default_rng(0))
+    assert len(numbers) == 240
+    assert np.isfinite(found).sum() > 20
+    assert not disagrees(gap, found, 6.0).any()
+    seen[0] = scan.ranges + np.float32(1e-5)
+    assert disagrees(*audit(*seen, engine, lidar, solids=2, rng=np.random.default_rng(0))[:0:-1], 6.0).sum() > 20
 
 
-def solids(*geoms: str) -> Solids:
-    return compile_solids(document(*geoms), {}, "w")
-
-
-def test_hits_where_arithmetic_says() -> None:
-    ahead = np.array([[1.0, 0.0, 0.0]])
-    for geom, distance in (
-        ('type="sphere" size="1" pos="5 0 0"', 4.0),
-        ('type="sphere" size="5" pos="5 3 0"', 1.0),
-        ('type="box" size="1 2 3" pos="5 0 0"', 4.0),
-        ('type="box" size="1 1 1" pos="5 0 0" euler="0 0 45"', 5 - 2**0.5),
-        ('type="cylinder" size="1 4" pos="5 0.6 3.9"', 4.2),
-        ('type="cylinder" size="2 0.5" pos="5 1 0" euler="0 90 0"', 4.5),
-        ('type="capsule" size="1 2" pos="5 0 2.6"', 5 - 0.8),
-        ('type="ellipsoid" size="2 1 1" pos="5 0.6 0"', 5 - 1.6),
-        ('type="plane" size="0 0 1" pos="3 0 0" euler="0 -90 0"', 3.0),
-        ('type="sphere" size="1" pos="-5 0 0"', np.inf),
-        ('type="sphere" size="1" pos="12 0 0"', np.inf),
-        ('type="plane" size="0 0 1" pos="-3 0 0" euler="0 -90 0"', np.inf),
-        ('type="sphere" size="1" pos="5 0 0" rgba="1 1 1 0"', np.inf),
-    ):
-        found = intersect(np.zeros(3), ahead, solids(geom), 10.0)[0]
-        assert found == pytest.approx(distance, abs=1e-12), geom
-
-
-@pytest.mark.parametrize("shape", list(SHAPES))
-def test_mujocos_rays_agree_on_every_shape(shape: str) -> None:
-    model = mujoco.MjModel.from_xml_string(document(SHAPES[shape]).decode())
-    lidar = Lidar(rows=40, columns=60, vertical_fov_deg=180.0, max_range_m=6.0)
-    hits = 0
-    for n, yaw in enumerate(np.linspace(0.0, 6.0, 12)):
-        pose = Pose.level(
-            [2.2 * np.cos(yaw), 2.2 * np.sin(yaw), 0.3 * n - 0.9 + 1.5 * (shape in ("plane", "hfield"))], yaw
-        )
-        scan = cast(MujocoCaster(model), lidar, pose)
-        _, found, gap = audit(
-            scan.ranges, pose.position, pose.quaternion, solids(SHAPES[shape]), lidar, rng=np.random.default_rng(0)
-        )
-        assert not disagrees(gap, found, lidar.max_range_m).any()
-        hits += np.isfinite(found).sum()
-    assert hits > 100
+def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported() -> None:
+    engine = auditor(WORLD, {}, compile_solids(WORLD, {}, "w"), made_with="nowhere_to_be_found:Engine")
+    assert isinstance(engine, MujocoEngine)
 
 
 @pytest.mark.parametrize("mount", ["tilt", "band"])
@@ -79,7 +42,7 @@ def test_directions_are_the_sensors(mount: str, fov: tuple[float, float], size: 
     lidar = Lidar(rows=size[0], columns=size[1], vertical_fov_deg=fov[0], horizontal_fov_deg=fov[1], mount=mount)  # type: ignore[arg-type]
     quaternion = np.array([0.5, -0.1, 0.7, 0.5])
     quaternion /= np.linalg.norm(quaternion)
-    np.testing.assert_allclose(ray_directions(lidar, quaternion), lidar.directions(quaternion), atol=1e-14)
+    np.testing.assert_allclose(ray_directions(lidar, quaternion), rotate(quaternion, lidar.directions_body), atol=1e-14)
 
 
 def test_a_micrometre_and_a_half_is_too_much() -> None:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from lidarsim import Pose, cast, voxelize
+from lidarsim import MujocoEngine, Pose, cast, voxelize
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
@@ -244,7 +244,7 @@ def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder: Path) -> No
     twin = {name: values[:3].copy() for name, values in arrays.items()}
     recipe = small_recipe()
     for row in range(3):
-        scan = cast(world.caster, recipe.lidar, Pose(twin["position"][row], twin["quaternion"][row]))
+        scan = cast(MujocoEngine.of(world.model), recipe.lidar, Pose(twin["position"][row], twin["quaternion"][row]))
         seen = voxelize(scan, recipe.grid)
         truth = rasterize(world.solids, recipe.grid, seen.origin)
         new = (seen.observed, seen.free, truth, distance_field(truth, recipe.grid), scan.ranges)

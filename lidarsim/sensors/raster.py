@@ -1,25 +1,21 @@
-"""The LiDAR as data: how many rays, where they point, how far they reach."""
+"""A raster of rays: lines of equal elevation, columns of equal azimuth, as of a spinning LiDAR."""
 
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
+from lidarsim.limits import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS
 from lidarsim.parameters import check, number
 from lidarsim.pose import rotate
-
-MOST_RAYS = 1_000_000
-"""Of one scan."""
-MOST_RANGE_M = 1e4
-"""A range is stored in float32, which here still tells millimetres apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lidar:
-    """A spinning LiDAR of `rows` x `columns` rays, all from one point, without lever arm to the body.
+    """A spinning LiDAR of `rows` x `columns` rays, all from one point, without lever arm to the body: a `Sensor`.
 
     Ray (r, c) has, in the sensor frame (x forward, y left, z up), elevation from ``-vertical_fov / 2`` (r = 0) to
     ``+vertical_fov / 2``, both ends included, and azimuth from ``-horizontal_fov / 2`` (c = 0) counter-clockwise; a
@@ -37,7 +33,7 @@ class Lidar:
     """Angle swept in azimuth, degrees."""
     pitch_deg: float = number(30.0, least=-90, most=90)
     """How far the sensor looks down from the body's forward axis, degrees; see `mount`."""
-    max_range_m: float = number(10.0, least=1e-3, most=MOST_RANGE_M)
+    max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
     """Farthest return, metres; nothing is returned beyond."""
     mount: Literal["tilt", "band"] = "tilt"
     """`tilt`: the sensor is turned nose down as a rigid body, so forward rays look down and rear rays up.
@@ -47,6 +43,11 @@ class Lidar:
         check(self)
         if self.rows * self.columns > MOST_RAYS:
             raise ValueError(f"rows = {self.rows}, columns = {self.columns}: expected {MOST_RAYS} rays at most")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.rows, self.columns
 
     @cached_property
     def directions_body(self) -> NDArray[np.float64]:
@@ -64,9 +65,17 @@ class Lidar:
         directions.setflags(write=False)
         return directions
 
-    def directions(self, quaternion: ArrayLike) -> NDArray[np.float64]:
-        """Unit vectors (rows, columns, 3) in the world for a body at attitude `quaternion` (4,), w x y z."""
-        return rotate(quaternion, self.directions_body)
+    @property
+    def times_s(self) -> NDArray[np.float64]:
+        """Zeros (rows, columns): all rays are cast at once, and the body stands still meanwhile."""
+        return np.zeros(self.shape)
+
+    def __str__(self) -> str:
+        mounted = "nose down" if self.mount == "tilt" else "down all around"
+        return (
+            f"{self.rows} × {self.columns} rays over {self.vertical_fov_deg:g}° × {self.horizontal_fov_deg:g}°, "
+            f"{self.pitch_deg:g}° {mounted}, up to {self.max_range_m:g} m"
+        )
 
 
 def _spread(fov_deg: float, count: int, *, closed: bool) -> NDArray[np.float64]:

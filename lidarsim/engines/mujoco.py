@@ -1,29 +1,28 @@
 """Rays through MuJoCo's own ray caster, `mj_multiRay`."""
 
 import copy
+from typing import Self
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.solids.model import check_forwarded, visible_geoms
+
 NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
-"""The geom groups that rays see: in the caster's copy of a model, group 0 holds the geoms within range."""
+"""The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within range."""
 SPARE_M = 1e-6
 """How much larger geoms' boxes are in that copy: what is left out by them does not depend on rounding."""
 
 
-class MujocoCaster:
-    """Casts rays at every visible geom of a compiled model, in its reference configuration or as `data` stands.
+class MujocoEngine:
+    """Casts rays at every visible geom of a compiled model, in its reference configuration or as `data` stands: an
+    `Engine`.
 
-    Geoms whose colour (or material) has alpha 0 are not seen; see `visible_geoms`. The model is copied, not changed.
-    A caster serves one thread at a time.
+    The model is copied, not changed. Bodies that move in `data` are seen where they are at the time of the cast.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData | None = None):
-        if data is None:
-            data = mujoco.MjData(model)
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)  # where the bodies' bounding volumes are
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
         self._model = copy.copy(model)
         # mj_multiRay passes over geoms by angles to their boxes, from the system's arctangents: with room to spare,
         # their last bits decide nothing
@@ -31,18 +30,37 @@ class MujocoCaster:
         self._data = data
         _search_every_body(self._model)
 
-    def cast(self, position: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
-        """See `lidarsim.casters.Caster.cast`."""
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
+        """See `lidarsim.engines.Engine.of`."""
+        if data is None:
+            data = mujoco.MjData(model)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)  # where the bodies' bounding volumes are
+        return cls(model, data)
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
+        """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never forwarded."""
+        starts = np.ascontiguousarray(origins, dtype=np.float64)
         vectors = np.ascontiguousarray(directions, dtype=np.float64)
+        check_forwarded(self._model, self._data)
+        ranges = np.empty(vectors.shape[:-1], dtype=np.float64)
+        # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a third of the time
+        lower, upper = _boxes(self._model, self._data)
+        for p, origin in enumerate(starts):
+            away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
+            self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m * max_range_m
+            ranges[p] = self._cast_near(origin, vectors[p], max_range_m)
+        return ranges
+
+    def _cast_near(
+        self, origin: NDArray[np.float64], vectors: NDArray[np.float64], max_range_m: float
+    ) -> NDArray[np.float64]:
+        """Ranges (*shape) from one origin (3,) along `vectors` (*shape, 3), among the geoms of group 0."""
         shape = vectors.shape[:-1]
         count = int(np.prod(shape))
         geoms = np.empty(count, dtype=np.int32)
         distances = np.empty(count, dtype=np.float64)
-        origin = np.ascontiguousarray(position, dtype=np.float64)
-        # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a third of the time
-        lower, upper = _boxes(self._model, self._data)
-        away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
-        self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m * max_range_m
         mujoco.mj_multiRay(
             self._model,
             self._data,
@@ -59,14 +77,6 @@ class MujocoCaster:
         )
         missed = (geoms < 0) | (distances > max_range_m)
         return np.where(missed, np.inf, distances).reshape(shape)
-
-
-def visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Which geoms rays can see, (ngeom,): those whose material, or whose own colour without one, has alpha above 0."""
-    alpha = model.geom_rgba[:, 3].copy()
-    dressed = model.geom_matid >= 0
-    alpha[dressed] = model.mat_rgba[model.geom_matid[dressed], 3]
-    return alpha != 0
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

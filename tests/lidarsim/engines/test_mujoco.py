@@ -17,8 +17,10 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
-from lidarsim import Lidar, MujocoCaster, Pose, cast
+from lidarsim import Lidar, MujocoEngine, Pose, cast
+from lidarsim.pose import rotate
 from tests.lidarsim import reference
 from tests.lidarsim.reference import Body, Geom
 
@@ -27,9 +29,14 @@ GHOST = 'contype="0" conaffinity="0"'
 """A geom that is seen but takes no part in collisions, as visual geoms do."""
 
 
-def caster_of(xml: str) -> MujocoCaster:
-    """A caster over a world given as MJCF."""
-    return MujocoCaster(mujoco.MjModel.from_xml_string(xml))
+def engine_of(xml: str) -> MujocoEngine:
+    """The engine of a world given as MJCF."""
+    return MujocoEngine.of(mujoco.MjModel.from_xml_string(xml))
+
+
+def ranges_of(engine: MujocoEngine, position: ArrayLike, rays: ArrayLike, reach: float) -> np.ndarray:
+    """Ranges from one position."""
+    return engine.cast(np.asarray(position)[None], np.asarray(rays)[None], reach)[0]
 
 
 def random_rays(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -105,7 +112,7 @@ def test_each_solid_returns_its_surface_to_a_micrometre(kind: str) -> None:
         position = rng.uniform(-2, 2, 3)
         rays = aimed_rays(rng, position, geom.position, 0.5, 200)
         expected = reference.ranges([geom], [], position, rays, 20.0)
-        got = caster_of(reference.world_xml([geom])).cast(position, rays, 20.0)
+        got = ranges_of(engine_of(reference.world_xml([geom])), position, rays, 20.0)
         assert_same_ranges(got, expected, returns_at_least=0)
         returns += np.isfinite(expected).sum()
         misses += np.isinf(expected).sum()
@@ -121,7 +128,7 @@ def test_from_inside_a_solid_its_far_wall_is_seen(kind: str) -> None:
         position = np.array(geom.position) + 0.02 * rng.normal(size=3)
         rays = random_rays(rng, 100)
         expected = reference.ranges([geom], [], position, rays, 20.0)
-        got = caster_of(reference.world_xml([geom])).cast(position, rays, 20.0)
+        got = ranges_of(engine_of(reference.world_xml([geom])), position, rays, 20.0)
         assert_same_ranges(got, expected, returns_at_least=100)
 
 
@@ -132,23 +139,23 @@ def test_a_plane_is_seen_from_its_front_only_and_within_its_size() -> None:
     down = np.array([[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.6, -0.8], [0.8, 0.0, -0.6], [0.0, 0.0, 1.0]])
     above, below = np.array([0.0, 0.0, 1.5]), np.array([0.0, 0.0, -1.5])
     ends = [1.5, 1.875, 1.875, 2.5, np.inf]
-    on_floor, on_tile = caster_of(reference.world_xml([floor])), caster_of(reference.world_xml([tile]))
-    np.testing.assert_allclose(on_floor.cast(above, down, 9.0), ends, rtol=1e-12)
+    on_floor, on_tile = engine_of(reference.world_xml([floor])), engine_of(reference.world_xml([tile]))
+    np.testing.assert_allclose(ranges_of(on_floor, above, down, 9.0), ends, rtol=1e-12)
     ends[1] = ends[3] = np.inf
-    np.testing.assert_allclose(on_tile.cast(above, down, 9.0), ends, rtol=1e-12)
-    assert np.isinf(on_floor.cast(below, -down, 9.0)).all()
+    np.testing.assert_allclose(ranges_of(on_tile, above, down, 9.0), ends, rtol=1e-12)
+    assert np.isinf(ranges_of(on_floor, below, -down, 9.0)).all()
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_random_worlds_match_the_analytic_ranges_in_random_directions(seed: int) -> None:
     rng = np.random.default_rng(seed)
     geoms, bodies = random_world(rng)
-    caster = caster_of(reference.world_xml(geoms, bodies))
+    engine = engine_of(reference.world_xml(geoms, bodies))
     for _ in range(2):
         position, reach = rng.uniform(-5, 5, 3), float(rng.uniform(8, 20))
         rays = random_rays(rng, 600)
         expected = reference.ranges(geoms, bodies, position, rays, reach)
-        assert_same_ranges(caster.cast(position, rays, reach), expected, returns_at_least=20)
+        assert_same_ranges(ranges_of(engine, position, rays, reach), expected, returns_at_least=20)
 
 
 @pytest.mark.parametrize("level", [True, False])
@@ -160,7 +167,7 @@ def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed: int, level: 
     position, yaw = rng.uniform(-4, 4, 3), float(rng.uniform(-4, 4))
     quaternion = reference.level_quaternion(yaw) if level else reference.random_quaternion(rng)
     pose = Pose.level(position, yaw) if level else Pose(position=position, quaternion=quaternion)
-    scan = cast(caster_of(reference.world_xml(geoms, bodies)), Lidar(), pose)
+    scan = cast(engine_of(reference.world_xml(geoms, bodies)), Lidar(), pose)
     rays = reference.lidar_directions(quaternion)
     expected = reference.ranges(geoms, bodies, position, rays, 10.0)
     assert scan.ranges.dtype == np.float32
@@ -178,11 +185,11 @@ def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed: int, level: 
 def test_a_scan_keeps_the_float32_of_each_range_and_its_points_lie_at_that_range() -> None:
     rng = np.random.default_rng(8)
     geoms, bodies = random_world(rng)
-    caster, lidar = caster_of(reference.world_xml(geoms, bodies)), Lidar()
+    engine, lidar = engine_of(reference.world_xml(geoms, bodies)), Lidar()
     pose = Pose(position=np.array([0.3, 0.1, -0.7]), quaternion=reference.random_quaternion(rng))
-    scan = cast(caster, lidar, pose)
-    directions = lidar.directions(pose.quaternion)
-    exact = caster.cast(pose.position, directions, 10.0)
+    scan = cast(engine, lidar, pose)
+    directions = rotate(pose.quaternion, lidar.directions_body)
+    exact = ranges_of(engine, pose.position, directions, 10.0)
     np.testing.assert_array_equal(scan.ranges, exact.astype(np.float32))
     seen = np.isfinite(scan.ranges)
     assert 100 < seen.sum() < seen.size
@@ -197,7 +204,7 @@ def test_a_scan_keeps_the_float32_of_each_range_and_its_points_lie_at_that_range
 
 
 def test_an_empty_world_returns_infinity_everywhere() -> None:
-    scan = cast(caster_of(reference.world_xml()), Lidar(), Pose.level((0, 0, 1)))
+    scan = cast(engine_of(reference.world_xml()), Lidar(), Pose.level((0, 0, 1)))
     assert np.all(np.isposinf(scan.ranges))
     assert scan.points().shape == (0, 3)
 
@@ -205,11 +212,11 @@ def test_an_empty_world_returns_infinity_everywhere() -> None:
 def test_the_maximum_range_divides_returns_from_infinity() -> None:
     """A wall 4 m ahead: seen with more range than that, not with less, along slanted rays farther away."""
     wall = Geom("box", (0.5, 20.0, 20.0), (4.5, 0.0, 0.0))
-    caster = caster_of(reference.world_xml([wall]))
+    engine = engine_of(reference.world_xml([wall]))
     angles = np.radians(np.arange(0, 80, 5))
     rays = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
     for reach in (3.999999, 4.000001, 4.5, 6.0, 15.0):
-        got = caster.cast(np.zeros(3), rays, reach)
+        got = ranges_of(engine, np.zeros(3), rays, reach)
         exact = 4.0 / np.cos(angles)
         np.testing.assert_array_equal(np.isfinite(got), exact <= reach)
         np.testing.assert_allclose(got[exact <= reach], exact[exact <= reach], rtol=0, atol=1e-9)
@@ -220,35 +227,35 @@ def test_a_world_without_end_is_cut_at_the_maximum_range() -> None:
     floor = Geom("plane", (0.0, 0.0, 1.0))
     far_box = Geom("box", (0.1, 0.1, 0.1), (1.0, 0.0, 0.1))
     for geoms in ([floor], [floor, far_box], [ghost(floor)], [ghost(floor), far_box]):
-        caster = caster_of(reference.world_xml(geoms))
+        engine = engine_of(reference.world_xml(geoms))
         for position in ((0.0, 0.0, 1.0), (300.0, -200.0, 2.0)):
             rays = reference.lidar_directions(reference.level_quaternion(0.1))
             expected = reference.ranges(geoms, [], position, rays, 10.0)
             assert np.isinf(expected).sum() > 500
-            assert_same_ranges(caster.cast(np.array(position), rays, 10.0), expected, returns_at_least=500)
+            assert_same_ranges(ranges_of(engine, np.array(position), rays, 10.0), expected, returns_at_least=500)
 
 
 def test_ranges_take_the_leading_shape_of_the_directions_and_any_memory_layout() -> None:
     rng = np.random.default_rng(4)
     geoms, bodies = random_world(rng)
-    caster = caster_of(reference.world_xml(geoms, bodies))
+    engine = engine_of(reference.world_xml(geoms, bodies))
     position = np.array([0.5, -0.25, 0.125])
     rays = random_rays(rng, 60)
-    flat = caster.cast(position, rays, 12.0)
+    flat = ranges_of(engine, position, rays, 12.0)
     assert_same_ranges(flat, reference.ranges(geoms, bodies, position, rays, 12.0), returns_at_least=10)
-    blocks = caster.cast(position, rays.reshape(3, 4, 5, 3), 12.0)
+    blocks = ranges_of(engine, position, rays.reshape(3, 4, 5, 3), 12.0)
     np.testing.assert_array_equal(blocks, flat.reshape(3, 4, 5))
-    np.testing.assert_array_equal(caster.cast(position, np.asfortranarray(rays), 12.0), flat)
-    np.testing.assert_array_equal(caster.cast(position, rays[::-2], 12.0), flat[::-2])
-    np.testing.assert_array_equal(caster.cast(position.tolist(), rays[7].tolist(), 12.0), flat[7])
-    assert caster.cast(position, rays[7], 12.0).shape == ()
-    assert caster.cast(position, np.empty((0, 3)), 12.0).shape == (0,)
+    np.testing.assert_array_equal(ranges_of(engine, position, np.asfortranarray(rays), 12.0), flat)
+    np.testing.assert_array_equal(ranges_of(engine, position, rays[::-2], 12.0), flat[::-2])
+    np.testing.assert_array_equal(ranges_of(engine, position.tolist(), rays[7].tolist(), 12.0), flat[7])
+    assert ranges_of(engine, position, rays[7], 12.0).shape == ()
+    assert ranges_of(engine, position, np.empty((0, 3)), 12.0).shape == (0,)
     fixed = rays.copy()
     fixed.setflags(write=False)
-    np.testing.assert_array_equal(caster.cast(position, fixed, 12.0), flat)
+    np.testing.assert_array_equal(ranges_of(engine, position, fixed, 12.0), flat)
 
 
-def test_a_caster_over_data_sees_the_configuration_of_the_data() -> None:
+def test_an_engine_over_data_sees_the_configuration_of_the_data() -> None:
     """A free body moved by its coordinates is seen where it went; without data it is seen where it began."""
     rng = np.random.default_rng(12)
     shape = Geom("box", (0.6, 0.9, 1.2), (0.3, -0.2, 0.1), tuple(reference.random_quaternion(rng)))
@@ -259,21 +266,21 @@ def test_a_caster_over_data_sees_the_configuration_of_the_data() -> None:
     data.qpos[:] = (*moved.position, *moved.quaternion)
     mujoco.mj_forward(model, data)
     rays = random_rays(rng, 2000)
-    for caster, body in ((MujocoCaster(model, data), moved), (MujocoCaster(model), started)):
+    for engine, body in ((MujocoEngine.of(model, data), moved), (MujocoEngine.of(model), started)):
         expected = reference.ranges([], [body], np.zeros(3), rays, 10.0)
-        assert_same_ranges(caster.cast(np.zeros(3), rays, 10.0), expected, returns_at_least=20)
+        assert_same_ranges(ranges_of(engine, np.zeros(3), rays, 10.0), expected, returns_at_least=20)
 
 
-def test_a_caster_has_no_memory_and_casters_do_not_share_worlds() -> None:
+def test_an_engine_has_no_memory_and_engines_do_not_share_worlds() -> None:
     rng = np.random.default_rng(6)
     worlds = [random_world(rng) for _ in range(3)]
-    casters = [caster_of(reference.world_xml(*world)) for world in worlds]
+    engines = [engine_of(reference.world_xml(*world)) for world in worlds]
     rays = random_rays(rng, 200)
     for turn in range(6):
-        world, caster = worlds[turn % 3], casters[turn % 3]
+        world, engine = worlds[turn % 3], engines[turn % 3]
         position, reach = rng.uniform(-3, 3, 3), (15.0, 4.0)[turn % 2]
         expected = reference.ranges(*world, position, rays, reach)
-        assert_same_ranges(caster.cast(position, rays, reach), expected)
+        assert_same_ranges(ranges_of(engine, position, rays, reach), expected)
 
 
 # ------------------------------------------------------------------------------------- traps of mj_multiRay
@@ -290,7 +297,7 @@ def test_large_thin_slabs_beside_the_sensor_are_seen_to_their_seam() -> None:
             position = np.array([0.001, 0.2, 0.0])
             rays = random_rays(rng, 3000)
             expected = reference.ranges(geoms, [], position, rays, 10.0)
-            got = caster_of(reference.world_xml(geoms)).cast(position, rays, 10.0)
+            got = ranges_of(engine_of(reference.world_xml(geoms)), position, rays, 10.0)
             assert_same_ranges(got, expected, returns_at_least=300)
 
 
@@ -308,7 +315,7 @@ def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed: i
         rays = reference.rotation(geom.quaternion).apply(on_edges) + np.array(geom.position)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         expected = reference.ranges([geom], [], np.zeros(3), rays, 30.0)
-        got = caster_of(reference.world_xml([geom])).cast(np.zeros(3), rays, 30.0)
+        got = ranges_of(engine_of(reference.world_xml([geom])), np.zeros(3), rays, 30.0)
         assert_same_ranges(got, expected, returns_at_least=400)
 
 
@@ -329,7 +336,7 @@ def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(
     position = np.array([0.1, 0.0, 0.2])
     rays = np.concatenate([aimed_rays(rng, position, pair[0].position, 0.8, 300), random_rays(rng, 500)])
     expected = reference.ranges(geoms, bodies, position, rays, 10.0)
-    got = caster_of(reference.world_xml(geoms, bodies)).cast(position, rays, 10.0)
+    got = ranges_of(engine_of(reference.world_xml(geoms, bodies)), position, rays, 10.0)
     assert_same_ranges(got, expected, returns_at_least=80)
 
 
@@ -340,7 +347,7 @@ def test_random_worlds_with_geoms_without_collisions_match_the_analytic_ranges(s
     position = rng.uniform(-5, 5, 3)
     rays = random_rays(rng, 1000)
     expected = reference.ranges(geoms, bodies, position, rays, 12.0)
-    got = caster_of(reference.world_xml(geoms, bodies)).cast(position, rays, 12.0)
+    got = ranges_of(engine_of(reference.world_xml(geoms, bodies)), position, rays, 12.0)
     assert_same_ranges(got, expected, returns_at_least=50)
 
 
@@ -362,12 +369,12 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding: str) -> None:
     ]
     behind = [Geom("sphere", (0.5,), tuple(5.0 * np.array(side))) for side in looks]
     rays = np.array(list(looks), dtype=np.float64)
-    caster = caster_of(reference.world_xml(walls + behind, assets=materials))
+    engine = engine_of(reference.world_xml(walls + behind, assets=materials))
     expected = [1.5 if seen else 4.5 for _, seen in looks.values()]
-    np.testing.assert_allclose(caster.cast(np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
-    alone = caster_of(reference.world_xml(walls, assets=materials))
+    np.testing.assert_allclose(ranges_of(engine, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
+    alone = engine_of(reference.world_xml(walls, assets=materials))
     expected = [1.5 if seen else np.inf for _, seen in looks.values()]
-    np.testing.assert_allclose(alone.cast(np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ranges_of(alone, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
 
 
 def test_every_one_of_many_bodies_is_seen() -> None:
@@ -390,7 +397,7 @@ def test_every_one_of_many_bodies_is_seen() -> None:
     ]
     expected = reference.ranges([], bodies, np.zeros(3), rays, 10.0)
     assert np.abs(expected - reach).max() < 0.4
-    got = caster_of(reference.world_xml([], bodies)).cast(np.zeros(3), rays, 10.0)
+    got = ranges_of(engine_of(reference.world_xml([], bodies)), np.zeros(3), rays, 10.0)
     assert_same_ranges(got, expected, returns_at_least=400)
 
 
@@ -410,7 +417,7 @@ def test_a_mesh_cube_returns_what_a_box_geom_does() -> None:
         position = rng.uniform(-3, 3, 3)
         rays = np.concatenate([aimed_rays(rng, position, centre, 0.5, 150), random_rays(rng, 150)])
         expected = reference.ranges([box], [], position, rays, 12.0)
-        got = caster_of(xml).cast(position, rays, 12.0)
+        got = ranges_of(engine_of(xml), position, rays, 12.0)
         assert_same_ranges_of_float32_mesh(got, expected)
 
 
@@ -477,4 +484,4 @@ def test_mesh_and_height_field_worlds_match_mj_ray_ray_by_ray(seed: int, collide
     position = rng.uniform(-1, 1, 3)
     rays = reference.lidar_directions(reference.random_quaternion(rng))
     expected = mj_ray_ranges(xml, position, rays, 10.0)
-    assert_same_ranges(caster_of(xml).cast(position, rays, 10.0), expected, returns_at_least=400)
+    assert_same_ranges(ranges_of(engine_of(xml), position, rays, 10.0), expected, returns_at_least=400)

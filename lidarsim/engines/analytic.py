@@ -1,43 +1,88 @@
-"""Which solid a ray meets first, from closed forms, with nothing of MuJoCo's in it."""
+"""Rays by closed forms, one kernel over all poses, with nothing of MuJoCo's ray caster in it."""
 
 import math
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.jit import kernel
-from scenegen.truth import Solids
-from scenegen.truth.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
+
+if TYPE_CHECKING:
+    import mujoco
+
+SPARE_M = 1.0
+"""How much farther than the range a solid's box may be before the solid is passed over."""
 
 
-def cast(
-    position: NDArray[np.float64], directions: NDArray[np.float64], solids: Solids, max_range_m: float
-) -> NDArray[np.float64]:
-    """Metres along each of `directions` (n, 3) from `position` (3,) to the first surface, (n,); inf beyond range."""
-    distances = np.full(len(directions), np.inf)
-    away = np.maximum(np.maximum(solids.lower - position, position - solids.upper), 0.0)
-    near = np.flatnonzero((away**2).sum(axis=1) <= (max_range_m + 1.0) ** 2)
-    _cast_primitives(
-        np.asarray(position),
-        directions,
-        solids.shape[near],
-        solids.size[near],
-        solids.position[near],
-        solids.rotation[near],
-        distances,
-    )
-    if len(solids.triangles):
-        low, high = solids.triangles.min(axis=1), solids.triangles.max(axis=1)
-        away = np.maximum(np.maximum(low - position, position - high), 0.0)
-        close = (away**2).sum(axis=1) <= (max_range_m + 1.0) ** 2
-        _cast_triangles(np.asarray(position), directions, solids.triangles[close], distances)
-    return np.where(distances <= max_range_m, distances, np.inf)
+class AnalyticEngine:
+    """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields: an `Engine`."""
+
+    def __init__(self, solids: Solids):
+        self._solids = solids
+
+    @classmethod
+    def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
+        """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does."""
+        from lidarsim.solids.model import solids_of  # loads MuJoCo, which an engine over known solids does not need
+
+        return cls(solids_of(model, data))
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
+        """See `lidarsim.engines.Engine.cast`."""
+        # copies, for the kernel is compiled for arrays that can be written
+        starts = np.array(origins, dtype=np.float64, order="C")
+        vectors = np.array(directions, dtype=np.float64, order="C")
+        solids, poses = self._solids, len(starts)
+        ranges = np.full(vectors.shape[:-1], np.inf)
+        if ranges.size:
+            _cast(
+                starts,
+                vectors.reshape(poses, -1, 3),
+                float(max_range_m),
+                solids.shape,
+                solids.size,
+                solids.position,
+                solids.rotation,
+                solids.lower,
+                solids.upper,
+                solids.triangles,
+                ranges.reshape(poses, -1),
+            )
+        return ranges
 
 
 @kernel
-def _cast_primitives(origin, directions, shape, size, position, rotation, distances):
-    """Lower `distances` (n,) to the nearest of the primitives along each ray."""
+def _cast(origins, directions, max_range_m, shape, size, position, rotation, lower, upper, triangles, ranges):
+    """Ranges (P, n) of all poses."""
+    for p in range(len(origins)):
+        near = np.empty(len(shape), np.bool_)
+        for g in range(len(shape)):
+            near[g] = _apart2(origins[p], lower[g], upper[g]) <= (max_range_m + SPARE_M) ** 2
+        _cast_primitives(origins[p], directions[p], shape, size, position, rotation, near, ranges[p])
+        _cast_triangles(origins[p], directions[p], triangles, (max_range_m + SPARE_M) ** 2, ranges[p])
+        for n in range(ranges.shape[1]):
+            if not ranges[p, n] <= max_range_m:
+                ranges[p, n] = np.inf
+
+
+@kernel
+def _apart2(origin, lower, upper):
+    """Squared distance from the origin to a box."""
+    total = 0.0
+    for a in range(3):
+        gap = max(max(lower[a] - origin[a], origin[a] - upper[a]), 0.0)
+        total += gap * gap
+    return total
+
+
+@kernel
+def _cast_primitives(origin, directions, shape, size, position, rotation, near, distances):
+    """Lower `distances` (n,) to the nearest of the primitives that are `near` along each ray."""
     for g in range(len(shape)):
+        if not near[g]:
+            continue
         ox, oy, oz = origin[0] - position[g, 0], origin[1] - position[g, 1], origin[2] - position[g, 2]
         turn = rotation[g]
         reach = _radius(shape[g], size[g])
@@ -172,10 +217,17 @@ def _meet_end(radius, end, px, py, pz, dx, dy, dz):
 
 
 @kernel
-def _cast_triangles(origin, directions, triangles, distances):
+def _cast_triangles(origin, directions, triangles, reach2, distances):
     """Lower `distances` (n,) to the nearest triangle of (T, 3, 3), seen from either side (Moller and Trumbore 1997)."""
     for k in range(len(triangles)):
         a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+        apart2 = 0.0
+        for axis in range(3):
+            low, high = min(a[axis], b[axis], c[axis]), max(a[axis], b[axis], c[axis])
+            gap = max(max(low - origin[axis], origin[axis] - high), 0.0)
+            apart2 += gap * gap
+        if apart2 > reach2:
+            continue
         ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
         vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
         sx, sy, sz = origin[0] - a[0], origin[1] - a[1], origin[2] - a[2]

@@ -1,0 +1,48 @@
+"""Engines: what a ray meets in a world, and how far away. One file an engine; each fills `Engine`."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarsim.registry import Registry
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+class Engine(Protocol):
+    """Anything that knows one world and can intersect rays with it. An engine serves one thread at a time."""
+
+    @classmethod
+    def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
+        """The engine of a compiled world, in its reference configuration, or in that of `data`, which MuJoCo has
+        forwarded. Geoms whose material, or whose own colour without one, has alpha 0 are not there. Neither argument is
+        changed."""
+        ...
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
+        """Metres along the rays to the first surface, for P poses at once.
+
+        `origins` (P, 3) are in the world frame, and so are the unit vectors `directions` (P, *shape, 3). The answer has
+        shape (P, *shape), with ``inf`` where nothing is met within `max_range_m`. What one pose gives does not depend
+        on the others.
+        """
+        ...
+
+
+EngineFactory = Callable[["mujoco.MjModel", "mujoco.MjData"], Engine]
+"""What makes an engine of a world: `Engine.of`."""
+
+ENGINES = Registry(
+    "engine",
+    {"mujoco": "lidarsim.engines.mujoco:MujocoEngine", "analytic": "lidarsim.engines.analytic:AnalyticEngine"},
+    needs={
+        "of": "a class method: (model, data=None) -> engine",
+        "cast": "a method: (origins, directions, max_range_m) -> ranges",
+    },
+)
+"""Engines by name."""
+MUJOCO = "mujoco"
+"""The engine by which datasets are made unless another is named."""

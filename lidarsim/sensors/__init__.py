@@ -1,0 +1,53 @@
+"""Sensors: where the rays point, when each is cast, how far they reach. One file a family; each fills `Sensor`.
+
+Nothing else in the toolkit knows what a sensor is made of, so a new family is one new file, here or in a user's folder.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.registry import Registry
+
+
+class Sensor(Protocol):
+    """Rays that start together, from one point of a body. Attributes are read-only, and the same at every reading.
+
+    A sensor is a value: equal ones are equal by ``==``, and ``str`` says in a phrase what it is.
+    """
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How the rays are ordered: (rows, columns), or (rays,), or any other way; a scan's ranges have this shape."""
+        ...
+
+    @property
+    def directions_body(self) -> NDArray[np.float64]:
+        """Unit vectors (*shape, 3) in the body frame: x forward, y left, z up."""
+        ...
+
+    @property
+    def times_s(self) -> NDArray[np.float64]:
+        """When each ray is cast, (*shape), seconds after the scan begins; zeros where all are cast at once."""
+        ...
+
+    @property
+    def max_range_m(self) -> float:
+        """Farthest return, metres; nothing is returned beyond."""
+        ...
+
+
+SENSORS = Registry(
+    "sensor",
+    {"raster": "lidarsim.sensors.raster:Lidar", "table": "lidarsim.sensors.table:BeamFile"},
+    needs={
+        "shape": "a tuple of counts, such as (16, 120)",
+        "directions_body": "unit vectors (*shape, 3) in the body frame",
+        "times_s": "seconds after the scan begins, (*shape)",
+        "max_range_m": "metres",
+    },
+)
+"""Sensors by name, for a recipe's ``[lidar] sensor = "…"``: frozen dataclasses whose fields are the parameters."""
+RASTER = "raster"
+"""The sensor of a recipe that names none."""

@@ -1,0 +1,202 @@
+"""A sensor as a table of its rays: from a file, or whatever a user's own sensor comes down to."""
+
+import dataclasses
+import hashlib
+import io
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarsim.limits import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS
+from lidarsim.parameters import check, number, shown
+from lidarsim.sensors import Sensor
+
+MOST_AXES = 4
+"""Of a sensor's shape."""
+MOST_MADE_BY = 300
+"""Characters that say what made a table."""
+MOST_HEADER_BYTES = 4096
+"""Of an .npy file's header, more than any of ours takes."""
+UNIT = 1e-9
+"""How far from 1 the length of a direction may be."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BeamTable:
+    """Rays listed one by one: a `Sensor`. Two are equal where all of their numbers are.
+
+    Raises ValueError for rays that have no direction, or times and a range that no scan has.
+    """
+
+    rays: NDArray[np.float64]
+    """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast, seconds after the scan
+    begins."""
+    max_range_m: float = 10.0
+    """Farthest return, metres."""
+    made_by: str = ""
+    """What the table was made by, for people to read."""
+
+    def __post_init__(self) -> None:
+        rays = np.array(self.rays, dtype=np.float64)
+        shape = rays.shape[:-1]
+        if rays.shape[-1:] != (4,) or not 1 <= len(shape) <= MOST_AXES or not 0 < math.prod(shape) <= MOST_RAYS:
+            raise ValueError(f"rays of shape {rays.shape}: expected (*shape, 4), from 1 to {MOST_RAYS} rays")
+        lengths = np.sqrt((rays[..., :3] ** 2).sum(axis=-1))
+        if not (np.abs(lengths - 1.0) <= UNIT).all():
+            worst = float(lengths.flat[np.argmax(~(np.abs(lengths - 1.0) <= UNIT))])
+            raise ValueError(f"a ray's direction has length {worst:g}, expected 1, as float64 has it")
+        if not ((rays[..., 3] >= 0) & np.isfinite(rays[..., 3])).all():
+            raise ValueError("a ray's time is negative or no number; expected seconds after the scan begins")
+        if len(self.made_by) > MOST_MADE_BY or not self.made_by.isprintable():
+            raise ValueError(f"made_by = {shown(self.made_by)}: expected {MOST_MADE_BY} printable characters at most")
+        if not LEAST_RANGE_M <= self.max_range_m <= MOST_RANGE_M:
+            raise ValueError(
+                f"max_range_m = {shown(self.max_range_m)}: expected metres from {LEAST_RANGE_M:g} to {MOST_RANGE_M:g}"
+            )
+        rays.setflags(write=False)
+        object.__setattr__(self, "rays", rays)
+        object.__setattr__(self, "max_range_m", float(self.max_range_m))
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> "BeamTable":
+        """The table of any sensor's rays, with the same bits. Raises ValueError where the sensor is none."""
+        shape = tuple(int(count) for count in sensor.shape)
+        directions, times = _numbers(sensor.directions_body, "directions_body"), _numbers(sensor.times_s, "times_s")
+        for name, there, expected in (
+            ("directions_body", directions.shape, (*shape, 3)),
+            ("times_s", times.shape, shape),
+        ):
+            if there != expected:
+                raise ValueError(f"{name} has shape {there}, expected {expected}, as `shape` says")
+        rays = np.concatenate([directions, times[..., None]], axis=-1)
+        return cls(rays=rays, max_range_m=sensor.max_range_m, made_by=getattr(sensor, "made_by", _maker(sensor)))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How the rays are ordered."""
+        return self.rays.shape[:-1]
+
+    @cached_property
+    def directions_body(self) -> NDArray[np.float64]:
+        """Unit vectors (*shape, 3) in the body frame."""
+        return np.ascontiguousarray(self.rays[..., :3])
+
+    @property
+    def times_s(self) -> NDArray[np.float64]:
+        """(*shape), seconds after the scan begins."""
+        return self.rays[..., 3]
+
+    @cached_property
+    def npy(self) -> bytes:
+        """`rays` as an .npy file: little-endian, C order, format 1.0."""
+        file = io.BytesIO()
+        np.lib.format.write_array(file, self.rays.astype("<f8", order="C"), version=(1, 0), allow_pickle=False)
+        return file.getvalue()
+
+    @property
+    def sha256(self) -> str:
+        """Of `npy`, in hexadecimal."""
+        return hashlib.sha256(self.npy).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, BeamTable):
+            return NotImplemented
+        return self.max_range_m == other.max_range_m and np.array_equal(self.rays, other.rays)
+
+    def __hash__(self) -> int:
+        return hash((self.shape, self.max_range_m))
+
+    def __str__(self) -> str:
+        made = f" of {self.made_by}" if self.made_by else ""
+        return f"{' × '.join(map(str, self.shape))} rays{made}, up to {self.max_range_m:g} m"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeamFile:
+    """A table in a file, for a recipe's ``[lidar] sensor = "table"``: a `Sensor`."""
+
+    rays: Path
+    """An .npy file of float64 (*shape, 4), see `BeamTable.rays`."""
+    max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
+    """Farthest return, metres."""
+    sha256: str = ""
+    """Of the file, in hexadecimal; nothing where any file will do."""
+    made_by: str = ""
+    """What the table was made by, for people to read."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @cached_property
+    def _table(self) -> BeamTable:
+        if not self.rays.is_file():  # and no pipe, whose reading might never end
+            raise ValueError(f"rays = {self.rays.name!a}: there is no such file in {str(self.rays.parent)!a}")
+        with open(self.rays, "rb") as file:
+            content = file.read(most_bytes(MOST_RAYS) + 1)
+        if self.sha256 and hashlib.sha256(content).hexdigest() != self.sha256:
+            raise ValueError(f"rays = {self.rays.name!a}: is not the file whose sha256 is {self.sha256[:64]!a}")
+        return BeamTable(rays=read_npy(content), max_range_m=self.max_range_m, made_by=self.made_by)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How the rays are ordered."""
+        return self._table.shape
+
+    @property
+    def directions_body(self) -> NDArray[np.float64]:
+        """Unit vectors (*shape, 3) in the body frame."""
+        return self._table.directions_body
+
+    @property
+    def times_s(self) -> NDArray[np.float64]:
+        """(*shape), seconds after the scan begins."""
+        return self._table.times_s
+
+
+def most_bytes(rays: int) -> int:
+    """What an .npy file of so many rays may take."""
+    return 32 * rays + MOST_HEADER_BYTES
+
+
+def read_npy(content: bytes) -> NDArray[np.float64]:
+    """The rays in an .npy file, in no more memory than it has bytes. Raises ValueError where it is none of rays."""
+    file = io.BytesIO(content)
+    try:
+        version = np.lib.format.read_magic(file)
+        readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        if version not in readers:
+            raise ValueError(f"version {version}")
+        shape, fortran, dtype = readers[version](file)
+    except (ValueError, EOFError, SyntaxError, RecursionError) as error:
+        raise ValueError(f"no .npy file of rays ({str(error).splitlines()[0][:100]})") from None
+    data = content[file.tell() :]
+    if dtype != np.dtype("<f8") or fortran or len(data) != 8 * math.prod(shape):
+        raise ValueError(f"an .npy file of {dtype} {shown(shape)}: expected float64 (*shape, 4), in C order")
+    return np.frombuffer(data, np.dtype("<f8")).reshape(shape)
+
+
+def _maker(sensor: Sensor) -> str:
+    """A sensor's class and parameters: ``my_sensor:Rosette(petals=7)``; files by their names alone."""
+    values: dict[str, Any] = {}
+    if dataclasses.is_dataclass(sensor):
+        values = {item.name: getattr(sensor, item.name) for item in dataclasses.fields(sensor)}
+    given = ", ".join(
+        f"{name}={value.name if isinstance(value, Path) else repr(value)}" for name, value in values.items()
+    )
+    said = f"{type(sensor).__module__}:{type(sensor).__name__}({given})"
+    return "".join(character if character.isprintable() else "?" for character in said)[:MOST_MADE_BY]
+
+
+def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{what} is no array of numbers") from None

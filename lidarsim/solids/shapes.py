@@ -1,0 +1,73 @@
+"""Shapes as data: what stands in a world, with no opinion on how rays or voxels meet it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.jit import kernel
+
+PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
+"""The codes of MuJoCo's `mjtGeom`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """Every geom of a model that rays can see, filled: n primitives and m meshes of T triangles in all.
+
+    Height fields are meshes too: their surface closed by walls and a base.
+    """
+
+    shape: NDArray[np.int64]
+    """(n,) codes, as above."""
+    size: NDArray[np.float64]
+    """(n, 3) MuJoCo's sizes, metres."""
+    position: NDArray[np.float64]
+    """(n, 3) centres, metres."""
+    rotation: NDArray[np.float64]
+    """(n, 3, 3): takes the shape's coordinates to the world's."""
+    lower: NDArray[np.float64]
+    """(n, 3) least corners of the bounding boxes; -inf for planes."""
+    upper: NDArray[np.float64]
+    """(n, 3) greatest corners; +inf for planes."""
+    triangles: NDArray[np.float64]
+    """(T, 3, 3): triangle, corner, coordinate."""
+    mesh_start: NDArray[np.int64]
+    """(m + 1,): mesh q owns triangles mesh_start[q] to mesh_start[q + 1]."""
+    mesh_filled: NDArray[np.bool_]
+    """(m,): closed, so its inside is solid; otherwise it is a surface."""
+
+    @cached_property
+    def boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Bounding boxes of all n + m solids: least corners (n + m, 3) and greatest corners (n + m, 3)."""
+        meshes = [self.triangles[a:b].reshape(-1, 3) for a, b in pairwise(self.mesh_start)]
+        lower = np.array([corners.min(axis=0) for corners in meshes]).reshape(-1, 3)
+        upper = np.array([corners.max(axis=0) for corners in meshes]).reshape(-1, 3)
+        return np.concatenate([self.lower, lower]), np.concatenate([self.upper, upper])
+
+    def __len__(self) -> int:
+        return len(self.shape) + len(self.mesh_filled)
+
+
+@kernel
+def bounding_boxes(shape, size, position, rotation):
+    """Axis-aligned bounding boxes (n, 3), (n, 3)."""
+    lower, upper = np.empty_like(position), np.empty_like(position)
+    for n in range(len(shape)):
+        for a in range(3):
+            u, v, w = rotation[n, a, 0], rotation[n, a, 1], rotation[n, a, 2]
+            reach = np.inf
+            if shape[n] == SPHERE:
+                reach = size[n, 0]
+            elif shape[n] == CAPSULE:
+                reach = size[n, 0] + abs(w) * size[n, 1]
+            elif shape[n] == CYLINDER:
+                reach = size[n, 0] * np.sqrt(max(1.0 - w * w, 0.0)) + abs(w) * size[n, 1]
+            elif shape[n] == BOX:
+                reach = abs(u) * size[n, 0] + abs(v) * size[n, 1] + abs(w) * size[n, 2]
+            elif shape[n] == ELLIPSOID:
+                reach = np.sqrt((u * size[n, 0]) ** 2 + (v * size[n, 1]) ** 2 + (w * size[n, 2]) ** 2)
+            lower[n, a], upper[n, a] = position[n, a] - reach, position[n, a] + reach
+    return lower, upper

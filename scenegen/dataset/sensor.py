@@ -1,0 +1,119 @@
+"""The sensor of a dataset: what the manifest's `lidar` says of it, and the table of rays in the folder.
+
+A raster is written by its parameters, any other sensor by its rays, so that reading imports nothing that made them.
+"""
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lidarsim import BeamTable, Lidar, Sensor
+from lidarsim.limits import MOST_RAYS
+from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
+from scenegen.dataset.rules import DIGEST, Rule, check
+from scenegen.errors import BrokenError, DatasetError, printable, short
+from scenegen.files import read_bounded, write_whole
+
+RAYS = "rays.npy"
+"""The table's file in a dataset's folder."""
+
+
+_ENTRY = {
+    "sensor": Rule(lambda value: value == "table", "table, or no entry for a raster"),
+    "rays": Rule(lambda value: value == RAYS, RAYS),
+    "sha256": DIGEST,
+    "shape": Rule(
+        lambda value: (
+            isinstance(value, list)
+            and 1 <= len(value) <= MOST_AXES
+            and all(type(count) is int and 1 <= count <= MOST_RAYS for count in value)
+            and math.prod(value) <= MOST_RAYS
+        ),
+        f"up to {MOST_AXES} counts, {MOST_RAYS} rays at most",
+    ),
+    "max_range_m": Rule(lambda value: type(value) in (int, float), "metres"),
+    "made_by": Rule(lambda value: isinstance(value, str) and len(value) <= MOST_MADE_BY, "what made the rays"),
+}
+"""What a manifest says of a table of rays; a recipe's [lidar] takes the same, but for the shape."""
+
+
+def entry_of(sensor: Sensor) -> dict[str, Any]:
+    """What the manifest says of a sensor, as plain JSON values."""
+    if isinstance(sensor, Lidar):
+        return json.loads(json.dumps(dataclasses.asdict(sensor)))
+    table = BeamTable.of(sensor)
+    return {
+        "sensor": "table",
+        "rays": RAYS,
+        "sha256": table.sha256,
+        "shape": list(table.shape),
+        "max_range_m": table.max_range_m,
+        "made_by": table.made_by,
+    }
+
+
+def recipe_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """The table [lidar] of a recipe, next to the dataset's files, that gives the sensor of a manifest's `entry`."""
+    return {name: value for name, value in entry.items() if name != "shape"}
+
+
+def files_of(entry: Mapping[str, Any]) -> dict[str, str]:
+    """Files that the sensor takes in the dataset's folder, with their SHA-256. Raises BrokenError."""
+    if "sensor" not in entry:
+        _raster(entry)
+        return {}
+    return {RAYS: _checked(entry)["sha256"]}
+
+
+def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
+    """The sensor of a manifest's `entry`. Raises BrokenError where it, or the table in `folder`, is damaged."""
+    if "sensor" not in entry:
+        return _raster(entry)
+    said = _checked(entry)
+    try:
+        content = read_bounded(folder / RAYS, most_bytes(math.prod(said["shape"])))
+        if hashlib.sha256(content).hexdigest() != said["sha256"]:
+            raise BrokenError(f"{RAYS}: is not the file whose sha256 the manifest's lidar names")
+        rays = read_npy(content)
+        if rays.shape != (*said["shape"], 4):
+            raise BrokenError(f"{RAYS}: has shape {rays.shape}, the manifest's lidar names {(*said['shape'], 4)}")
+        return BeamTable(rays=rays, max_range_m=said["max_range_m"], made_by=said["made_by"])
+    except FileNotFoundError:
+        raise BrokenError(f"{RAYS}: is missing, though the manifest's lidar is a table of rays") from None
+    except (ValueError, OSError, DatasetError) as error:
+        raise BrokenError(f"{RAYS}: {printable(error)[:200].removeprefix(f'{RAYS}: ')}") from None
+
+
+def write_rays(sensor: Sensor, folder: Path) -> None:
+    """Put the sensor's table into the dataset's folder, unless it is there; remove one of another sensor."""
+    path = folder / RAYS
+    if isinstance(sensor, Lidar):
+        path.unlink(missing_ok=True)
+        return
+    table = BeamTable.of(sensor)
+    if not path.is_file() or path.read_bytes() != table.npy:
+        write_whole(path, table.npy)
+
+
+def _raster(entry: Mapping[str, Any]) -> Lidar:
+    known = [item.name for item in dataclasses.fields(Lidar)]
+    for name in entry:
+        if name not in known:
+            raise BrokenError(f"lidar: unknown parameter {short(name)}; known: {', '.join(known)}")
+    try:
+        return Lidar(**entry)
+    except ValueError as error:
+        raise BrokenError(f"lidar: {printable(error)[:200]}") from None
+
+
+def _checked(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+    """An entry that describes a table. Raises BrokenError."""
+    check(entry, _ENTRY, "lidar")
+    for name in entry:
+        if name not in _ENTRY:
+            raise BrokenError(f"lidar: unknown parameter {short(name)}: expected {', '.join(_ENTRY)}")
+    return entry

@@ -1,0 +1,141 @@
+"""What every engine keeps: poses do not see each other, and two engines see the same world."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from lidarsim import Lidar, Pose, cast
+from lidarsim.engines import ENGINES, Engine
+
+HFIELD = '<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3" elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>'
+MESHES = """<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
+<mesh name="n" vertex="-1 -1 0  1 -1 0  1 1 0  -1 1 0  0 0 1.5"/>"""
+SIZES = {"plane": "0 0 1", "sphere": "0.7", "capsule": "0.3 0.8", "ellipsoid": "0.3 0.8 0.5", "cylinder": "0.6 0.4"}
+SIZES |= {"box": "0.3 0.8 0.5"}
+DATA = {"hfield": 'hfield="h"', "mesh": 'mesh="m"'}
+RADIUS_M = 2.2
+"""Of a ball around every solid."""
+
+
+def model_of(*geoms: str) -> mujoco.MjModel:
+    """A world of geoms, each given by its attributes."""
+    body = "".join(f"<geom {geom}/>" for geom in geoms)
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{HFIELD}{MESHES}</asset><worldbody>{body}</worldbody></mujoco>"
+    )
+
+
+def random_model(rng: np.random.Generator) -> mujoco.MjModel:
+    """Two solids of every sort on a lattice with room between them, turned at random."""
+    geoms = ['type="plane" size="0 0 1" pos="0 0 -4" euler="4 7 0"']
+    sorts = [f'type="{shape}" size="{size}"' for shape, size in SIZES.items() if shape != "plane"]
+    sorts += ['type="hfield" hfield="h"', 'type="mesh" mesh="m"', 'type="mesh" mesh="n"']
+    places = [(6.0 * i, 6.0 * j, 0.0) for i in range(4) for j in range(4)]
+    for sort, place in zip(sorts * 2, rng.permutation(places), strict=True):
+        x, y, z = place + rng.uniform(-0.5, 0.5, 3)
+        turn = " ".join(f"{angle:.1f}" for angle in rng.uniform(-180, 180, 3))
+        geoms.append(f'{sort} pos="{x:.3f} {y:.3f} {z:.3f}" euler="{turn}"')
+    return model_of(*geoms)
+
+
+def random_rays(rng: np.random.Generator, poses: int, *shape: int) -> tuple[np.ndarray, np.ndarray]:
+    """Origins (P, 3) between the solids, and unit vectors (P, *shape, 3)."""
+    origins = 6.0 * rng.integers(0, 3, (poses, 3)) + 3.0
+    origins[:, 2] = rng.uniform(-2, 2, poses)
+    rays = rng.normal(size=(poses, *shape, 3))
+    return origins, rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def made(name: str, model: mujoco.MjModel) -> Engine:
+    return ENGINES.find(name).of(model)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_two_engines_see_the_same_world_with_meshes_and_height_fields(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    origins, rays = random_rays(rng, 6, 2000)
+    for reach in (4.0, 12.0):
+        one, other = (made(name, model).cast(origins, rays, reach) for name in ENGINES.known)
+        assert 100 < np.isfinite(one).sum() < one.size - 100
+        np.testing.assert_array_equal(np.isfinite(one), np.isfinite(other))
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [*SIZES, *DATA])
+def test_two_engines_agree_on_every_shape_alone(shape: str) -> None:
+    given = DATA.get(shape) or f'size="{SIZES[shape]}"'
+    model = model_of(f'type="{shape}" {given} euler="30 40 50"')
+    lidar = Lidar(rows=40, columns=60, vertical_fov_deg=180.0, max_range_m=6.0)
+    hits = 0
+    for yaw in np.linspace(0.0, 6.0, 12):
+        pose = Pose.level([RADIUS_M * np.cos(yaw), RADIUS_M * np.sin(yaw), 1.2 * np.sin(5 * yaw)], yaw)
+        one, other = (cast(made(name, model), lidar, pose).ranges for name in ENGINES.known)
+        np.testing.assert_allclose(one, other, rtol=0, atol=2e-6)
+        hits += int(np.isfinite(one).sum())
+    assert hits > 100
+
+
+@pytest.mark.parametrize("name", ENGINES.known)
+def test_poses_together_give_what_each_gives_alone(name: str) -> None:
+    rng = np.random.default_rng(3)
+    engine = made(name, random_model(rng))
+    origins, rays = random_rays(rng, 5, 3, 40)
+    together = engine.cast(origins, rays, 12.0)
+    assert together.shape == (5, 3, 40)
+    assert together.dtype == np.float64
+    for p in range(5):
+        alone = engine.cast(origins[p : p + 1], rays[p : p + 1], 12.0)
+        np.testing.assert_array_equal(alone[0], together[p])
+    order = rng.permutation(5)
+    np.testing.assert_array_equal(engine.cast(origins[order], rays[order], 12.0), together[order])
+
+
+@pytest.mark.parametrize("name", ENGINES.known)
+def test_any_shape_and_memory_layout_of_rays_will_do(name: str) -> None:
+    rng = np.random.default_rng(4)
+    engine = made(name, random_model(rng))
+    origins, rays = random_rays(rng, 2, 60)
+    flat = engine.cast(origins, rays, 12.0)
+    np.testing.assert_array_equal(engine.cast(origins, rays.reshape(2, 3, 4, 5, 3), 12.0), flat.reshape(2, 3, 4, 5))
+    np.testing.assert_array_equal(engine.cast(origins, rays[:, ::-2], 12.0), flat[:, ::-2])
+    np.testing.assert_array_equal(engine.cast(origins, np.asfortranarray(rays), 12.0), flat)
+    np.testing.assert_array_equal(engine.cast(origins, rays[:, 7], 12.0), flat[:, 7])
+    np.testing.assert_array_equal(engine.cast(origins.tolist(), rays.tolist(), 12.0), flat)
+    rays.setflags(write=False)
+    np.testing.assert_array_equal(engine.cast(origins, rays, 12.0), flat)
+    assert engine.cast(origins, np.empty((2, 0, 3)), 12.0).shape == (2, 0)
+    assert engine.cast(np.empty((0, 3)), np.empty((0, 7, 3)), 12.0).shape == (0, 7)
+
+
+@pytest.mark.parametrize("name", ENGINES.known)
+def test_data_that_were_never_forwarded_are_refused_and_not_taken_for_an_empty_world(name: str) -> None:
+    model = model_of('type="box" size="1 1 1" pos="3 0 0"')
+    data, lidar, pose = mujoco.MjData(model), Lidar(), Pose.level((0, 0, 0))
+    with pytest.raises(ValueError, match="never forwarded"):
+        cast(ENGINES.find(name).of(model, data), lidar, pose)
+    mujoco.mj_forward(model, data)
+    assert np.isfinite(cast(ENGINES.find(name).of(model, data), lidar, pose).ranges).sum() > 50
+
+
+class Odd:
+    """An engine that gives whatever it is told to."""
+
+    def __init__(self, ranges: np.ndarray):
+        self.ranges = ranges
+
+    def cast(self, origins: np.ndarray, directions: np.ndarray, max_range_m: float) -> np.ndarray:
+        return self.ranges
+
+
+@pytest.mark.parametrize(
+    ("ranges", "told"),
+    [
+        (np.ones((16, 120)), r"Odd.cast gave ranges of shape \(16, 120\), expected \(1, 16, 120\)"),
+        (np.full((1, 16, 120), np.nan), "Odd.cast gave ranges below 0, or that are no numbers"),
+        (np.full((1, 16, 120), -1.0), "Odd.cast gave ranges below 0, or that are no numbers"),
+    ],
+)
+def test_ranges_that_are_none_are_told_of(ranges: np.ndarray, told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        cast(Odd(ranges), Lidar(), Pose.level((0, 0, 0)))  # type: ignore[arg-type]

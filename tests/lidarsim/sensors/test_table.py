@@ -1,0 +1,88 @@
+"""Tables of rays: what they take, what they give back, and what they refuse."""
+
+import dataclasses
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidarsim import BeamTable, Lidar, Sensor
+from lidarsim.sensors import SENSORS
+from lidarsim.sensors.table import BeamFile, read_npy
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Fan:
+    """A user's sensor: rays in the horizontal plane, one after the other."""
+
+    rays: int = 9
+    name: str = "a\nb"
+    where: Path = Path("/home/ada/fan.txt")
+    max_range_m: float = 5.0
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self.rays,)
+
+    @cached_property
+    def directions_body(self) -> np.ndarray:
+        angle = np.linspace(-1, 1, self.rays)
+        return np.stack([np.cos(angle), np.sin(angle), np.zeros(self.rays)], axis=-1)
+
+    @property
+    def times_s(self) -> np.ndarray:
+        return np.arange(self.rays) / 100
+
+
+@pytest.mark.parametrize("sensor", [Fan(), Lidar(), Lidar(rows=1, columns=5, mount="band")])
+def test_a_table_has_a_sensors_rays_to_the_bit(sensor: Sensor) -> None:
+    table = BeamTable.of(sensor)
+    assert table.shape == sensor.shape
+    assert table.max_range_m == sensor.max_range_m
+    assert table.directions_body.tobytes() == np.ascontiguousarray(sensor.directions_body).tobytes()
+    np.testing.assert_array_equal(table.times_s, sensor.times_s)
+    assert BeamTable.of(table) == table
+    np.testing.assert_array_equal(read_npy(table.npy), table.rays)
+
+
+def test_a_table_says_what_made_it_and_names_no_folder() -> None:
+    said = BeamTable.of(Fan()).made_by
+    assert said.startswith("tests.lidarsim.sensors.test_table:Fan(rays=9, name=")
+    assert "where=fan.txt" in said
+    assert said.isprintable()
+
+
+def test_a_table_cannot_be_changed() -> None:
+    rays = np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
+    table = BeamTable(rays=rays)
+    rays[0, 0] = 7.0
+    assert table.rays[0, 0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        table.rays[0, 0] = 2.0
+
+
+def test_a_file_is_a_sensor_by_name(tmp_path: Path) -> None:
+    table = BeamTable.of(Fan())
+    (tmp_path / "fan.npy").write_bytes(table.npy)
+    found = SENSORS.find("table")(rays=tmp_path / "fan.npy", max_range_m=5.0, sha256=table.sha256)
+    assert isinstance(found, BeamFile)
+    assert BeamTable.of(found) == table
+    for wrong, told in (
+        (BeamFile(rays=tmp_path / "fun.npy"), "rays = 'fun.npy': there is no such file in"),
+        (BeamFile(rays=tmp_path / "fan.npy", sha256="0" * 64), "is not the file whose sha256 is"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            BeamTable.of(wrong)
+
+
+@pytest.mark.parametrize("axes", [0, 5])
+def test_shapes_have_one_to_four_axes(axes: int) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        BeamTable(rays=np.broadcast_to([1.0, 0.0, 0.0, 0.0], (1,) * axes + (4,)))
+
+
+@pytest.mark.parametrize("range_m", [0.0, -1.0, 1e5, float("nan"), float("inf")])
+def test_ranges_are_those_that_float32_can_hold(range_m: float) -> None:
+    with pytest.raises(ValueError, match="max_range_m"):
+        BeamTable(rays=np.array([[1.0, 0.0, 0.0, 0.0]]), max_range_m=range_m)

@@ -1,0 +1,204 @@
+"""A sensor in a dataset: a raster by its parameters, any other by its rays; and a stranger's word on either."""
+
+import dataclasses
+import io
+import json
+import pickle
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lidarsim import BeamTable, Lidar
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.manifest import NAME
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.sensor import RAYS, entry_of, sensor_of, write_rays
+from scenegen.draw import draw_unit
+from scenegen.errors import BrokenError, DatasetError, PublishError
+from scenegen.publish.regenerate import check_recipe, recipe_text
+from scenegen.source import DrawnWorlds
+from scenegen.verify import verify
+from tests.conftest import small_recipe
+
+COUNTS = {"train": 3, "val": 0, "test": 0}
+
+
+@pytest.fixture(scope="module")
+def table() -> BeamTable:
+    """The rays of a small raster, as nine rows of a list, with times."""
+    rays = BeamTable.of(Lidar(rows=8, columns=27)).rays.copy().reshape(9, 24, 4)
+    rays[..., 3] = np.linspace(0.0, 0.1, 9)[:, None]
+    return BeamTable(rays=rays, made_by="a test")
+
+
+def build_with(folder: Path, lidar: Any, engine: str = "mujoco", *, force: bool = False) -> Dataset:
+    recipe = dataclasses.replace(small_recipe(), lidar=lidar)
+    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, engine=engine), force=force)
+    return Dataset(folder)
+
+
+@pytest.mark.parametrize("kind", ["pillar", "geometric"])
+def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit(kind: str) -> None:
+    recipe = small_recipe(kind)
+    other = dataclasses.replace(recipe, lidar=BeamTable.of(recipe.lidar))
+    one, two = (draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=2).samples for it in (recipe, other))
+    assert len(one) == 3
+    assert [sample.sha256() for sample in one] == [sample.sha256() for sample in two]
+    np.testing.assert_array_equal(one[0].free, two[0].free)
+
+
+def test_a_raster_is_written_as_it_always_was_and_leaves_no_table(tmp_path: Path) -> None:
+    build_with(tmp_path, Lidar(rows=8, columns=24))
+    found = json.loads((tmp_path / NAME).read_text())
+    assert found["lidar"] == dataclasses.asdict(Lidar(rows=8, columns=24))
+    assert "engine" not in found
+    assert not (tmp_path / RAYS).exists()
+
+
+def test_a_table_is_kept_read_verified_and_replaced(tmp_path: Path, table: BeamTable) -> None:
+    dataset = build_with(tmp_path, table)
+    assert dataset.lidar == table
+    assert str(dataset.lidar) == "9 × 24 rays of a test, up to 10 m"
+    np.testing.assert_array_equal(dataset.lidar.times_s, table.times_s)
+    assert dataset.split("train")[0].ranges.shape == (9, 24)
+    assert dataset.split("train").describe()["ranges"]["shape"] == (9, 24)
+    assert np.load(tmp_path / RAYS, allow_pickle=False).shape == (9, 24, 4)
+    report = verify(tmp_path)
+    assert report.ok, [check for check in report.checks if not check.ok]
+    assert pickle.loads(pickle.dumps(dataset.lidar)) == table
+    assert build_with(tmp_path, Lidar(rows=8, columns=24), force=True).lidar == Lidar(rows=8, columns=24)
+    assert not (tmp_path / RAYS).exists()
+
+
+def test_a_table_that_was_lost_on_the_way_is_put_back_by_the_same_command(tmp_path: Path, table: BeamTable) -> None:
+    build_with(tmp_path, table)
+    (tmp_path / RAYS).unlink()
+    with pytest.raises(DatasetError, match=r"rays\.npy: is missing"):
+        Dataset(tmp_path)
+    assert build_with(tmp_path, table).lidar == table
+
+
+def test_other_rays_or_times_make_another_sensor(table: BeamTable) -> None:
+    rays = table.rays.copy()
+    assert BeamTable(rays=rays) == table
+    rays[0, 0, 3] = 0.5
+    assert BeamTable(rays=rays) != table
+    assert BeamTable(rays=table.rays, max_range_m=9.0) != table
+    assert table != Lidar()
+
+
+def npy(values: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, values, allow_pickle=values.dtype == object)
+    return file.getvalue()
+
+
+UNIT = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))
+HEADER = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999, 4), }".ljust(117)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"", "no .npy file of rays"),
+        (b"PK\x03\x04", "no .npy file of rays"),
+        (npy(UNIT)[:-8], "expected float64"),
+        (npy(UNIT) + b"x", "expected float64"),
+        (HEADER + b"\n" + bytes(160), "expected float64"),
+        (npy(UNIT.astype("f4")), "expected float64"),
+        (npy(UNIT.astype(">f8")), "expected float64"),
+        (npy(np.array([print], dtype=object)), "an .npy file of object"),
+        (npy(UNIT[:4]), "has shape (4, 4), the manifest's lidar names (5, 4)"),
+        (npy(np.full((5, 4), np.nan)), "a ray's direction has length nan"),
+        (npy(2.0 * UNIT), "a ray's direction has length 2"),
+        (npy(UNIT - [0, 0, 0, 1.0]), "a ray's time is negative"),
+    ],
+)
+def test_a_damaged_table_ends_in_one_line(tmp_path: Path, content: bytes, told: str) -> None:
+    import hashlib
+
+    (tmp_path / RAYS).write_bytes(content)
+    entry = entry_of(BeamTable(rays=UNIT)) | {"sha256": hashlib.sha256(content).hexdigest()}
+    with pytest.raises(BrokenError) as caught:
+        sensor_of(entry, tmp_path)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"sha256": "0" * 64}, "rays.npy: is not the file whose sha256 the manifest's lidar names"),
+        ({"sha256": "x"}, "lidar.sha256 = 'x'"),
+        ({"sensor": "antigravity:Flight"}, "lidar.sensor = 'antigravity:Flight': Input should be 'table'"),
+        ({"rays": "../../etc/passwd"}, "lidar.rays = '../../etc/passwd'"),
+        ({"shape": [10**6, 10**6]}, "expected 1000000 rays at most"),
+        ({"shape": [10**9]}, "lidar.shape.0"),
+        ({"shape": []}, "lidar.shape"),
+        ({"max_range_m": -1.0}, "max_range_m = -1.0"),
+        ({"max_range_m": float("nan")}, "max_range_m = nan"),
+        ({"made_by": "x" * 301}, "lidar.made_by"),
+        ({"made_by": "two\nlines"}, "made_by"),
+        ({"rows": 16}, "lidar.rows"),
+    ],
+)
+def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+    table = BeamTable(rays=UNIT)
+    write_rays(table, tmp_path)
+    assert sensor_of(entry_of(table), tmp_path) == table
+    with pytest.raises(BrokenError) as caught:
+        sensor_of(entry_of(table) | change, tmp_path)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_reader_imports_what_a_manifest_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "data"
+    build_with(folder, Lidar(rows=8, columns=24))
+    (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = json.loads((folder / NAME).read_text())
+    (folder / NAME).write_text(json.dumps(found | {"engine": "trap:Engine"}))
+    Dataset(folder)
+    verify(folder)
+    found["lidar"] |= {"sensor": "trap:Sensor"}
+    (folder / NAME).write_text(json.dumps(found))
+    with pytest.raises(DatasetError, match=r"lidar\.sensor = 'trap:Sensor'"):
+        Dataset(folder)
+    assert not verify(folder).ok
+    assert "trap" not in sys.modules
+
+
+def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
+    tmp_path: Path, table: BeamTable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lidar = dataclasses.replace(table, made_by="''' #")
+    dataset = build_with(tmp_path / "data", lidar)
+    check_recipe(dataset, recipe_text(dataset.manifest))
+    (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
+    monkeypatch.chdir(tmp_path)
+    dataset.manifest["recipe"]["accept"]["y = 1\n[lidar]\nsensor = 'trap:Sensor'\nx = '''"] = 1
+    with pytest.raises(PublishError, match="would not make the same dataset"):
+        check_recipe(dataset, recipe_text(dataset.manifest))
+    assert "trap" not in sys.modules
+
+
+@pytest.mark.parametrize("maker", ["analytic", "mujoco"])
+def test_another_engine_is_named_in_the_manifest_and_audited_by_one_that_is_not_it(tmp_path: Path, maker: str) -> None:
+    dataset = build_with(tmp_path, Lidar(rows=8, columns=24), maker)
+    assert dataset.manifest.get("engine", "mujoco") == maker
+    report = verify(tmp_path)
+    assert report.ok, [check for check in report.checks if not check.ok]
+    checks = {check.name: check for check in report.checks}
+    assert not checks["rays"].skipped
+    assert not checks["regenerated"].skipped
+
+
+def test_an_engine_that_is_not_to_be_had_is_told_of_before_anything_is_made(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="unknown engine 'mujocco'; did you mean 'mujoco'"):
+        build_with(tmp_path / "data", Lidar(), "mujocco")
+    assert not (tmp_path / "data").exists()

@@ -1,0 +1,102 @@
+"""The examples of docs/sensor.md, run as a user would: files in a folder of their own, and the command."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SMALL = """petals = 5.7
+rays = 300
+
+[grid]
+shape = [24, 24, 16]
+
+[world]
+size_m = [16.0, 16.0, 8.0]
+
+[flight]
+viewpoints = 3
+margin_m = 2.0
+min_distance_m = 4.0
+"""
+"""What makes the documented recipe small."""
+
+
+@pytest.fixture
+def examples(tmp_path: Path) -> Path:
+    """A folder with the documented files."""
+    text = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8")
+    for content, name in re.findall(r"```\w+\n(# (\S+)\n.*?)```", text, re.DOTALL):
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    assert {path.name for path in tmp_path.iterdir()} == {"my_sensor.py", "my.toml", "my_engine.py", "make.py"}
+    recipe = tmp_path / "my.toml"
+    recipe.write_text(recipe.read_text().replace("petals = 5.7\n", SMALL))
+    return tmp_path
+
+
+def run(*words: object, cwd: Path, status: int = 0) -> str:
+    """What a command prints on both streams."""
+    ended = subprocess.run([sys.executable, *map(str, words)], cwd=cwd, capture_output=True, text=True, check=False)
+    assert ended.returncode == status, ended.stdout + ended.stderr
+    assert "Traceback" not in ended.stderr
+    return ended.stdout + ended.stderr
+
+
+def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(examples: Path) -> None:
+    made = ("generate", "--recipe", "my.toml", "--n", 6, "--val", 0, "--test", 3, "--workers", 2)
+    run("-m", "scenegen", *made, "--out", "data/rosette", "--shard-samples", 3, cwd=examples)
+    (elsewhere := examples / "elsewhere").mkdir()
+    shutil.move(examples / "data", elsewhere / "data")
+    print_one = (
+        "import scenegen; sample = scenegen.load('data/rosette')[1]; print(sample.ranges.shape, sample.free.any())"
+    )
+    assert run("-c", print_one, cwd=elsewhere).split("\n")[0] == "(300,) True"
+    assert "regenerated  ok" in run("-m", "scenegen", "verify", "data/rosette", cwd=elsewhere)
+    bench = ("bench", "data/rosette", "--quick", "--method", "returns", "--workers", 1)
+    assert "returns" in run("-m", "scenegen", *bench, cwd=elsewhere)
+    published = run(
+        "-m", "scenegen", "publish", "data/rosette", "--repo", "a/b", "--out", "out", "--dry-run", cwd=elsewhere
+    )
+    assert "rays.npy" in published
+    again = ("--n", 6, "--val", 0, "--test", 3, "--shard-samples", 3, "--out", elsewhere / "again")
+    run("-m", "scenegen", "generate", "--recipe", "recipe.toml", *again, cwd=elsewhere / "out")
+    assert (elsewhere / "again" / "dataset.json").read_bytes() == (elsewhere / "out" / "dataset.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("file", "find", "put", "told"),
+    [
+        ("my.toml", "my_sensor:Rosette", "my_senser:Rosette", "there is no module my_senser"),
+        ("my.toml", "my_sensor:Rosette", "rastar", "unknown sensor 'rastar'; did you mean 'raster'?"),
+        ("my.toml", "petals", "petal", "[lidar]: unknown parameter 'petal'; did you mean 'petals'?"),
+        ("my_sensor.py", "def times_s", "def times", "lacks `times_s`, seconds after the scan begins"),
+        ("my_sensor.py", "np.cos(away),", "2 * np.cos(away),", "[lidar] sensor Rosette: a ray's direction has length"),
+        ("my_sensor.py", "return (self.rays,)", "return (7,)", "directions_body has shape (300, 3), expected (7, 3)"),
+        ("my_sensor.py", "20.0", "'a' / 2", "[lidar] sensor Rosette: it fails: "),
+        ("my.toml", "rays = 300", "rays = 'many'", "[lidar] sensor Rosette: "),
+        ("my_sensor.py", "@dataclass(frozen=True, kw_only=True)\n", "", "expected a dataclass"),
+    ],
+)
+def test_a_sensor_that_is_none_is_told_of_in_one_line(
+    examples: Path, file: str, find: str, put: str, told: str
+) -> None:
+    text = (examples / file).read_text()
+    assert find in text
+    (examples / file).write_text(text.replace(find, put))
+    said = run("-m", "scenegen", "generate", "--recipe", "my.toml", "--n", 3, "--quiet", cwd=examples, status=1)
+    assert told in said
+    assert said.count("\n") == 1
+
+
+def test_a_users_engine_makes_a_dataset_that_verify_audits_with_mujoco(examples: Path) -> None:
+    script = examples / "make.py"
+    script.write_text(script.read_text().replace('"train": 5', '"train": 2'))
+    assert re.fullmatch(r"[0-9a-f]{64}\n", run("make.py", cwd=examples))
+    (examples / "my_engine.py").unlink()
+    told = run("-m", "scenegen", "verify", "data/slow", cwd=examples)
+    assert re.search(r"rays +ok", told)
+    assert re.search(r"regenerated +skipped .*made with the engine 'my_engine:OneByOne'", told)
