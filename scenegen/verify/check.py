@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 from scenegen.verify.contract import Contract
 from scenegen.verify.report import Page
-from scenegen.verify.stages import Sample, Shard, SignedFile, World, Worlds
+from scenegen.verify.stages import Sample, Shard, SignedFile, Worlds
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
     """One check of a dataset.
 
-    Its examinations are functions, one for each stage at which it looks. Each is handed what the stage is about and the
-    check's page of the ledger, where it writes down faults, counts what it examined, and keeps what it needs at the end.
-    A BrokenError that it raises becomes a fault of this check.
+    Its examinations are functions, one for each stage at which it looks. Each is handed what the stage is about, and
+    the check's page of the ledger: there it writes down faults, counts what it examined, and keeps what it needs at the
+    end. A BrokenError that it raises becomes a fault of this check.
     """
 
     name: str
@@ -27,9 +27,7 @@ class Check:
     file: Callable[[SignedFile, Page], None] | None = None
     """Looks at the bytes of a shard or of an archive."""
     archive: Callable[[Worlds, Page], None] | None = None
-    """Looks at a shard's archive, which is screened by then."""
-    world: Callable[[World, Page], None] | None = None
-    """Looks at one archived world."""
+    """Looks at the worlds of a shard's archive, which are screened by then."""
     shard: Callable[[Shard, Page], None] | None = None
     """Looks at a shard, whose file is open by then, before its samples."""
     sample: Callable[[Sample, Page], None] | None = None

@@ -29,7 +29,7 @@ def verify(
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Report:
-    """Check the dataset in `folder`; `quick` makes the cheap checks alone. See `scenegen.verify.checks` for all of them.
+    """Check the dataset in `folder`; `quick` makes the cheap checks alone. `scenegen.verify.checks` has them all.
 
     `workers` processes examine a shard each; none can take this one down. `seed` chooses the samples that are cast and
     made anew. `on_start` is called with the number of samples once the processes run, `on_done` with that of

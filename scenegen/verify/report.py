@@ -87,7 +87,7 @@ class Page:
         return bool(holds)
 
     def excuse(self, why: str) -> None:
-        """Make the faults a reason to skip the check: the page goes on to say how many they are, and what was examined."""
+        """Make the faults a reason to skip the check; how many they are is still told."""
         if self.faults:
             self.skipped = why
             self.counts["come out otherwise"] += self.faults

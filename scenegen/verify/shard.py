@@ -11,7 +11,7 @@ from scenegen.verify.archive import read_archive
 from scenegen.verify.checks import CHECKS
 from scenegen.verify.checks.files import ARCHIVES, LAYOUT
 from scenegen.verify.report import BrokenError, Ledger
-from scenegen.verify.stages import Sample, Shard, SignedFile, Task, World, Worlds
+from scenegen.verify.stages import Sample, Shard, SignedFile, Task, Worlds
 
 
 @dataclass(eq=False)
@@ -49,9 +49,6 @@ class _Walk:
             worlds = Worlds(self._task, read_archive(file, path.name))
             self._look("file", SignedFile(file, path.name, entry.worlds_sha256))
             self._look("archive", worlds)
-        if worlds is not None:
-            for number in sorted(worlds.archive.documents):
-                self._look("world", World(worlds, number))
         return worlds
 
     def shard(self, worlds: Worlds | None) -> None:

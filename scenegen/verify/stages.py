@@ -69,14 +69,6 @@ class Worlds:
 
 
 @dataclass(frozen=True, eq=False)
-class World:
-    """One archived world."""
-
-    worlds: Worlds
-    number: int
-
-
-@dataclass(frozen=True, eq=False)
 class Shard:
     """One shard, its file open."""
 

@@ -35,9 +35,9 @@ def _rejections_add_up(contract: Contract, page: Page) -> None:
 
 MANIFEST = Check(
     name="manifest",
-    proves="Every value in `dataset.json` has the type and bounds of the format; its shards have plain names, follow in "
-    "order, hold what `counts` asks for, were written for its parameters and reject what it says; no other `.h5` or "
-    "`.zip` file lies in the folder.",
+    proves="Every value in `dataset.json` has the type and bounds of the format; its shards have plain names, follow "
+    "in order, hold what `counts` asks for, were written for its parameters and reject what it says; no other `.h5` "
+    "or `.zip` file lies in the folder.",
     quick=True,
     shard=_written_for_these_parameters,
     folder=_rejections_add_up,
@@ -78,9 +78,9 @@ CHECKSUMS = Check(
 
 LAYOUT = Check(
     name="layout",
-    proves="A shard holds the fields of the format and nothing else, in their types and shapes: hard links alone, no data "
-    "in other files, no filter but gzip, shuffle and fletcher32, one chunk a sample, no byte between; every chunk "
-    "unpacks to just its size (with `--quick`, every chunk but those of `tudf` and `free`).",
+    proves="A shard holds the fields of the format and nothing else, in their types and shapes: hard links alone, no "
+    "data in other files, no filter but gzip, shuffle and fletcher32, one chunk a sample, no byte between; every "
+    "chunk unpacks to just its size (with `--quick`, every chunk but those of `tudf` and `free`).",
     quick=True,
 )
 """The walk over a shard writes the faults: opening the file and unpacking its samples is the examination."""
@@ -117,8 +117,8 @@ def _spans(numbers: Sequence[int]) -> str:
 
 ARCHIVES = Check(
     name="archives",
-    proves="An archive has plain member names, bounded sizes and self-contained MJCF, and holds just the worlds of its "
-    "shard's samples; worlds from your own MJCF are those that the recipe names.",
+    proves="An archive has plain member names, bounded sizes and self-contained MJCF, and holds just the worlds of "
+    "its shard's samples; worlds from your own MJCF are those that the recipe names.",
     quick=True,
     archive=_expected_worlds,
 )

@@ -71,15 +71,15 @@ def _compare_flight(shard: Shard, local: int, page: Page) -> None:
 CHECKS = (
     Check(
         name="rays",
-        proves="The ranges of 5 % of the samples (of 8 a shard at least) are those that another intersector than MuJoCo's "
-        "finds: closed forms for primitives, triangles for meshes and height fields, directions computed anew from "
-        "[sensor.md](sensor.md).",
+        proves="The ranges of 5 % of the samples (of 8 a shard at least) are those that another intersector than "
+        "MuJoCo's finds: closed forms for primitives, triangles for meshes and height fields, directions computed "
+        "anew from [sensor.md](sensor.md).",
         sample=_cast_again,
     ),
     Check(
         name="regenerated",
-        proves="One flight a shard, flown again from recipe and seed, gives the same world and the same samples, bit for "
-        "bit.",
+        proves="One flight a shard, flown again from recipe and seed, gives the same world and the same samples, bit "
+        "for bit.",
         shard=_fly_again,
     ),
 )

@@ -30,28 +30,11 @@ def _whole_digest(contract: Contract, page: Page) -> None:
     )
 
 
-DIGEST = Check(
-    name="digest",
-    proves="Each sample has the digest that is stored beside it, and the dataset has the digest of all its samples.",
-    quick=True,
-    sample=_own_digest,
-    folder=_whole_digest,
-)
-
-
 def _numbered(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     task, found = sample.shard.task, (sample.world, int(sample.fields["viewpoint"]))
     expected = sample.contract.name(task.entry.split, task.start + sample.row)
     page.expect(found == expected, f"{sample.where}: is world {found[0]}, viewpoint {found[1]}, expected {expected}")
-
-
-NAMES = Check(
-    name="names",
-    proves="World and viewpoint of every sample are numbered as the format says.",
-    quick=True,
-    sample=_numbered,
-)
 
 
 def _centred(sample: Sample, page: Page) -> None:
@@ -63,21 +46,11 @@ def _centred(sample: Sample, page: Page) -> None:
     page.expect(abs(length - 1) <= 1e-9, f"{sample.where}: quaternion has length {length:g}, expected 1")
 
 
-CENTRED = Check(
-    name="centred",
-    proves="`origin` is `position` less half the grid, to the bit, and quaternions have length 1.",
-    quick=True,
-    sample=_centred,
-)
-
-
 def _lawful(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     ranges, most = sample.fields["ranges"], sample.contract.lidar.max_range_m
     held = (ranges >= 0) & ((ranges <= np.float32(most)) | np.isposinf(ranges))
-    page.expect(
-        held.all(), f"{sample.where}: {np.count_nonzero(~held)} ranges are not from 0 to {most:g} m, or inf"
-    )
+    page.expect(held.all(), f"{sample.where}: {np.count_nonzero(~held)} ranges are not from 0 to {most:g} m, or inf")
     stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
     page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
     if "free" in sample.fields:
@@ -85,12 +58,32 @@ def _lawful(sample: Sample, page: Page) -> None:
         page.expect(not both, f"{sample.where}: {both} voxels are both free and observed")
 
 
-LAWS = Check(
-    name="laws",
-    proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied, and no voxel is both "
-    "free and observed (this last without `--quick`, where `free` is stored).",
-    quick=True,
-    sample=_lawful,
+CHECKS = (
+    Check(
+        name="digest",
+        proves="Each sample has the digest that is stored beside it, and the dataset has the digest of all its "
+        "samples.",
+        quick=True,
+        sample=_own_digest,
+        folder=_whole_digest,
+    ),
+    Check(
+        name="names",
+        proves="World and viewpoint of every sample are numbered as the format says.",
+        quick=True,
+        sample=_numbered,
+    ),
+    Check(
+        name="centred",
+        proves="`origin` is `position` less half the grid, to the bit, and quaternions have length 1.",
+        quick=True,
+        sample=_centred,
+    ),
+    Check(
+        name="laws",
+        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied, and no voxel "
+        "is both free and observed (this last without `--quick`, where `free` is stored).",
+        quick=True,
+        sample=_lawful,
+    ),
 )
-
-CHECKS = (DIGEST, NAMES, CENTRED, LAWS)
