@@ -1,4 +1,4 @@
-"""`verify`: a whole dataset folder against the contract."""
+"""`verify` holds a dataset folder against the contract: every shard in a process of its own, then all together."""
 
 from collections.abc import Callable
 from contextlib import closing

@@ -10,7 +10,7 @@ from typing import Any
 from scenegen.errors import BrokenError as BrokenError
 
 TOLD = 3
-"""Faults of one check that are written out; the others are counted."""
+"""This many faults of one check are written out; the others are counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,12 +20,12 @@ class Outcome:
     name: str
     ok: bool
     detail: str
-    """What was examined; of a failed check, its first faults: file, sample, what was expected."""
+    """What was examined; or, where the check failed, its first faults: file, sample, what was expected."""
     skipped: bool
     """Whether it could not be made here, for the reason in `detail`; a skipped check does not fail."""
     faults: int
     seconds: float
-    """Of all processes together."""
+    """Time that the check took, in all processes together."""
     counts: dict[str, int]
     """How much was examined, by kind: samples, files, rays, …"""
 

@@ -1,4 +1,4 @@
-"""The walk over one shard: its archive, every world, its file, every sample. Checks look where they declared to."""
+"""The walk over one shard: its archive, its file, every sample. At each stage, the checks look that declare it."""
 
 import os
 from dataclasses import dataclass, field
@@ -25,8 +25,8 @@ class Findings:
 
 @quiet_mujoco()
 def examine(task: Task) -> Findings:
-    """Everything that can be said about one shard by itself. Faults go to the findings' ledger; raises nothing for
-    what may be wrong with the files."""
+    """Make every check of one shard by itself. What is wrong with its files becomes faults in the findings' ledger, and
+    raises nothing."""
     found = Findings(task.number, task.entry.samples)
     walk = _Walk(task, found.ledger)
     walk.shard(walk.archive())
@@ -41,7 +41,7 @@ class _Walk:
         self._checks = [check for check in CHECKS if check.applies(task.contract, quick=task.quick)]
 
     def archive(self) -> Worlds | None:
-        """The archive and its worlds, if they can be read; a fault of `archives` where not."""
+        """Read the archive and show it to the checks; where it cannot be read, that is a fault of `archives`."""
         entry, worlds = self._task.entry, None
         path = self._task.contract.folder / entry.worlds
         with self._ledger.checking(ARCHIVES.name) as page, open_file(path) as file:
@@ -52,7 +52,7 @@ class _Walk:
         return worlds
 
     def shard(self, worlds: Worlds | None) -> None:
-        """The shard's file and its samples; what cannot be read is a fault of `layout`."""
+        """Open the shard's file and show it to the checks; where it cannot be read, that is a fault of `layout`."""
         contract, entry = self._task.contract, self._task.entry
         path = contract.folder / entry.file
         with self._ledger.checking(LAYOUT.name) as page, open_file(path) as file:
@@ -68,7 +68,7 @@ class _Walk:
             self._samples(shard)
 
     def _samples(self, shard: Shard) -> None:
-        """Every sample, each unpacked once; one that cannot be is a fault of `layout`, and the others go on."""
+        """Unpack every sample once and show it to the checks; one that cannot be unpacked is a fault of `layout`."""
         quick, file = self._task.quick, shard.file
         stored = [name for name, meta in SCHEMA.items() if not meta["derived"]]
         stored += [name for name in self._task.contract.fields if SCHEMA[name]["derived"] and not quick]

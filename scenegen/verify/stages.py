@@ -59,10 +59,10 @@ class Worlds:
     task: Task
     archive: Archive
     solids: dict[int, Solids] = field(default_factory=dict)
-    """By the world's number: of all worlds that were compiled."""
+    """The solids of every world that was compiled, by its number."""
 
     def compile(self, number: int) -> Solids:
-        """The solids of a world, which checks of samples are handed later. Raises BrokenError."""
+        """Compile a world to its solids, which checks of samples are handed later. Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         self.solids[number] = compile_solids(*self.archive.world(number), name)
         return self.solids[number]
@@ -118,7 +118,7 @@ class Sample:
 
     @property
     def solids(self) -> Solids | None:
-        """Those of its world; None where there is no such world, or it was not compiled."""
+        """The solids of its world; None where there is no such world, or it was not compiled."""
         return self.shard.worlds.solids.get(self.world) if self.shard.worlds else None
 
     @functools.cached_property

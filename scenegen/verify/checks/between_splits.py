@@ -15,7 +15,7 @@ from scenegen.verify.report import BrokenError, Page
 from scenegen.verify.stages import Sample, Worlds
 
 MOST_OPEN = 100
-"""Shards that are open at once."""
+"""This many shards are open at once at most."""
 
 
 def _digest_worlds(worlds: Worlds, page: Page) -> None:
