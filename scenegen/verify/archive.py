@@ -32,7 +32,7 @@ class Archive:
 
 
 def read_archive(file: BufferedReader, name: str) -> Archive:
-    """Read and screen all members of the archive in `file`. Raises BrokenError, which names `name` and what is wrong."""
+    """Read and screen all members of the archive in `file`. Raises BrokenError, which names `name` and the fault."""
     with open_archive(file, name) as members:
         contents = {member: members.read(member) for member in members}
         documents = {int(member[:-4]): content for member, content in contents.items() if member.endswith(".xml")}

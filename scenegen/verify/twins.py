@@ -11,7 +11,7 @@ OCCUPIED_IOU = 0.9
 """Two samples are near-twins only if the intersection over union of their occupied voxels is at least this."""
 OBSERVED_IOU = 0.5
 """Two samples are near-twins only if the intersection over union of their observed voxels is at least this. The
-occupied voxels alone do not decide: two worlds with next to nothing on a flat floor have the same ones, but from another
+occupied voxels alone do not decide: two worlds with next to nothing on a flat floor have the same, but from another
 height and heading, rays hit other parts of that floor."""
 STANDING_IOU, FLOOR_SHARE = 0.5, 0.95
 """Two samples are near-twins only if the intersection over union of what stands on their floor is at least the first
