@@ -1,6 +1,6 @@
-"""Prove a dataset folder against docs/format.md: what is checked, and how surely, is in docs/verify.md."""
+"""Check a dataset folder against docs/format.md: docs/verify.md says what each check proves, and what it cannot see."""
 
 from scenegen.verify.folder import verify
-from scenegen.verify.report import Check, Report
+from scenegen.verify.report import Outcome, Report
 
-__all__ = ["Check", "Report", "verify"]
+__all__ = ["Outcome", "Report", "verify"]

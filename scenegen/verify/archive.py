@@ -1,4 +1,4 @@
-"""The worlds' archive: a zip of MJCF from anywhere, screened before MuJoCo sees it. Nothing is written to disk."""
+"""An archive of worlds is a zip of MJCF from anywhere: it is screened before MuJoCo sees it, and stays in memory."""
 
 from dataclasses import dataclass
 from io import BufferedReader
@@ -27,7 +27,7 @@ class Archive:
     assets: dict[str, bytes]
 
     def world(self, number: int) -> tuple[bytes, dict[str, bytes]]:
-        """A world's document and the files it refers to. Raises BrokenError where there is none."""
+        """Return a world's document and the files it refers to. Raises BrokenError where there is none."""
         if number not in self.documents:
             raise BrokenError(f"has no member {number:06d}.xml")
         document = self.documents[number]
@@ -35,7 +35,7 @@ class Archive:
 
 
 def read_archive(file: BufferedReader, name: str) -> Archive:
-    """Every member of the archive in `file`, screened. Raises BrokenError, naming `name`, with what is wrong."""
+    """Read and screen all members of the archive in `file`. Raises BrokenError, which names `name` and the fault."""
     with open_archive(file, name) as members:
         contents = {member: members.read(member) for member in members}
         documents = {int(member[:-4]): content for member, content in contents.items() if member.endswith(".xml")}
@@ -45,7 +45,7 @@ def read_archive(file: BufferedReader, name: str) -> Archive:
 
 
 def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Solids:
-    """The solids of an archived world that has been screened. Raises BrokenError, naming `name`."""
+    """Compile an archived world that has been screened to its solids. Raises BrokenError, which names `name`."""
     try:
         with quiet_mujoco():
             return solids_of(mujoco.MjModel.from_xml_string(document.decode(), assets))

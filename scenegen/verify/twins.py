@@ -1,4 +1,4 @@
-"""Near-twins: samples of different splits that show next to the same map, found without comparing all with all."""
+"""The search for near-twins, samples of different splits that show nearly the same map, among very many pairs."""
 
 import math
 
@@ -8,22 +8,24 @@ from numpy.typing import NDArray
 from lidarsim.jit import kernel
 
 OCCUPIED_IOU = 0.9
-"""Maps are near-twins when their occupied voxels agree this far (intersection over union), and …"""
+"""Two samples are near-twins only if the intersection over union of their occupied voxels is at least this."""
 OBSERVED_IOU = 0.5
-"""… their observed voxels this far. The truth alone would not do: over a flat floor with next to nothing on it, maps of
-different worlds are the same; what rays hit of it, from another height at another heading, is not."""
+"""Two samples are near-twins only if the intersection over union of their observed voxels is at least this. The
+occupied voxels alone do not decide: two worlds with next to nothing on a flat floor have the same, but from another
+height and heading, rays hit other parts of that floor."""
 STANDING_IOU, FLOOR_SHARE = 0.5, 0.95
-"""… and what stands on the floor this far, less the layers of which both maps fill the second share: two empty floors
-may by chance be seen alike, too."""
+"""Two samples are near-twins only if the intersection over union of what stands on their floor is at least the first
+number. A layer is floor where both maps fill at least the second number of it. Two floors that are nearly empty may by
+chance be observed alike, too; what stands on them then tells them apart."""
 MOST_PAIRS = 8_000_000
-"""Pairs of maps that are kept in memory while they are sifted."""
+"""The search keeps this many pairs of maps in memory at most."""
 MOST_COMPARED = 5_000
-"""Pairs that are compared voxel by voxel."""
+"""This many pairs are compared voxel by voxel at most."""
 _BITS = 13
 
 
 def signature(occupancy: NDArray[np.bool_]) -> NDArray[np.uint32]:
-    """Occupied voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
+    """Count the occupied voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
     blocks = np.zeros(320, dtype=np.uint32)
     _count(occupancy.view(np.uint8), blocks)
     return blocks
@@ -44,7 +46,7 @@ def _count(occupied, blocks):
 
 
 def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
-    """Observed voxels, scattered over 8192 bits by their number, (128,) words; two may share a bit."""
+    """Scatter the observed voxels over 8192 bits by their number, (128,) words; two voxels may share a bit."""
     number = np.flatnonzero(observed).astype(np.uint32)
     bits = np.zeros(1 << _BITS, dtype=np.bool_)
     bits[(number * np.uint32(2654435761)) >> np.uint32(32 - _BITS)] = True
@@ -54,7 +56,7 @@ def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
 def candidates(
     signatures: NDArray[np.uint32], folds: NDArray[np.uint64], observed: NDArray[np.int64], splits: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], bool]:
-    """Pairs (P, 2) of the n samples that may be near-twins, and whether these are all: then none is missed.
+    """Find the pairs (P, 2) of the n samples that may be near-twins, and whether these are all: then none is missed.
 
     `signatures` (n, 320) and `folds` (n, 128) are of every sample, `observed` (n,) counts its observed voxels, `splits`
     (n,) numbers its split. Voxels in which two maps differ are at least as many as the sum of the differences of
@@ -113,7 +115,7 @@ def _pairs(counts, splits, coarse, fine, share, pairs):
 
 @kernel
 def _beyond(a, b, most):
-    """Sum of absolute differences, or, as soon as that is certain, something above `most`."""
+    """Return the sum of absolute differences, or some number above `most` as soon as the sum is sure to be above it."""
     total = 0
     for begin in range(0, len(a), 20):
         for n in range(begin, begin + 20):
@@ -124,12 +126,12 @@ def _beyond(a, b, most):
 
 
 def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    """Intersection over union; 0 where both are empty."""
+    """Return the intersection over union of two maps; 0 where both are empty."""
     return float(np.count_nonzero(a & b)) / max(float(np.count_nonzero(a | b)), 1.0)
 
 
 def standing_overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    """`overlap` of two maps less the layers that are a floor in both; 1 where nothing else is there."""
+    """Return `overlap` of two maps without the layers that are floor in both; 1 where nothing else is there."""
     floor = np.minimum(a.mean(axis=(0, 1)), b.mean(axis=(0, 1))) >= FLOOR_SHARE
     a, b = a[:, :, ~floor], b[:, :, ~floor]
     return overlap(a, b) if a.any() or b.any() else 1.0

@@ -8,7 +8,7 @@ import pytest
 from lidarsim import Pose, Scan, voxelize
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from scenegen.verify import Check, verify
+from scenegen.verify import Outcome, verify
 from tests.scenegen.verify import forge
 from tests.scenegen.verify.conftest import failed
 
@@ -25,7 +25,7 @@ def older(folder: Path) -> Path:
     return folder
 
 
-def again(folder: Path) -> Check:
+def again(folder: Path) -> Outcome:
     return next(check for check in verify(folder).checks if check.name == "regenerated")
 
 

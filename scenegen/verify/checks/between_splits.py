@@ -1,0 +1,117 @@
+"""Checks that splits share nothing: no world, and no map that looks nearly the same."""
+
+from contextlib import ExitStack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen import SPLITS
+from scenegen.dataset.layout import ShardFile, open_file, open_shard
+from scenegen.geometry import geometry_digest
+from scenegen.verify import twins
+from scenegen.verify.check import Check
+from scenegen.verify.contract import Contract
+from scenegen.verify.report import BrokenError, Page
+from scenegen.verify.stages import Sample, Worlds
+
+MOST_OPEN = 100
+"""This many shards are open at once at most."""
+
+
+def _digest_worlds(worlds: Worlds, page: Page) -> None:
+    for number in sorted(worlds.archive.documents):
+        page.count(worlds=1)
+        try:
+            digest = worlds.archive.outlines[number] if worlds.task.quick else geometry_digest(worlds.compile(number))
+        except BrokenError as error:
+            page.fault(str(error))
+            continue
+        page.kept.append((worlds.task.number, digest, number))
+
+
+def _in_one_split(contract: Contract, page: Page) -> None:
+    owner: dict[bytes, tuple[str, int]] = {}
+    first = {(shard, digest): world for shard, digest, world in reversed(page.kept)}  # told once a shard
+    for shard, digest, world in page.kept:
+        if first[shard, digest] != world:
+            continue
+        split = contract.shards[shard].split
+        other, theirs = owner.setdefault(digest, (split, world))
+        page.expect(
+            other == split,
+            f"world {world} of {split} has the same solids as world {theirs} of {other}, expected another one",
+        )
+
+
+def _keep_signature(sample: Sample, page: Page) -> None:
+    occupancy, observed = sample.fields["occupancy"], sample.fields["observed"]
+    signs = twins.signature(occupancy), twins.fold(observed), int(np.count_nonzero(observed))
+    page.kept.append(((sample.shard.task.number, sample.row), *signs))
+
+
+def _compare(contract: Contract, page: Page) -> None:
+    if not page.kept:
+        return
+    places, signatures, folds, observed = zip(*page.kept, strict=True)
+    page.count(samples=len(places))
+    splits = np.array([SPLITS.index(contract.shards[number].split) for number, _ in places])
+    pairs, complete = twins.candidates(np.array(signatures), np.array(folds), np.array(observed), splits)
+    page.count(compared=len(pairs))
+    found = 0
+    with _Maps(contract) as maps:
+        for one, other in ((places[a], places[b]) for a, b in pairs):
+            seen = twins.overlap(maps.of("observed", *one), maps.of("observed", *other))
+            if seen < twins.OBSERVED_IOU:
+                continue
+            truths = maps.of("occupancy", *one), maps.of("occupancy", *other)
+            occupied = twins.overlap(*truths)
+            if occupied >= twins.OCCUPIED_IOU and twins.standing_overlap(*truths) >= twins.STANDING_IOU:
+                found += 1
+                page.fault(
+                    f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
+                    f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU {occupied:.3f}, observed "
+                    f"{seen:.3f}), expected another world"
+                )
+    if not complete and not found:
+        page.skipped = f"too many maps are alike: {len(pairs)} pairs were compared, not all"
+
+
+class _Maps(ExitStack):
+    """Grids of any samples of a folder; its files stay open until the end of the context."""
+
+    def __init__(self, contract: Contract):
+        super().__init__()
+        self._contract = contract
+        self._shards: dict[int, ShardFile] = {}
+
+    def of(self, field: str, number: int, row: int) -> NDArray[np.bool_]:
+        """A grid of sample `row` of shard `number`. Raises BrokenError."""
+        if number not in self._shards:
+            if len(self._shards) >= MOST_OPEN:
+                self.close()
+                self._shards.clear()
+            entry = self._contract.shards[number]
+            path = self._contract.folder / entry.file
+            file = self.enter_context(open_file(path))
+            self._shards[number] = open_shard(file, path, entry.samples, self._contract.layout)
+        return self._shards[number].value(field, row)
+
+
+CHECKS = (
+    Check(
+        name="splits",
+        proves="No two splits share a world, however its solids are named, grouped in bodies and ordered (with "
+        "`--quick`: however the elements of its MJCF are named, coloured and ordered).",
+        quick=True,
+        archive=_digest_worlds,
+        folder=_in_one_split,
+    ),
+    Check(
+        name="near-twins",
+        proves="No two samples of different splits show nearly the same map, seen nearly the same way: their occupied "
+        "voxels agree to less than 90 % (intersection over union), or their observed voxels to less than 50 %, or "
+        "what stands on the floor to less than 50 %.",
+        sample=_keep_signature,
+        folder=_compare,
+    ),
+)

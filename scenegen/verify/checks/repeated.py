@@ -1,0 +1,94 @@
+"""Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way from the seed."""
+
+import numpy as np
+
+from lidarsim.engines import ENGINES
+from scenegen.sample import SCHEMA
+from scenegen.verify.check import Check
+from scenegen.verify.rays import audit, disagrees
+from scenegen.verify.regenerate import regenerate
+from scenegen.verify.report import BrokenError, Page
+from scenegen.verify.stages import Sample, Shard
+
+
+def _cast_again(sample: Sample, page: Page) -> None:
+    solids, worlds = sample.solids, sample.shard.worlds
+    if solids is None or worlds is None or sample.row not in sample.shard.audited:
+        return
+    fields, lidar = sample.fields, sample.contract.lidar
+    rays, found, gap = audit(
+        fields["ranges"],
+        fields["position"],
+        fields["quaternion"],
+        worlds.auditor(sample.world),
+        lidar,
+        solids=len(solids.shape) + len(solids.triangles),
+        rng=sample.shard.rng,
+    )
+    wrong = disagrees(gap, found, lidar.max_range_m)
+    page.count(samples=1, rays=len(rays))
+    page.note_greatest("greatest difference in m", float(gap[~wrong].max(initial=0.0)))
+    if wrong.any():
+        n = int(np.flatnonzero(wrong)[np.argmax(gap[wrong])])
+        ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
+        page.fault(
+            f"{sample.where}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray {ray} has "
+            f"{fields['ranges'][ray]} m, the solids of world {sample.world} are {found[n]:.7g} m away"
+        )
+
+
+def _fly_again(shard: Shard, page: Page) -> None:
+    task = shard.task
+    if shard.worlds is None:
+        return
+    foreign = task.contract.engine not in ENGINES.known
+    if foreign or (not task.contract.drawn and task.contract.scenes is None):
+        page.skipped = task.not_comparable
+        return
+    flights = -(-task.entry.samples // task.contract.viewpoints)
+    rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number, 1)))
+    try:
+        _compare_flight(shard, int(rng.permutation(flights)[0]), page)
+    except BrokenError as error:
+        page.fault(str(error))
+    if task.not_comparable:
+        page.excuse(f"not comparable, {task.not_comparable}: what comes out otherwise here is no fault")
+
+
+def _compare_flight(shard: Shard, local: int, page: Page) -> None:
+    """Fly the shard's flight number `local` again, and compare its world and its samples bit for bit."""
+    task, each = shard.task, shard.task.contract.viewpoints
+    assert shard.worlds is not None
+    archive = shard.worlds.archive
+    again = regenerate(task.contract, archive, task.entry.split, task.start // each + local)
+    page.count(worlds=1)
+    page.expect(
+        archive.documents.get(again.number) == again.world.mjcf,
+        f"{task.entry.worlds}: {again.number:06d}.xml is not the world that the seed gives",
+    )
+    for row, sample in zip(range(local * each, task.entry.samples), again.samples, strict=False):
+        page.count(samples=1)
+        for name in task.contract.fields:
+            expected = np.asarray(getattr(sample, name), dtype=SCHEMA[name]["dtype"])
+            if not page.expect(
+                shard.file.value(name, row).tobytes() == expected.tobytes(),
+                f"{task.entry.file}: sample {row}: {name} is not what the seed gives",
+            ):
+                break
+
+
+CHECKS = (
+    Check(
+        name="rays",
+        proves="The ranges of 5 % of the samples (of 8 a shard at least) are those that another engine finds: for "
+        "MuJoCo's the analytic one, with closed forms for primitives and the triangles of meshes and height fields, "
+        "for all others MuJoCo's; the directions of a raster are computed anew from [sensor.md](sensor.md).",
+        sample=_cast_again,
+    ),
+    Check(
+        name="regenerated",
+        proves="One flight a shard, flown again from recipe and seed, gives the same world and the same samples, bit "
+        "for bit.",
+        shard=_fly_again,
+    ),
+)

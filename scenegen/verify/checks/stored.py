@@ -1,0 +1,89 @@
+"""Checks of what is stored in each sample, which need next to no computing."""
+
+import hashlib
+
+import numpy as np
+
+from scenegen.dataset import manifest
+from scenegen.verify.check import Check
+from scenegen.verify.contract import Contract
+from scenegen.verify.report import Page
+from scenegen.verify.stages import Sample
+
+DIGESTED = ("observed", "occupancy", "ranges", "position", "quaternion", "origin", "world", "viewpoint")
+"""What a sample's digest covers, in order: written anew from docs/format.md."""
+
+
+def _own_digest(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    content = b"".join(sample.packed.get(name, sample.fields[name]).tobytes() for name in DIGESTED)
+    digest = hashlib.sha256(content).digest()
+    page.kept.append(digest)
+    page.expect(digest == sample.own_digest, f"{sample.where}: its content does not have the digest stored beside it")
+
+
+def _whole_digest(contract: Contract, page: Page) -> None:
+    found = hashlib.sha256(b"".join(page.kept)).hexdigest()
+    page.expect(
+        contract.digest in (None, found),
+        f"{manifest.NAME}: digest {str(contract.digest)[:16]}…, the samples' is {found[:16]}…",
+    )
+
+
+def _numbered(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    task, found = sample.shard.task, (sample.world, int(sample.fields["viewpoint"]))
+    expected = sample.contract.name(task.entry.split, task.start + sample.row)
+    page.expect(found == expected, f"{sample.where}: is world {found[0]}, viewpoint {found[1]}, expected {expected}")
+
+
+def _centred(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    centred = sample.contract.grid.origin_at(sample.fields["position"])
+    off = float(np.abs(sample.fields["origin"] - centred).max())
+    page.expect(off == 0.0, f"{sample.where}: origin is {off:.3g} m from position less half the grid")
+    length = float(np.sqrt((sample.fields["quaternion"] ** 2).sum()))
+    page.expect(abs(length - 1) <= 1e-9, f"{sample.where}: quaternion has length {length:g}, expected 1")
+
+
+def _lawful(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    ranges, most = sample.fields["ranges"], sample.contract.lidar.max_range_m
+    held = (ranges >= 0) & ((ranges <= np.float32(most)) | np.isposinf(ranges))
+    page.expect(held.all(), f"{sample.where}: {np.count_nonzero(~held)} ranges are not from 0 to {most:g} m, or inf")
+    stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
+    page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
+    if "free" in sample.fields:
+        both = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
+        page.expect(not both, f"{sample.where}: {both} voxels are both free and observed")
+
+
+CHECKS = (
+    Check(
+        name="digest",
+        proves="Each sample has the digest that is stored beside it, and the dataset has the digest of all its "
+        "samples.",
+        quick=True,
+        sample=_own_digest,
+        folder=_whole_digest,
+    ),
+    Check(
+        name="names",
+        proves="World and viewpoint of every sample are numbered as the format says.",
+        quick=True,
+        sample=_numbered,
+    ),
+    Check(
+        name="centred",
+        proves="`origin` is `position` less half the grid, to the bit, and quaternions have length 1.",
+        quick=True,
+        sample=_centred,
+    ),
+    Check(
+        name="laws",
+        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied, and no voxel "
+        "is both free and observed (this last without `--quick`, where `free` is stored).",
+        quick=True,
+        sample=_lawful,
+    ),
+)

@@ -1,0 +1,148 @@
+"""What checks are handed at each stage. What several of them need is computed here, once."""
+
+import functools
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from io import BufferedReader
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import Engine, ObservedGrid, Pose, Scan, voxelize
+from lidarsim.solids.shapes import Solids
+from scenegen.dataset.layout import ShardFile
+from scenegen.dataset.trust import Entry
+from scenegen.verify.archive import Archive, auditor, compile_solids
+from scenegen.verify.contract import Contract
+from scenegen.verify.report import BrokenError
+from scenegen.verify.rounding import as_rounded
+
+AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
+"""Checks that cost much look at this share of a shard's samples, and at this many at least."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """All that examining one shard depends on."""
+
+    contract: Contract
+    number: int
+    """The shard's place in the manifest."""
+    start: int
+    """Place of its first sample within its split."""
+    quick: bool
+    seed: int
+    not_comparable: str
+    """Why samples made here need not have the dataset's bits; empty where they must."""
+
+    @property
+    def entry(self) -> Entry:
+        """The shard's entry in the manifest."""
+        return self.contract.shards[self.number]
+
+
+@dataclass(frozen=True, eq=False)
+class SignedFile:
+    """A file whose SHA-256 the manifest lists."""
+
+    file: BufferedReader
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, eq=False)
+class Worlds:
+    """The archive of one shard, screened."""
+
+    task: Task
+    archive: Archive
+    solids: dict[int, Solids] = field(default_factory=dict)
+    """The solids of every world that was compiled, by its number."""
+    _auditors: dict[int, Engine] = field(default_factory=dict)
+
+    def compile(self, number: int) -> Solids:
+        """Compile a world to its solids, which checks of samples are handed later. Raises BrokenError."""
+        name = f"{self.task.entry.worlds}: {number:06d}.xml"
+        self.solids[number] = compile_solids(*self.archive.world(number), name)
+        return self.solids[number]
+
+    def auditor(self, number: int) -> Engine:
+        """What casts rays anew in a world that was compiled."""
+        if number not in self._auditors:
+            world, made_with = self.archive.world(number), self.task.contract.engine
+            self._auditors[number] = auditor(*world, self.solids[number], made_with=made_with)
+        return self._auditors[number]
+
+
+@dataclass(frozen=True, eq=False)
+class Shard:
+    """One shard, its file open."""
+
+    task: Task
+    worlds: Worlds | None
+    """None where the archive cannot be read."""
+    file: ShardFile
+    rejected: dict[str, Counter[str]]
+    """How many worlds and viewpoints were rejected, by reason, as the shard says."""
+
+    @functools.cached_property
+    def rng(self) -> np.random.Generator:
+        """What is chosen at random in this shard comes from here, in the order of its samples."""
+        return np.random.default_rng(np.random.SeedSequence(self.task.seed, spawn_key=(self.task.number,)))
+
+    @functools.cached_property
+    def audited(self) -> frozenset[int]:
+        """The samples that checks which cost much look at."""
+        samples = self.task.entry.samples
+        chosen = self.rng.permutation(samples)[: max(LEAST_AUDITED, round(AUDITED_SHARE * samples))]
+        return frozenset(chosen.tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample, unpacked: all fields, or where `quick` those that are not derived from others."""
+
+    shard: Shard
+    row: int
+    fields: Mapping[str, NDArray[Any]]
+    own_digest: bytes
+
+    @property
+    def contract(self) -> Contract:
+        """What the manifest promises."""
+        return self.shard.task.contract
+
+    @property
+    def where(self) -> str:
+        """How faults name this sample."""
+        return f"{self.shard.task.entry.file}: sample {self.row}"
+
+    @property
+    def world(self) -> int:
+        """Number of the world that it says it is of."""
+        return int(self.fields["world"])
+
+    @property
+    def solids(self) -> Solids | None:
+        """The solids of its world; None where there is no such world, or it was not compiled."""
+        return self.shard.worlds.solids.get(self.world) if self.shard.worlds else None
+
+    @functools.cached_property
+    def packed(self) -> dict[str, NDArray[np.uint8]]:
+        """The stored grids, eight voxels a byte."""
+        return {name: np.packbits(self.fields[name]) for name in ("observed", "occupancy")}
+
+    @functools.cached_property
+    def seen(self) -> ObservedGrid:
+        """What follows from the stored ranges and pose. Raises BrokenError where the pose is none."""
+        try:
+            pose = Pose(self.fields["position"], self.fields["quaternion"])
+        except ValueError as error:
+            raise BrokenError(f"{self.where}: {error}") from None
+        # a range that is no number is a fault of `laws`; here it counts as no return
+        ranges = np.where(np.isfinite(self.fields["ranges"]), self.fields["ranges"], np.float32(np.inf))
+        scan = Scan(ranges, pose, self.contract.lidar)
+        seen = voxelize(scan, self.contract.grid, self.fields["origin"])
+        return as_rounded(seen, scan, self.contract.grid, self.fields) if self.contract.generator == 1 else seen
