@@ -9,20 +9,20 @@ The whole method in five lines, on any MuJoCo world::
     print(len(scan.points()), "returns in", grid.observed.sum(), "voxels")
 """
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
-from lidarsim.engines import Engine
-from lidarsim.engines.analytic import AnalyticEngine
-from lidarsim.grid import GridSpec
-from lidarsim.pose import Pose
-from lidarsim.scan import Scan, cast
-from lidarsim.sensors import Sensor
-from lidarsim.sensors.raster import Lidar
-from lidarsim.sensors.table import BeamTable
-from lidarsim.voxelize import ObservedGrid, voxelize
-
 if TYPE_CHECKING:
+    from lidarsim.engines import Engine
+    from lidarsim.engines.analytic import AnalyticEngine
     from lidarsim.engines.mujoco import MujocoEngine
+    from lidarsim.grid import GridSpec
+    from lidarsim.pose import Pose
+    from lidarsim.scan import Scan, cast
+    from lidarsim.sensors import Sensor
+    from lidarsim.sensors.raster import Lidar
+    from lidarsim.sensors.table import BeamTable
+    from lidarsim.voxelize import ObservedGrid, voxelize
 
 __all__ = [
     "AnalyticEngine",
@@ -40,10 +40,26 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """MuJoCo is imported when its engine is asked for: it takes longer than everything else here together."""
-    if name != "MujocoEngine":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from lidarsim.engines.mujoco import MujocoEngine
+_PLACES = {
+    "engines": ("Engine",),
+    "engines.analytic": ("AnalyticEngine",),
+    "engines.mujoco": ("MujocoEngine",),
+    "grid": ("GridSpec",),
+    "pose": ("Pose",),
+    "scan": ("Scan", "cast"),
+    "sensors": ("Sensor",),
+    "sensors.raster": ("Lidar",),
+    "sensors.table": ("BeamTable",),
+    "voxelize": ("ObservedGrid", "voxelize"),
+}
 
-    return MujocoEngine
+
+def __getattr__(name: str) -> Any:
+    """What `__all__` lists, imported when it is first asked for: the command line needs `lidarsim.parameters` alone,
+    without numpy and MuJoCo."""
+    for module, names in _PLACES.items():
+        if name in names:
+            found = importlib.import_module(f"lidarsim.{module}")
+            globals().update({each: getattr(found, each) for each in names})  # of `voxelize`, the function stays
+            return globals()[name]
+    raise AttributeError(f"module 'lidarsim' has no attribute {name!r}")

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 from lidarsim.parameters import check, number
 from scenegen.errors import short
 from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_SEED, MOST_WIDTH
-from scenegen.model.inputs import INPUTS
 
 LEVELS = 3
 TASKS = ("tudf", "occupancy")
@@ -63,6 +62,8 @@ class NetworkConfig:
     """Heads of the self-attention (ours)."""
 
     def __post_init__(self) -> None:
+        from scenegen.model.inputs import INPUTS  # which computes them, with what that takes
+
         check(self)
         if self.variant not in VARIANTS:
             raise ValueError(f"variant = {short(self.variant)} must be one of {', '.join(VARIANTS)}")

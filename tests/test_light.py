@@ -49,5 +49,5 @@ def test_what_is_derived_cast_or_drawn_is_imported_then(folder: Path) -> None:
     load = f"import scenegen; samples = scenegen.load({str(folder)!r})\n"
     assert "numba" in imported(f"{load}samples[0].free")
     assert "mujoco" in imported(f"{load}assert samples.dataset.manifest.recipe.world")
-    assert "mujoco" in imported("from lidarsim import MujocoCaster")
+    assert "mujoco" in imported("from lidarsim import MujocoEngine")
     assert imported("import lidarsim; assert not hasattr(lidarsim, 'absent')") == set()

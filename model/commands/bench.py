@@ -80,7 +80,7 @@ def bench(
     if as_json:
         print(json.dumps(report))
     elif talk:
-        _show(report)
+        show_tables(report)
         say(f"\nwritten: {out / 'report.md'}, {out / 'report.json'}")
 
 
@@ -180,7 +180,7 @@ def _network(weights: str) -> "Method":
     return Pretrained(weights)
 
 
-def _show(report: dict[str, Any]) -> None:
+def show_tables(report: dict[str, Any]) -> None:
     """Both tables: means, at the paper's thresholds."""
     from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 

@@ -3,9 +3,11 @@
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, TypeVar
 
 from scenegen.errors import BrokenError, short
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -73,3 +75,18 @@ def checked(kind: type, found: Any, at: str) -> dict[str, Any]:
     rules = {item.name: item.metadata["rule"] for item in fields(kind) if "rule" in item.metadata}
     check(found, rules, at)
     return {name: found[name] for name in rules}
+
+
+def made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:
+    """The dataclass `part` of a table whose keys `names` are called otherwise there. Raises BrokenError."""
+    check(table, {}, at)
+    for name in table:
+        if name not in names:
+            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(names)}")
+    try:
+        return part(**{names[name]: value for name, value in table.items()})
+    except ValueError as error:
+        said = str(error)
+        for name, ours in names.items():
+            said = said.replace(ours, name)
+        raise BrokenError(f"{at}.{said}") from None

@@ -14,7 +14,7 @@ from typing import Any
 from lidarsim import BeamTable, Lidar, Sensor
 from lidarsim.limits import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
-from scenegen.dataset.rules import DIGEST, Rule, check
+from scenegen.dataset.rules import DIGEST, Rule, check, made
 from scenegen.errors import BrokenError, DatasetError, printable, short
 from scenegen.files import read_bounded, write_whole
 
@@ -100,14 +100,7 @@ def write_rays(sensor: Sensor, folder: Path) -> None:
 
 
 def _raster(entry: Mapping[str, Any]) -> Lidar:
-    known = [item.name for item in dataclasses.fields(Lidar)]
-    for name in entry:
-        if name not in known:
-            raise BrokenError(f"lidar: unknown parameter {short(name)}; known: {', '.join(known)}")
-    try:
-        return Lidar(**entry)
-    except ValueError as error:
-        raise BrokenError(f"lidar: {printable(error)[:200]}") from None
+    return made(Lidar, entry, {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar")
 
 
 def _checked(entry: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -4,10 +4,10 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from lidarsim import GridSpec, Sensor
 from lidarsim.engines import MUJOCO
@@ -22,6 +22,7 @@ from scenegen.dataset.rules import (
     Rule,
     check,
     checked,
+    made,
     optional,
     ruled,
     table_of,
@@ -35,8 +36,6 @@ from scenegen.sample import stored_fields
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
-
-T = TypeVar("T")
 
 _COUNT = whole(0, MOST_SAMPLES)
 _FIELDS = Rule(
@@ -96,7 +95,7 @@ class Manifest:
     fields: tuple[str, ...]
     """Names of the fields that shards store."""
     grid: GridSpec
-    folder: Path
+    folder: Path = field(compare=False)
     """Where the file lies."""
     engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
     """What cast the rays; never imported unless it is one of ours."""
@@ -170,7 +169,7 @@ def parse(document: Mapping[str, Any], folder: Path) -> Manifest:
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:
             raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
-    grid = _made(GridSpec, found["grid"], manifest.GRID, "grid")
+    grid = made(GridSpec, found["grid"], manifest.GRID, "grid")
     if math.prod(grid.shape) > MOST_VOXELS:
         raise BrokenError(f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most")
     return Manifest(
@@ -182,21 +181,6 @@ def parse(document: Mapping[str, Any], folder: Path) -> Manifest:
         folder=folder,
         shards=shards,
     )
-
-
-def _made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:
-    """The dataclass `part` of a table whose keys `names` are called otherwise there. Raises BrokenError."""
-    check(table, {}, at)
-    for name in table:
-        if name not in names:
-            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(names)}")
-    try:
-        return part(**{names[name]: value for name, value in table.items()})
-    except ValueError as error:
-        said = str(error)
-        for name, ours in names.items():
-            said = said.replace(ours, name)
-        raise BrokenError(f"{at}.{said}") from None
 
 
 def load(folder: Path, name: str = "") -> Manifest:
