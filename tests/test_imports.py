@@ -39,6 +39,31 @@ def test_a_part_imports_none_above_it(part: str) -> None:
     assert wrong == set()
 
 
+def rooms_of(part: str) -> dict[str, set[str]]:
+    """Every room of a package, a file or a folder at its top, with the rooms that it imports."""
+    place = ORDER[part][0]
+    prefix = "scenegen.model." if part == "model" else f"{part}."
+    rooms = {path.stem: path for path in place.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    found: dict[str, set[str]] = {}
+    for name, path in rooms.items():
+        if name in ("__init__", "__main__") or path.is_symlink():
+            continue
+        files = [path] if path.is_file() else sorted(path.rglob("*.py"))
+        named = {one.removeprefix(prefix).split(".")[0] for f in files for one in imported(f) if one.startswith(prefix)}
+        found[name] = named & rooms.keys() - {name}
+    return found
+
+
+@pytest.mark.parametrize("part", ["lidarsim", "scenegen", "model"])
+def test_inside_a_part_no_room_imports_one_that_imports_it(part: str) -> None:
+    """Taking away, again and again, the rooms that import none of those left takes away all of them."""
+    left = rooms_of(part)
+    assert len(left) > 5
+    while lowest := {name for name, below in left.items() if not below & left.keys()}:
+        left = {name: below for name, below in left.items() if name not in lowest}
+    assert left == {}
+
+
 def test_nothing_is_imported_by_a_name_that_users_give_their_own_files() -> None:
     files = [
         path for folder in ("lidarsim", "scenegen", "model", "benchmarks") for path in (ROOT / folder).rglob("*.py")
