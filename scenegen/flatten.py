@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE
-from scenegen.world import FLIGHT_BOUNDS, least_memory
+from scenegen.drawing import FLIGHT_BOUNDS, least_memory
 
 
 def flatten(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, dict[str, bytes]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
+from scenegen.drawing import least_memory
 from scenegen.errors import BrokenError, SceneError
 from scenegen.flatten import flatten
 from scenegen.geometry import geometry_digest
@@ -16,7 +17,7 @@ from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.parts import look_over
 from scenegen.quiet import quiet_mujoco
 from scenegen.screen import screen
-from scenegen.world import compile_world, least_memory, one_line
+from scenegen.world import compile_world, one_line
 
 MOST_MOVED = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach as much again: what

@@ -12,11 +12,9 @@ from lidarsim.limits import MOST_LENGTH_M
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import Solids
 from scenegen.clearance import Clearance
+from scenegen.drawing import FLIGHT_BOUNDS, Drawing
 from scenegen.errors import SceneError, printable, short
 from scenegen.quiet import quiet_mujoco
-
-FLIGHT_BOUNDS = "flight_bounds"
-"""Name of the MJCF <numeric> that holds the box, least corner then greatest, in which the sensor may fly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,27 +52,13 @@ def compile_world(mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, nam
         return _world(model, mjcf, assets, name)
 
 
-def write_world(add_to: Callable[[mujoco.MjSpec], None], *, flight_bounds: NDArray[np.float64]) -> World:
-    """Build a world by adding to an empty MjSpec, write it as MJCF, and compile what was written."""
+def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: NDArray[np.float64]) -> World:
+    """Build a world by adding to an empty drawing, write it as MJCF, and compile what was written."""
     with quiet_mujoco():
-        mjcf = _written(add_to, flight_bounds)
+        drawing = Drawing(flight_bounds)
+        add_to(drawing)
+        mjcf = drawing.mjcf()
     return compile_world(mjcf)
-
-
-def _written(add_to: Callable[[mujoco.MjSpec], None], flight_bounds: NDArray[np.float64]) -> bytes:
-    spec = mujoco.MjSpec()
-    spec.modelname = "scenegen"
-    spec.default.geom.rgba = [0.62, 0.64, 0.68, 1.0]
-    spec.add_numeric(name=FLIGHT_BOUNDS, data=np.asarray(flight_bounds).reshape(-1), size=6)
-    spec.worldbody.add_light(pos=[0, 0, 30], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    add_to(spec)
-    spec.memory = least_memory(len(spec.geoms))
-    return spec.to_xml().encode()
-
-
-def least_memory(geoms: int) -> int:
-    """Bytes for MuJoCo's <size memory>: as little as will do, for they are taken anew for every world."""
-    return max(1 << 20, 256 * geoms)
 
 
 def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name: str) -> World:

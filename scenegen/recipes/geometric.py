@@ -9,6 +9,7 @@ import numpy as np
 
 from lidarsim.parameters import number
 from scenegen.chance import attitudes, log_uniform, normal
+from scenegen.drawing import Drawing
 from scenegen.limits import MOST_DRAWN_SOLIDS
 from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
 
@@ -75,7 +76,7 @@ class Geometric(WorldKind):
         heaps = self.clutter_density[1] * self.size_m[0] * self.size_m[1]
         return super().most_solids() + heaps * (self.clutter_count[1] - 1)
 
-    def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """See `WorldKind.add_to`."""
         self.add_ground(spec)
         area = self.size_m[0] * self.size_m[1]
@@ -84,7 +85,7 @@ class Geometric(WorldKind):
         self._add_walls(spec, round(area * rng.uniform(*self.wall_density)), rng=rng)
         self._add_clutter(spec, round(area * rng.uniform(*self.clutter_density)), rng=rng)
 
-    def _add_solids(self, spec: mujoco.MjSpec, count: int, scale: float, *, rng: np.random.Generator) -> None:
+    def _add_solids(self, spec: Drawing, count: int, scale: float, *, rng: np.random.Generator) -> None:
         """Standing, floating and stacked ones."""
         shape = rng.integers(0, len(SHAPES), count)
         size = scale * rng.uniform(*self.half_size_m, (count, 3))
@@ -107,7 +108,7 @@ class Geometric(WorldKind):
             position = (plan[n, 0], plan[n, 1], z)
             add_geom(spec, SHAPES[shape[n]], size[n], position, quat=tilt[n], rgba=COLOURS[shape[n]])
 
-    def _add_walls(self, spec: mujoco.MjSpec, count: int, *, rng: np.random.Generator) -> None:
+    def _add_walls(self, spec: Drawing, count: int, *, rng: np.random.Generator) -> None:
         """Upright slabs, each turned at will."""
         for _ in range(count):
             x, y = rng.uniform((0.0, 0.0), self.size_m[:2])
@@ -119,7 +120,7 @@ class Geometric(WorldKind):
             yaw = yaw_quaternion(rng.uniform(0.0, np.pi))
             add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, half, (x, y, half[2]), quat=yaw)
 
-    def _add_clutter(self, spec: mujoco.MjSpec, heaps: int, *, rng: np.random.Generator) -> None:
+    def _add_clutter(self, spec: Drawing, heaps: int, *, rng: np.random.Generator) -> None:
         """Heaps of small tilted solids on the ground."""
         for _ in range(heaps):
             centre = rng.uniform((0.0, 0.0), self.size_m[:2])

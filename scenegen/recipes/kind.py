@@ -9,6 +9,7 @@ import numpy as np
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import Bounds, check, shown
+from scenegen.drawing import Drawing
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
 
 Range = tuple[float, float]
@@ -55,10 +56,10 @@ class WorldKind(ABC):
         return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
 
     @abstractmethod
-    def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
-        """Draw one world and add its solids to `spec`."""
+    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+        """Draw one world and add its solids to `spec`, by `add_geom`, or as to any `mujoco.MjSpec`."""
 
-    def add_ground(self, spec: mujoco.MjSpec) -> None:
+    def add_ground(self, spec: Drawing) -> None:
         """Add the floor, where there is one."""
         if self.ground:
             x, y, _ = self.size_m
@@ -78,9 +79,9 @@ def _bounds_by_name(name: str, value: Any) -> Bounds:
     return Bounds()
 
 
-def add_geom(spec: mujoco.MjSpec, shape: mujoco.mjtGeom, size: Any, position: Any, **more: Any) -> None:
+def add_geom(spec: Drawing, shape: mujoco.mjtGeom, size: Any, position: Any, **more: Any) -> None:
     """Add one solid straight under the world body, where mj_multiRay is fastest. `more` may give `quat` and `rgba`."""
-    spec.worldbody.add_geom(type=shape, size=size, pos=position, **more)
+    spec.add_geom(shape, size, position, **more)
 
 
 def yaw_quaternion(yaw_rad: float) -> tuple[float, float, float, float]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
+from scenegen.drawing import Drawing
 from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
 
 
@@ -46,7 +47,7 @@ class Pillar(WorldKind):
         if self.round_share + self.oblong_share > 1:
             raise ValueError(f"round_share + oblong_share = {self.round_share + self.oblong_share}: expected at most 1")
 
-    def add_to(self, spec: mujoco.MjSpec, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """See `WorldKind.add_to`."""
         self.add_ground(spec)
         x_m, y_m, _ = self.size_m

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from scenegen.drawing import Drawing
 from scenegen.recipes.kind import WorldKind
 
 Geom = mujoco.mjtGeom
@@ -54,7 +55,7 @@ class Solid:
 
 def draw(kind: WorldKind, seed: int = 0) -> list[Solid]:
     """The solids of one world, in the order in which they are added."""
-    spec = mujoco.MjSpec()
+    spec = Drawing(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
     kind.add_to(spec, rng=np.random.default_rng(seed))
     return [Solid(g.type, np.array(g.size), np.array(g.pos), np.array(g.quat)) for g in spec.geoms]
 
