@@ -1,12 +1,14 @@
-"""The tables of parameters in the docs are those of the dataclasses."""
+"""The tables of parameters in the docs are those of the dataclasses; no table is wider than it can be read."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "scenes").glob("*.md"))]
+MOST_COLUMNS = 4
 
 spec = importlib.util.spec_from_file_location("tables", ROOT / "docs" / "tables.py")
 assert spec is not None
@@ -25,3 +27,9 @@ def test_the_tables_of_parameters_are_those_of_the_code(page: Path) -> None:
 def test_the_recipes_page_lists_every_table_of_a_recipe() -> None:
     asked = {name for _, _, name, _ in tables.ASKED.findall((ROOT / "docs" / "recipes.md").read_text())}
     assert asked == {"Pillar", "Geometric", "Flight", "Acceptance", "Lidar", "GridSpec"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_table_has_more_than_four_columns(page: Path) -> None:
+    rules = re.findall(r"^\|(?::?-+:?\|)+$", page.read_text(), re.M)
+    assert [rule for rule in rules if rule.count("|") - 1 > MOST_COLUMNS] == []
