@@ -57,12 +57,6 @@ def autocast(device: torch.device, precision: torch.dtype) -> Any:
     return nullcontext() if precision == torch.float32 else torch.autocast(device.type, dtype=precision)
 
 
-def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error of torch's, or of Python's, means that memory ran out."""
-    known = ("not enough memory", "can't allocate memory", "out of memory")
-    return isinstance(error, torch.OutOfMemoryError | MemoryError) or any(text in str(error) for text in known)
-
-
 def device_name(device: torch.device) -> str:
     """What a device is called."""
     if device.type == "cuda":

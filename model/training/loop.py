@@ -15,7 +15,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from scenegen.checkout import commit
-from scenegen.errors import DatasetError, StoppedError, empty_split
+from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
 from scenegen.model.config import TrainConfig
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
@@ -27,7 +27,6 @@ from scenegen.model.training.device import (
     autocast,
     choose_device,
     device_name,
-    is_out_of_memory,
     resolve_precision,
 )
 from scenegen.model.training.run_folder import Progress, RunFolder
