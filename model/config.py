@@ -1,4 +1,4 @@
-"""The settings of a network, of its objective and of a run: the only place where the paper's numbers of them stand.
+"""The settings of networks, objectives, runs and predictions: the only place where the paper's numbers of them stand.
 
 Nothing heavy is imported here, so that the command line can read its options from these fields.
 """
@@ -155,6 +155,19 @@ class TrainConfig:
     instructions for it."""
     compile: bool = False
     """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
+
+    probability: float = number(0.85, least=0, most=1)
+    """A voxel is occupied from this probability on."""
+    distance_m: float = number(0.2, least=0)
+    """A voxel is occupied below this distance, where no probability is predicted, metres."""
 
     def __post_init__(self) -> None:
         check(self)

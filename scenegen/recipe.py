@@ -151,7 +151,9 @@ def read_recipe(path: Path, kind: str | None = None, *, sensor: str | None = Non
     lidar = tables.setdefault("lidar", {})
     if sensor is not None and isinstance(lidar, dict) and lidar.setdefault("sensor", sensor) != sensor:
         said = short(lidar["sensor"])
-        raise RecipeError(f"{where}: [lidar] sensor = {said}, and --sensor {printable(sensor)}; leave one of the two out")
+        raise RecipeError(
+            f"{where}: [lidar] sensor = {said}, and --sensor {printable(sensor)}; leave one of the two out"
+        )
     return make_recipe(named, tables, where=where, folder=path.parent)
 
 

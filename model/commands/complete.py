@@ -47,7 +47,7 @@ def complete(
     from scenegen.files import make_parent
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
-    from scenegen.model.completion.protocol import Thresholds
+    from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device
 
     completer = Completer.from_pretrained(weights, device=choose_device(device), batch=batch)

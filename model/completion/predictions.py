@@ -18,7 +18,8 @@ from scenegen.files import open_bounded, whole, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.points import read_points
-from scenegen.model.completion.protocol import PARTS, Prediction, Thresholds
+from scenegen.model.completion.protocol import PARTS, Prediction
+from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, of_sample, of_scan
 from scenegen.workers import guarded
 

@@ -1,27 +1,13 @@
 """Table I: how near a completion comes to the truth, voxel by voxel."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.jit import kernel
-from lidarsim.parameters import check, number
+from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS, Sums
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReconstructionConfig:
-    """What counts as near."""
-
-    near_m: float = number(1.0, least=0)
-    """Voxels whose true distance is at most this are near an obstacle, metres."""
-    strict: bool = False
-    """Whether voxels exactly at `near_m` are not near; on the default grid they are an eighth of the near ones."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def measure(

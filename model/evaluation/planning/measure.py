@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
+from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Blocked, checked, plan_path
-from scenegen.model.evaluation.planning.config import PlanConfig
 from scenegen.model.evaluation.planning.refine import field_at, refine
 
 Cause = Blocked | Literal["initial_collides", "refined_into_obstacle"]

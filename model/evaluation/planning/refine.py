@@ -5,8 +5,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
+from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import checked
-from scenegen.model.evaluation.planning.config import PlanConfig
 
 SHORTEST_STEP = 1e-12
 """Steps shorter than this, in gradients, are not tried: the path stands at a minimum or on a kink of the field."""

@@ -14,8 +14,7 @@ from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_scan, predict_split
-from scenegen.model.completion.protocol import Thresholds
-from scenegen.model.config import NetworkConfig
+from scenegen.model.config import NetworkConfig, Thresholds
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.network import Network
 from tests.model.conftest import make_dataset

@@ -6,10 +6,12 @@ from scipy import stats
 
 from lidarsim import GridSpec
 from scenegen.draw import draw_unit
-from scenegen.model.completion.protocol import Prediction, Thresholds
+from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import UNLEARNED, Conservative, Extrude, Returns
+from scenegen.model.config import Thresholds
+from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
+from scenegen.model.evaluation.reconstruction import measure
 from scenegen.model.evaluation.visibility import CLASSES, classify
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
-from scenegen.model.evaluation.planning import PlanConfig, plan_path, refine
-from scenegen.model.evaluation.planning.astar import Lattice
-from scenegen.model.evaluation.planning.refine import cost, gradient, interpolate
+from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.evaluation.planning.astar import Lattice, plan_path
+from scenegen.model.evaluation.planning.refine import cost, gradient, interpolate, refine
 from scenegen.truth import distance_field
 
 GRID = GridSpec(shape=(20, 16, 12), voxel_m=0.25)
