@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.config import Thresholds
+from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.difficulty import describe
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.measure import Measurement, run_trial
