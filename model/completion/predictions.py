@@ -1,7 +1,6 @@
 """Completions on disk: a whole split of a dataset, or one scan that somebody recorded."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,22 +23,6 @@ from scenegen.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
 """How the point clouds begin that are written here."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Used:
-    """How many points of a scan came into its map."""
-
-    points: int
-    returned: int
-    """Points that are finite; the others are rays that returned nothing."""
-    inside: int
-    """Points that lie in the map."""
-
-    def __str__(self) -> str:
-        return f"{self.inside} of {self.points} points used, {self.points - self.returned} without a return, " + (
-            f"{self.returned - self.inside} outside the map"
-        )
 
 
 def predict_split(
@@ -84,8 +67,9 @@ def predict_split(
 
 def predict_scan(
     completer: Completer, scan: Path, out: Path, *, sensor: ArrayLike = (0.0, 0.0, 0.0), thresholds: Thresholds
-) -> Used:
-    """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor` (3,).
+) -> str:
+    """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor` (3,). Returns in words
+    how many points came into its map.
 
     `out` is HDF5 (``.h5``: the network's inputs, what is predicted, and the grid) or a point cloud (``.ply``: the
     centres of the voxels that are occupied at `thresholds`, in the scan's frame). Raises DatasetError for files that
@@ -100,8 +84,11 @@ def predict_scan(
     points = read_points(scan)
     returned = points[np.isfinite(points).all(axis=1)]
     seen = PointScan(points=returned, sensor=place, grid=completer.grid)
-    used = Used(points=len(points), returned=len(returned), inside=len(seen.voxels))
-    if not used.inside:
+    inside = len(seen.voxels)
+    used = f"{inside} of {len(points)} points used, {len(points) - len(returned)} without a return, " + (
+        f"{len(returned) - inside} outside the map"
+    )
+    if not inside:
         raise DatasetError(
             f"{scan}: {used}, a map of {completer.grid.extent_m} m around the sensor at {place.tolist()}; "
             "give --sensor, and metres"

@@ -78,7 +78,7 @@ def generate(
         announce_compilation()
     from scenegen.dataset.build import build, check_folder
 
-    plan = _plan(counts, talk=talk, **options)
+    plan = _plan(counts, options, talk=talk)
     shard_range = options["split_range"]
     if shard_range and shard_range[1] > len(plan.shards):
         raise click.UsageError(f"--split-range {shard_range[0]}:{shard_range[1]}: there are {len(plan.shards)} shards")
@@ -115,53 +115,33 @@ def generate(
         _show_summary(summary, time.perf_counter() - begin)
 
 
-def _plan(
-    counts: dict[str, int],
-    *,
-    talk: bool,
-    kind: str | None,
-    scene: Path | None,
-    recipe: Path | None,
-    sensor: str | None,
-    seed: int,
-    out: Path | None,
-    allow_unseen: bool,
-    compact: bool,
-    shard_samples: int,
-    engine: str,
-    **others: Any,
-) -> "Plan":
+def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Plan":
     """What the options ask for, resolved."""
     from scenegen.dataset.build import plan_dataset
     from scenegen.recipe import preset, read_recipe
     from scenegen.source import DrawnWorlds, Source, read_scenes
 
-    if kind is None and scene is None and recipe is None:
+    kind, scene, file, seed = (options[name] for name in ("kind", "scene", "recipe", "seed"))
+    if kind is None and scene is None and file is None:
         raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
     if kind is not None and scene is not None:
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
-    named = "scene" if scene is not None else kind
-    asked = read_recipe(recipe, named, sensor=sensor) if recipe is not None else preset(str(named), sensor=sensor)
+    named = kind if scene is None else "scene"
+    sensor = options["sensor"]
+    recipe = preset(named, sensor=sensor) if file is None else read_recipe(file, named, sensor=sensor)
     source: Source
     if scene is not None:
-        source = read_scenes(scene, counts, seed=seed, allow_unseen=allow_unseen)
+        source = read_scenes(scene, counts, seed=seed, allow_unseen=options["allow_unseen"])
         for line in source.notes if talk else ():
             note(line)
-    elif asked.world is None:
-        raise click.UsageError(f'{recipe}: kind "scene" needs the worlds, too: give --scene')
+    elif recipe.world is None:
+        raise click.UsageError(f'{file}: kind "scene" needs the worlds, too: give --scene')
     else:
-        source = DrawnWorlds(asked)
-    name = scene.stem if scene is not None else asked.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
-    return plan_dataset(
-        out or Path("data") / name,
-        asked,
-        source,
-        seed=seed,
-        counts=counts,
-        compact=compact,
-        shard_samples=shard_samples,
-        engine=engine,
-    )
+        source = DrawnWorlds(recipe)
+    name = scene.stem if scene is not None else recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
+    out = options["out"] or Path("data") / name
+    more = {option: options[option] for option in ("compact", "shard_samples", "engine")}
+    return plan_dataset(out, recipe, source, seed=seed, counts=counts, **more)
 
 
 def _show_plan(plan: "Plan", as_json: bool) -> None:
