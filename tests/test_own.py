@@ -104,6 +104,7 @@ LACKING = {
     ),
 }
 FAILING = "line {} of wrong.py: KeyError: 'gone'"
+PILLAR = ("generate", "--quiet", "--kind", "pillar", "--workers", 1)
 LACKING |= {
     "a kind that fails": (("generate", "--quiet", "--kind", "wrong:Failing", "--workers", 1), 1, FAILING.format(3)),
     "a kind that fails in a worker": (
@@ -121,16 +122,16 @@ LACKING |= {
     "a command that fails": (("wrong:failing",), 1, FAILING.format(3)),
     "a module that ends the process": (("ends:all",), 2, "importing it fails (line 2 of ends.py): SystemExit"),
     "an engine that fails": (
-        ("generate", "--quiet", "--kind", "pillar", "--engine", "wrong:Still"),
+        (*PILLAR, "--engine", "wrong:Still"),
         1,
         FAILING.format(3),
     ),
     "an engine that lacks something": (
-        ("generate", "--quiet", "--kind", "pillar", "--engine", "wrong:Short"),
+        (*PILLAR, "--engine", "wrong:Short"),
         1,
         "`of`",
     ),
-    "a sensor that lacks something": (("generate", "--kind", "pillar", "--sensor", "wrong:Short"), 1, "lacks `shape`"),
+    "a sensor that lacks something": ((*PILLAR, "--sensor", "wrong:Short"), 1, "lacks `shape`"),
     "a sensor beside another": (
         ("generate", "--recipe", "table.toml", "--sensor", "raster"),
         1,

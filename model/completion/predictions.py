@@ -68,8 +68,8 @@ def predict_split(
 def predict_scan(
     completer: Completer, scan: Path, out: Path, *, sensor: ArrayLike = (0.0, 0.0, 0.0), thresholds: Thresholds
 ) -> str:
-    """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor` (3,). Returns in words
-    how many points came into its map.
+    """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor` (3,). Returns in
+    words how many points came into its map.
 
     `out` is HDF5 (``.h5``: the network's inputs, what is predicted, and the grid) or a point cloud (``.ply``: the
     centres of the voxels that are occupied at `thresholds`, in the scan's frame). Raises DatasetError for files that
