@@ -53,24 +53,20 @@ class NetworkConfig:
     """Which of the paper's three networks, or of the two baselines that it leaves out."""
     inputs: tuple[str, ...] = ("observed",)
     """Names of the channels that the network takes, in their order (paper: the voxels that hold a return, alone)."""
-    width: int = number(8, least=1, most=MOST_WIDTH, whole=True)
+    width: int = number(8, least=1, most=MOST_WIDTH)
     """Channels at the first level; they double from level to level (paper)."""
     stem_stride: Literal[1, 2] = 2
     """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second, after one at full
     resolution (ours)."""
-    heads: int = number(4, least=1, whole=True)
+    heads: int = number(4, least=1)
     """Heads of the self-attention (ours)."""
 
     def __post_init__(self) -> None:
         from scenegen.model.inputs import INPUTS  # which computes them, with what that takes
 
         check(self)
-        if self.variant not in VARIANTS:
-            raise ValueError(f"variant = {short(self.variant)} must be one of {', '.join(VARIANTS)}")
         if not self.inputs or len(set(self.inputs)) < len(self.inputs) or not set(self.inputs) <= INPUTS.keys():
             raise ValueError(f"inputs = {short(self.inputs)} must be one or more of {', '.join(INPUTS)}, each once")
-        if self.stem_stride not in (1, 2):
-            raise ValueError(f"stem_stride = {short(self.stem_stride)} must be 1 or 2")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
                 f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width must be a multiple "
@@ -132,9 +128,9 @@ class TrainConfig:
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: LossConfig = field(default_factory=LossConfig)
-    epochs: int = number(100, least=1, most=MOST_EPOCHS, whole=True)
+    epochs: int = number(100, least=1, most=MOST_EPOCHS)
     """At most; the learning rate falls to 0 by the last (ours)."""
-    batch: int = number(8, least=1, most=MOST_BATCH, whole=True)
+    batch: int = number(8, least=1, most=MOST_BATCH)
     """Maps a step, over all devices (ours)."""
     lr: float = number(1e-3, above=0)
     """Learning rate of AdamW after the warm-up; from there it falls along a cosine (ours)."""
@@ -144,11 +140,11 @@ class TrainConfig:
     """Weight decay of AdamW (ours)."""
     clip: float = number(1.0, above=0)
     """Largest norm of a step's gradient (ours)."""
-    patience: int = number(10, least=1, whole=True)
+    patience: int = number(10, least=1)
     """Epochs without a lower validation loss after which training ends (paper)."""
     augment: bool = False
     """Whether maps are turned and mirrored about the sensor at random (ours)."""
-    seed: int = number(0, least=0, most=MOST_SEED, whole=True)
+    seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where the device has

@@ -27,7 +27,7 @@ class PlanConfig:
     "Paper" is the paper's section "Implementation Details" or "Planning Evaluation"; "ours" is what it leaves open.
     """
 
-    step_voxels: int = number(3, least=1, whole=True)
+    step_voxels: int = number(3, least=1)
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
     """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone (ours)."""
@@ -35,7 +35,7 @@ class PlanConfig:
     """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without a value; ours)."""
     clearance_weight: float = number(1.0, least=0)
     """lambda_c, of the squared clearance deficit against the squared second differences, both in m^2 (paper)."""
-    iterations: int = number(50, least=0, whole=True)
+    iterations: int = number(50, least=0)
     """Steps of gradient descent (paper)."""
     first_step: float = number(1.0, above=0)
     """Length of the first step tried, in gradients; later ones begin at the last accepted one, lengthened (ours)."""
@@ -63,7 +63,7 @@ class BenchConfig:
     """The split that is measured; calibration looks at val."""
     samples: int | None = None
     """At most this many of the split's samples, evenly spread; None for all."""
-    trials: int = number(2000, least=1, whole=True)
+    trials: int = number(2000, least=1)
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
     seed: int = number(0, least=0)
     """Seed of goals, bootstraps and permutations."""
