@@ -5,12 +5,15 @@ Nothing heavy is imported here, so that the command line can read its options fr
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from lidarsim.parameters import check, number
 from scenegen.errors import short
 from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_SEED, MOST_WIDTH
 
+BUNDLED = Path(__file__).parent / "weights"
+"""Where the networks lie that come with scenegen."""
 LEVELS = 3
 TASKS = ("tudf", "occupancy")
 SHARED = ("shared",)
@@ -167,3 +170,8 @@ class Thresholds:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+def bundled() -> list[str]:
+    """Names of the networks that come with scenegen."""
+    return sorted(path.stem for path in BUNDLED.glob("*.safetensors"))

@@ -51,9 +51,9 @@ def load_onnx(
 ) -> tuple[Callable[[Mapping[str, Tensor]], Output], "Examined"]:
     """A function from a named batch, (B, *grid.shape) each, to its `Output`, and what the file holds.
 
-    It runs on `threads` threads, 0 for all cores. The fastest runtime that is installed runs it, unless `runtime` names one: OpenVINO computes in bfloat16 where the
-    processor can, onnxruntime in float32. Raises CheckpointError for a file that `export_onnx` did not write; see
-    `examine`.
+    It runs on `threads` threads, 0 for all cores, by the fastest runtime that is installed, unless `runtime` names one:
+    OpenVINO computes in bfloat16 where the processor can, onnxruntime in float32. Raises CheckpointError for a file
+    that `export_onnx` did not write; see `examine`.
     """
     content, found = examine(path, runtime)
     run = _open(content, found, threads)
