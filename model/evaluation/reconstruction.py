@@ -32,22 +32,10 @@ def measure(
     near = np.float32(config.near_m)
     if config.strict:
         near = np.nextafter(near, np.float32(0))
-    _accumulate(
-        occupied.reshape(-1),
-        distance.reshape(-1),
-        true_occupancy.reshape(-1),
-        true_distance.reshape(-1),
-        classes.reshape(-1),
-        near,
-        sums,
-    )
-    return np.stack([_metrics(sums.sum(axis=0)), _metrics(sums[list(union)].sum(axis=0)), *map(_metrics, sums)])
-
-
-def _metrics(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """All metrics from the sums of `_accumulate`, (11,)."""
-    added = Sums(*sums.tolist())
-    return np.array([metric.of(added) for metric in METRICS.values()], dtype=np.float64)
+    grids = (occupied, distance, true_occupancy, true_distance, classes)
+    _accumulate(*(grid.reshape(-1) for grid in grids), near, sums)
+    rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
+    return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64)
 
 
 @kernel

@@ -104,9 +104,9 @@ def train(
                 try:
                     maps_read = next(loaded)
                 except LoaderError:
-                    if not watcher.stop():
+                    if not watcher.stop():  # the signal to stop went to the loader's processes, too
                         raise
-                    if group.first:  # the signal to stop went to the loader's processes, too
+                    if group.first:
                         folder.save(progress, network, optimizer)
                     raise StoppedError(stopped) from None
                 rate = learning_rate(config, progress.epoch * steps + progress.step, config.epochs * steps)

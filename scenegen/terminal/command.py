@@ -109,11 +109,11 @@ def _end(error: BaseException) -> tuple[int, str]:
             return stops.CODE, str(error) if isinstance(error, StoppedError) else stops.STOPPED
         case ModuleNotFoundError(name=str(name)) if name in EXTRAS:
             return 1, f"this command {needs(name, EXTRAS[name])}"
-        case OSError():
-            name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "the system"
-            return 1, f"{name}: {error.strerror or error}; nothing finished is lost"
         case MemoryError() | RuntimeError() if is_out_of_memory(error):
             return 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
         case Exception() if isinstance(error := told(error), ScenegenError):
             return 1, str(error)
+        case OSError():
+            name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "the system"
+            return 1, f"{name}: {error.strerror or error}; nothing finished is lost"
     raise error
