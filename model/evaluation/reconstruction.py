@@ -32,8 +32,8 @@ def measure(
     near = np.float32(config.near_m)
     if config.strict:
         near = np.nextafter(near, np.float32(0))
-    grids = (occupied, distance, true_occupancy, true_distance, classes)
-    _accumulate(*(grid.reshape(-1) for grid in grids), near, sums)
+    said, true = (occupied.reshape(-1), distance.reshape(-1)), (true_occupancy.reshape(-1), true_distance.reshape(-1))
+    _accumulate(*said, *true, classes.reshape(-1), near, sums)
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64)
 
