@@ -47,7 +47,11 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 @click.command()
 @datasets_argument
 @click.option(
-    "--method", "names", type=Named(METHODS), multiple=True, help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS."
+    "--method",
+    "names",
+    multiple=True,
+    shell_complete=Named(METHODS).shell_complete,
+    help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS.",
 )
 @click.option(
     "--weights", type=Weights(), multiple=True, help="A network's row: a bundled name, a file, a run's folder, hf://…"
