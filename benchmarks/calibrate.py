@@ -19,10 +19,10 @@ import numpy as np
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.unlearned import Returns
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.paper import PLANNING
-from scenegen.model.evaluation.planning.config import PlanConfig
-from scenegen.model.evaluation.run import BenchConfig, bench
+from scenegen.model.evaluation.run import bench
 from scenegen.recipe import make_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds

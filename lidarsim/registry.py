@@ -65,15 +65,29 @@ class Registry:
         here = os.getcwd()  # noqa: PTH109 (sys.path holds strings)
         if here not in sys.path:
             sys.path.append(here)  # last, so that no file of the user's takes the place of a library's
+        _own.update({here, module.partition(".")[0]})
         try:
             if importlib.util.find_spec(module) is None:
                 raise ModuleNotFoundError(module, name=module.partition(".")[0])
             return importlib.import_module(module)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if isinstance(error, ModuleNotFoundError) and module.startswith(str(error.name)):
                 raise ValueError(
                     f"{self.what} {name}: there is no module {module}, neither installed nor in {here}"
                 ) from None
-            own = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.startswith(here)]
-            at = f" (line {own[-1].lineno} of {os.path.relpath(own[-1].filename)})" if own else ""
+            at = f" ({line})" if (line := own_line(error)) else ""
             raise ValueError(f"{self.what} {name}: importing it fails{at}: {error!r}") from None
+
+
+_own: set[str] = set()
+"""Modules that a user named, and the folders where they stood."""
+
+
+def own_line(error: BaseException) -> str:
+    """Where the last of a user's own code stands that `error` came through: "line 3 of my_methods.py"; "" for none."""
+    found = ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        file = frame.f_code.co_filename
+        if str(frame.f_globals.get("__name__")).partition(".")[0] in _own or os.path.dirname(file) in _own:  # noqa: PTH120
+            found = f"line {line} of {os.path.relpath(file)}"
+    return found

@@ -1,16 +1,19 @@
-"""The settings of a network, of its objective and of a run: the only place where the paper's numbers of them stand.
+"""The settings of networks, objectives, runs and predictions: the only place where the paper's numbers of them stand.
 
 Nothing heavy is imported here, so that the command line can read its options from these fields.
 """
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from lidarsim.parameters import check, number
 from scenegen.errors import short
 from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_SEED, MOST_WIDTH
 
+BUNDLED = Path(__file__).parent / "weights"
+"""Where the networks lie that come with scenegen."""
 LEVELS = 3
 TASKS = ("tudf", "occupancy")
 SHARED = ("shared",)
@@ -53,24 +56,20 @@ class NetworkConfig:
     """Which of the paper's three networks, or of the two baselines that it leaves out."""
     inputs: tuple[str, ...] = ("observed",)
     """Names of the channels that the network takes, in their order (paper: the voxels that hold a return, alone)."""
-    width: int = number(8, least=1, most=MOST_WIDTH, whole=True)
+    width: int = number(8, least=1, most=MOST_WIDTH)
     """Channels at the first level; they double from level to level (paper)."""
     stem_stride: Literal[1, 2] = 2
     """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second, after one at full
     resolution (ours)."""
-    heads: int = number(4, least=1, whole=True)
+    heads: int = number(4, least=1)
     """Heads of the self-attention (ours)."""
 
     def __post_init__(self) -> None:
         from scenegen.model.inputs import INPUTS  # which computes them, with what that takes
 
         check(self)
-        if self.variant not in VARIANTS:
-            raise ValueError(f"variant = {short(self.variant)} must be one of {', '.join(VARIANTS)}")
         if not self.inputs or len(set(self.inputs)) < len(self.inputs) or not set(self.inputs) <= INPUTS.keys():
             raise ValueError(f"inputs = {short(self.inputs)} must be one or more of {', '.join(INPUTS)}, each once")
-        if self.stem_stride not in (1, 2):
-            raise ValueError(f"stem_stride = {short(self.stem_stride)} must be 1 or 2")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
                 f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width must be a multiple "
@@ -132,9 +131,9 @@ class TrainConfig:
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: LossConfig = field(default_factory=LossConfig)
-    epochs: int = number(100, least=1, most=MOST_EPOCHS, whole=True)
+    epochs: int = number(100, least=1, most=MOST_EPOCHS)
     """At most; the learning rate falls to 0 by the last (ours)."""
-    batch: int = number(8, least=1, most=MOST_BATCH, whole=True)
+    batch: int = number(8, least=1, most=MOST_BATCH)
     """Maps a step, over all devices (ours)."""
     lr: float = number(1e-3, above=0)
     """Learning rate of AdamW after the warm-up; from there it falls along a cosine (ours)."""
@@ -144,11 +143,11 @@ class TrainConfig:
     """Weight decay of AdamW (ours)."""
     clip: float = number(1.0, above=0)
     """Largest norm of a step's gradient (ours)."""
-    patience: int = number(10, least=1, whole=True)
+    patience: int = number(10, least=1)
     """Epochs without a lower validation loss after which training ends (paper)."""
     augment: bool = False
     """Whether maps are turned and mirrored about the sensor at random (ours)."""
-    seed: int = number(0, least=0, most=MOST_SEED, whole=True)
+    seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where the device has
@@ -158,3 +157,21 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
+
+    probability: float = number(0.85, least=0, most=1)
+    """A voxel is occupied from this probability on."""
+    distance_m: float = number(0.2, least=0)
+    """A voxel is occupied below this distance, where no probability is predicted, metres."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def bundled() -> list[str]:
+    """Names of the networks that come with scenegen."""
+    return sorted(path.stem for path in BUNDLED.glob("*.safetensors"))

@@ -51,19 +51,17 @@ def load_onnx(
 ) -> tuple[Callable[[Mapping[str, Tensor]], Output], "Examined"]:
     """A function from a named batch, (B, *grid.shape) each, to its `Output`, and what the file holds.
 
-    It runs on `threads` threads, 0 for all cores.
-    The fastest runtime that is installed runs it, unless `runtime` names one: OpenVINO computes in bfloat16 where the
-    processor can, onnxruntime in float32. Raises CheckpointError for a file that `export_onnx` did not write; see
-    `examine`.
+    It runs on `threads` threads, 0 for all cores, by the fastest runtime that is installed, unless `runtime` names one:
+    OpenVINO computes in bfloat16 where the processor can, onnxruntime in float32. Raises CheckpointError for a file
+    that `export_onnx` did not write; see `examine`.
     """
     content, found = examine(path, runtime)
-    outputs = found.outputs
-    run = _open(content, found.runtime, outputs, threads)
+    run = _open(content, found, threads)
 
     def forward(batch: Mapping[str, Tensor]) -> Output:
         given = {name: batch[name].float().numpy(force=True) for name in found.config.inputs}
         shape = given[found.config.inputs[0]].shape
-        values = dict(zip(outputs, run(given), strict=True))
+        values = dict(zip(found.outputs, run(given), strict=True))
         for name, value in values.items():
             if value.shape != shape:
                 raise CheckpointError(f"{path}: {name} has shape {value.shape} for maps of {shape}")
@@ -108,17 +106,17 @@ def examine(path: Path, runtime: Runtime | None = None) -> tuple[bytes, Examined
 
 @cache  # processes that are forked from here have no need, and no leave, to start others
 def _examined(content: bytes, runtime: Runtime | None) -> Examined:
-    missing = [name for name in ("onnx",) if find_spec(name) is None]
+    if find_spec("onnx") is None:
+        raise CheckpointError(needs("onnx", "export"))
     usable = [name for name in ((runtime,) if runtime else RUNTIMES) if find_spec(name) is not None]
-    if missing or not usable:
-        needed = "onnx" if missing else runtime or " or ".join(RUNTIMES)
-        raise CheckpointError(needs(needed, "export"))
+    if not usable:
+        raise CheckpointError(needs(runtime or " or ".join(RUNTIMES), "export"))
     try:
         header = guarded(read_graph, content, seconds=GUARD_S, memory_bytes=GUARD_BYTES + 4 * len(content))
     except GuardError as error:
         raise CheckpointError(f"is not an ONNX file that can be read ({error})") from None
     config, grid = network_from(header)
-    found = Examined(runtime=usable[0], config=config, grid=grid, about=dict(header.get("about", {})))
+    found = Examined(runtime=usable[0], config=config, grid=grid, about=header["about"])
     features = config.width * int(np.prod(grid.shape))
     memory = GUARD_BYTES + 4 * len(content) + BYTES_A_FEATURE * features
     try:
@@ -140,12 +138,15 @@ def read_graph(content: bytes) -> dict[str, Any]:
         weights = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
     except Exception as error:  # protobuf's errors share no base
         raise CheckpointError(f"is not an ONNX file ({printable(error)[:200]})") from None
-    header: dict[str, Any] = {}
-    for entry in model.metadata_props:
-        if entry.key == HEADER:
-            header = _parse_header(entry.value)
-    if not header:
+    headers = [entry.value for entry in model.metadata_props if entry.key == HEADER]
+    if not headers:
         raise CheckpointError("an ONNX file that is not from `scenegen export`; its grid is unknown")
+    try:
+        header = dict(json.loads(headers[-1]))
+        config, _ = network_from(header)
+        header["about"] = dict(header.get("about", {}))
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"its header is damaged ({printable(error)[:200]}); export it again") from None
     graph = model.graph
     odd = sorted({node.op_type for node in graph.node if node.op_type not in OPERATIONS or node.domain})
     if odd or model.functions or graph.sparse_initializer or _sizes_depend_on_values(graph, weights):
@@ -153,7 +154,6 @@ def read_graph(content: bytes) -> dict[str, Any]:
     for name, values in weights.items():
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise CheckpointError(f"{printable(name)[:100]} holds NaN or infinity; export it again")
-    config, _ = network_from(header)
     wanted = set(config.inputs), {name for task, name in NAMES.items() if task in config.tasks}
     named = {one.name for one in graph.input} - set(weights), {one.name for one in graph.output}
     if named != wanted:
@@ -163,15 +163,6 @@ def read_graph(content: bytes) -> dict[str, Any]:
             "export it again"
         )
     return header
-
-
-def _parse_header(text: str) -> dict[str, Any]:
-    try:
-        header = dict(json.loads(text))
-        network_from(header)
-        return header | {"about": dict(header.get("about", {}))}
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise CheckpointError(f"its header is damaged ({printable(error)[:200]}); export it again") from None
 
 
 def _sizes_depend_on_values(graph: Any, weights: dict[str, NDArray[Any]]) -> bool:
@@ -192,7 +183,7 @@ def _try(task: tuple[bytes, Examined]) -> None:
     """Complete an empty map. Raises CheckpointError where the file cannot."""
     content, found = task
     try:
-        run = _open(content, found.runtime, found.outputs, threads=1)
+        run = _open(content, found, threads=1)
         values = run({name: np.zeros((1, *found.grid.shape), np.float32) for name in found.config.inputs})
     except Exception as error:  # each runtime has its own
         raise CheckpointError(f"{found.runtime} cannot run it: {printable(error)[:200]}") from None
@@ -204,11 +195,15 @@ def _try(task: tuple[bytes, Examined]) -> None:
             )
 
 
-def _open(content: bytes, runtime: Runtime, outputs: Sequence[str], threads: int) -> Run:
-    return {"openvino": _openvino, "onnxruntime": _onnxruntime}[runtime](content, outputs, threads)
+def _open(content: bytes, found: Examined, threads: int) -> Run:
+    if found.runtime == "onnxruntime":
+        import onnxruntime
 
-
-def _openvino(content: bytes, outputs: Sequence[str], threads: int) -> Run:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.log_severity_level = 4  # what goes wrong is raised
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        return lambda batch: session.run(list(found.outputs), dict(batch))
     sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type] # it would report every import
     import openvino
 
@@ -217,17 +212,7 @@ def _openvino(content: bytes, outputs: Sequence[str], threads: int) -> Run:
     compiled = core.compile_model(core.read_model(content, b""), "CPU", hints)
 
     def run(batch: Mapping[str, NDArray[np.float32]]) -> Sequence[Any]:
-        found = compiled(dict(batch))
-        return [np.array(found[name]) for name in outputs]
+        values = compiled(dict(batch))
+        return [np.array(values[name]) for name in found.outputs]
 
     return run
-
-
-def _onnxruntime(content: bytes, outputs: Sequence[str], threads: int) -> Run:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 4  # what goes wrong is raised
-    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    return lambda batch: session.run(list(outputs), dict(batch))

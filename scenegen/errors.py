@@ -1,5 +1,7 @@
 """What can be wrong with what a user gave. Every message is one line: what, where, what was expected, how to fix it."""
 
+from lidarsim.registry import own_line
+
 MOST_TOLD = 60
 """Characters of a stranger's value that an error repeats."""
 
@@ -38,6 +40,22 @@ class GuardError(ScenegenError):
 
 class StoppedError(ScenegenError):
     """The run was stopped from outside; what is finished stays."""
+
+
+class OwnCodeError(ScenegenError):
+    """A user's own kind, sensor, engine, method or command fails; the message names the line."""
+
+
+def told(error: Exception) -> Exception:
+    """`error`, or an OwnCodeError in its place where it came through code of the user's own."""
+    line = "" if isinstance(error, ScenegenError) else own_line(error)
+    return OwnCodeError(f"{line}: {type(error).__name__}: {error}") if line else error
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error of Python's, or of torch's, means that memory ran out."""
+    known = ("not enough memory", "can't allocate memory", "out of memory")
+    return isinstance(error, MemoryError) or any(text in str(error) for text in known)
 
 
 def escaped(text: object) -> str:

@@ -114,14 +114,15 @@ class Recipe:
         return resolved
 
 
-def preset(kind: str) -> Recipe:
-    """The recipe of a kind as it comes. Raises RecipeError for an unknown kind, suggesting the nearest."""
-    return make_recipe(kind, {}, where="preset")
+def preset(kind: str, *, sensor: str | None = None) -> Recipe:
+    """The recipe of a kind as it comes, or with the `sensor` of that name. Raises RecipeError for an unknown kind,
+    suggesting the nearest."""
+    return make_recipe(kind, {} if sensor is None else {"lidar": {"sensor": sensor}}, where="preset")
 
 
-def read_recipe(path: Path, kind: str | None = None) -> Recipe:
+def read_recipe(path: Path, kind: str | None = None, *, sensor: str | None = None) -> Recipe:
     """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar] and [grid] of what differs
-    from the preset. `kind`, where given, stands in for the file's.
+    from the preset. `kind` and `sensor`, where given, stand in for the file's.
 
     A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its `[lidar] sensor` first.
     Raises RecipeError naming the file, the table and the parameter.
@@ -147,6 +148,12 @@ def read_recipe(path: Path, kind: str | None = None) -> Recipe:
         raise RecipeError(f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the two out")
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
+    lidar = tables.setdefault("lidar", {})
+    if sensor is not None and isinstance(lidar, dict) and lidar.setdefault("sensor", sensor) != sensor:
+        said = short(lidar["sensor"])
+        raise RecipeError(
+            f"{where}: [lidar] sensor = {said}, and --sensor {printable(sensor)}; leave one of the two out"
+        )
     return make_recipe(named, tables, where=where, folder=path.parent)
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from scenegen.errors import GenerationError, GuardError, ScenegenError
+from scenegen.errors import GenerationError, GuardError, ScenegenError, told
 from scenegen.stopping import undone_if_stopped
 
 PR_SET_PDEATHSIG = 1
@@ -224,7 +224,7 @@ def _serve(function: Callable[[Any], Any], parent: Any, parent_id: int, memory_b
         except EOFError:
             return
         except Exception as error:
-            answer = False, error
+            answer = False, told(error)  # which alone knows of the traceback
         parent.send(answer)
 
 

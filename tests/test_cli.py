@@ -15,7 +15,7 @@ from scenegen import __version__
 from scenegen.__main__ import PLACES, app
 from scenegen.commands.generate import NETWORK_EDGE
 from scenegen.model.config import NetworkConfig
-from scenegen.model.evaluation.run import BenchConfig
+from scenegen.model.evaluation.config import BenchConfig
 from tests.command_line import ROOT, run
 
 

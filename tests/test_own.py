@@ -103,7 +103,46 @@ LACKING = {
         "the dataset's kind is 'pillar'",
     ),
 }
+FAILING = "line {} of wrong.py: KeyError: 'gone'"
+PILLAR = ("generate", "--quiet", "--kind", "pillar", "--workers", 1)
+LACKING |= {
+    "a kind that fails": (("generate", "--quiet", "--kind", "wrong:Failing", "--workers", 1), 1, FAILING.format(3)),
+    "a kind that fails in a worker": (
+        ("generate", "--quiet", "--recipe", "fails.toml", "--n", 99, "--shard-samples", 3, "--workers", 2),
+        1,
+        FAILING.format(3),
+    ),
+    "a method that fails": (("bench", "DATASET", "--quiet", "--method", "wrong:Broken"), 1, FAILING.format(3)),
+    "a method whose error cannot travel": (
+        ("bench", "DATASET", "--quiet", "--method", "wrong:Worse", "--workers", 2),
+        1,
+        "of wrong.py: Failed: two",
+    ),
+    "a method that cannot be made": (("bench", "DATASET", "--quiet", "--method", "wrong:Unmade"), 1, FAILING.format(3)),
+    "a command that fails": (("wrong:failing",), 1, FAILING.format(3)),
+    "a module that ends the process": (("ends:all",), 2, "importing it fails (line 2 of ends.py): SystemExit"),
+    "an engine that fails": (
+        (*PILLAR, "--engine", "wrong:Still"),
+        1,
+        FAILING.format(3),
+    ),
+    "an engine that lacks something": (
+        (*PILLAR, "--engine", "wrong:Short"),
+        1,
+        "`of`",
+    ),
+    "a sensor that lacks something": ((*PILLAR, "--sensor", "wrong:Short"), 1, "lacks `shape`"),
+    "a sensor beside another": (
+        ("generate", "--recipe", "table.toml", "--sensor", "raster"),
+        1,
+        "leave one of the two",
+    ),
+    "an engine by a wrong name": (("generate", "--kind", "pillar", "--engine", "mojuco"), 2, "did you mean 'mujoco'?"),
+}
 WRONG = f"""
+def gone():
+    raise KeyError("gone")
+import click
 from dataclasses import dataclass
 from scenegen.recipes.kind import WorldKind
 class Other: pass
@@ -125,6 +164,22 @@ class Short:
 class Needy(Short):
     def __init__(self, size): pass
 def plain(): pass
+@click.command()
+def failing(): gone()
+class Failed(Exception):
+    def __init__(self, one, two): super().__init__(one)
+class Broken(Short):
+    def complete(self, observed, free, *, grid): gone()
+class Worse(Short):
+    def complete(self, observed, free, *, grid): raise Failed("two", 2)
+class Unmade(Short):
+    def __init__(self): gone()
+class Still:
+    of = classmethod(lambda cls, model, data=None: gone())
+    cast = None
+@dataclass(frozen=True, kw_only=True)
+class Failing(Bare):
+    def add_to(self, spec, *, rng): gone()
 @dataclass(frozen=True, kw_only=True)
 class {"K" * 95}(Bare): pass
 """
@@ -145,7 +200,7 @@ def standing(here: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.chdir(here)
     yield here
     sys.path[:] = before[0]
-    for name in ("wrong", "my_worlds"):
+    for name in ("wrong", "ends", "my_worlds"):
         sys.modules.pop(name, None)
 
 
@@ -155,6 +210,9 @@ def test_one_that_lacks_something_is_told_in_one_line(
 ) -> None:
     words, code, told = LACKING[what]
     (standing / "wrong.py").write_text(WRONG)
+    (standing / "ends.py").write_text("import sys\nsys.exit(3)\n")
+    (standing / "fails.toml").write_text('kind = "wrong:Failing"')
+    (standing / "table.toml").write_text('kind = "pillar"\n[lidar]\nsensor = "table"')
     ended, said, error = run(capsys, *(dataset if word == "DATASET" else word for word in words))
     assert (ended, said, error.count("\n")) == (code, "", 1)
     assert told in error

@@ -3,12 +3,15 @@
 Nothing else in the toolkit knows what a sensor is made of, so a new family is one new file, here or in a user's folder.
 """
 
-from typing import Protocol
+from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Protocol
 
 from lidarsim.registry import Registry
+
+if TYPE_CHECKING:  # the command line asks for the names, and must not load NumPy for that
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class Sensor(Protocol):

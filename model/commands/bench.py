@@ -4,7 +4,6 @@ import inspect
 import json
 import shlex
 import sys
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,17 +14,18 @@ from lidarsim.registry import Registry
 from scenegen.commands.datasets import find_datasets
 from scenegen.errors import DatasetError, ScenegenError, needs
 from scenegen.model.commands.weights import Weights
+from scenegen.model.evaluation.config import BenchConfig
 from scenegen.terminal.options import (
     datasets_argument,
     json_option,
+    options_of,
     out_option,
     quiet_option,
-    seed_option,
-    split_option,
     workers_option,
 )
 from scenegen.terminal.progress import Progress, announce_compilation
 from scenegen.terminal.show import say, show_figures
+from scenegen.terminal.types import Named
 
 if TYPE_CHECKING:
     from scenegen.model.evaluation.methods import Method
@@ -46,7 +46,13 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 
 @click.command()
 @datasets_argument
-@click.option("--method", "names", multiple=True, help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS.")
+@click.option(
+    "--method",
+    "names",
+    multiple=True,
+    shell_complete=Named(METHODS).shell_complete,
+    help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS.",
+)
 @click.option(
     "--weights", type=Weights(), multiple=True, help="A network's row: a bundled name, a file, a run's folder, hf://…"
 )
@@ -54,25 +60,23 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
     "--predictions", type=click.Path(path_type=Path), help="HDF5 file of somebody's predictions: one more row."
 )
 @out_option("Folder of the report.", Path("bench"))
-@split_option("test", help="The split that is measured; calibrate on val alone.")
+@options_of(BenchConfig, split="The split that is measured; calibrate on val alone.")
 @click.option("--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most.")
-@seed_option("Decides the goals and the intervals.")
+@options_of(BenchConfig, seed="Decides the goals and the intervals.")
 @workers_option
 @json_option
 @quiet_option
 def bench(
-    datasets: tuple[Path | str, ...], out: Path, workers: int | None, as_json: bool, quiet: bool, **options: Any
+    datasets: tuple[Path | str, ...], out: Path, workers: int, as_json: bool, quiet: bool, **options: Any
 ) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
-    from scenegen.workers import cores
-
     report = run_bench(
         find_datasets(datasets, shown=talk),
         out=out,
-        workers=workers or cores(),
+        workers=workers,
         command=shlex.join(["scenegen", *sys.argv[1:]]),
         progress=lambda label: Progress(label, shown=talk),
         **options,
@@ -91,14 +95,14 @@ def run_bench(
     weights: Sequence[str] = (),
     predictions: Path | None,
     out: Path,
-    split: str,
     quick: bool,
-    seed: int,
     workers: int,
     command: str,
     progress: Callable[[str], Progress],
+    **given: Any,
 ) -> dict[str, Any]:
-    """Measure, write ``report.json`` and ``report.md`` into `out`, and return the report.
+    """Measure as the `BenchConfig` of what is `given` says, write ``report.json`` and ``report.md`` into `out`, and
+    return the report.
 
     Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown method.
     """
@@ -107,13 +111,12 @@ def run_bench(
     from scenegen.files import write_whole
     from scenegen.model.evaluation.predicted import Predicted
     from scenegen.model.evaluation.report import build_report, to_markdown
-    from scenegen.model.evaluation.run import BenchConfig
     from scenegen.model.evaluation.run import bench as measure
 
     methods = [*choose_methods(names), *map(_network, weights)]
-    called = [method.name for method in methods] + (["predicted"] if predictions is not None else [])
-    twice = [name for name, count in Counter(called).items() if count > 1]
-    if twice:
+    predicted = None if predictions is None else Predicted(predictions)
+    named = [method.name for method in (*methods, *filter(None, (predicted,)))]
+    if twice := [name for name in named if named.count(name) > 1]:
         raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
     datasets = [Dataset(folder) for folder in folders]
     kinds = [dataset.manifest.kind for dataset in datasets]
@@ -121,20 +124,20 @@ def run_bench(
         raise DatasetError(
             f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one of each"
         )
-    config = BenchConfig(split=split, seed=seed)
-    if quick:
-        config = BenchConfig(split=split, seed=seed, samples=QUICK_SAMPLES, trials=QUICK_TRIALS)
-    rows: list[Method] = [*methods]
-    if predictions is not None:
-        predicted = Predicted(predictions)
+    config = BenchConfig(**given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {}))
+    if predicted is not None:
         for dataset in datasets:
-            predicted.check(dataset, split)
-        rows.append(predicted)
+            predicted.check(dataset, config.split)
+        methods.append(predicted)
     results = []
     for dataset in datasets:
         with progress(dataset.manifest.kind) as shown:
-            results.append(measure(dataset, rows, config, workers=workers, on_start=shown.start, on_done=shown.count))
-    report = build_report(results, seed=seed, about={"command": command, "commit": commit(), "split": split})
+            results.append(
+                measure(dataset, methods, config, workers=workers, on_start=shown.start, on_done=shown.count)
+            )
+    report = build_report(
+        results, seed=config.seed, about={"command": command, "commit": commit(), "split": config.split}
+    )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -156,11 +159,13 @@ def _method(name: str) -> "Method":
     from scenegen.model.evaluation.methods import Completed, Truth
 
     try:
-        made = METHODS.find(name)()
+        found = METHODS.find(name)
     except ValueError as error:
         raise ScenegenError(f"--method: {error}") from None
-    except Exception as error:  # a user's own code
-        raise ScenegenError(f"--method {name}: cannot be made by calling it without arguments: {error!r}") from None
+    try:
+        made = found()
+    except TypeError as error:
+        raise ScenegenError(f"--method {name}: cannot be made by calling it without arguments: {error}") from None
     if isinstance(made, Truth):
         return made
     row = Completed(made)

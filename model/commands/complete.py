@@ -9,7 +9,7 @@ from scenegen.model.commands.weights import Weights
 from scenegen.terminal.options import device_option, out_option, quiet_option, split_option
 from scenegen.terminal.progress import Progress
 from scenegen.terminal.show import say
-from scenegen.terminal.types import DatasetPath, Finite
+from scenegen.terminal.types import DatasetPath, Number
 
 
 @click.command()
@@ -25,7 +25,7 @@ from scenegen.terminal.types import DatasetPath, Finite
 @out_option("File to write.  [default: predictions.h5, or <scan>.completed.h5]", file=True)
 @click.option(
     "--sensor",
-    type=(Finite(), Finite(), Finite()),
+    type=(Number(), Number(), Number()),
     default=(0.0, 0.0, 0.0),
     help="Where a scan's sensor was: X Y Z, m.",
 )
@@ -47,7 +47,7 @@ def complete(
     from scenegen.files import make_parent
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
-    from scenegen.model.completion.protocol import Thresholds
+    from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device
 
     completer = Completer.from_pretrained(weights, device=choose_device(device), batch=batch)

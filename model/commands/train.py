@@ -59,20 +59,14 @@ MOST_LOADERS = 8
 @json_option
 @quiet_option
 def train(
-    datasets: tuple[Path | str, ...],
-    device: str,
-    workers: int | None,
-    out: Path | None,
-    as_json: bool,
-    quiet: bool,
-    **options: Any,
+    datasets: tuple[Path | str, ...], device: str, workers: int | None, as_json: bool, quiet: bool, **options: Any
 ) -> None:
     """Train the completion network on datasets; under torchrun, on several GPUs.
 
     Given again after a stop, it goes on where it was.
     """
     from scenegen.model.training.data import opened
-    from scenegen.model.training.device import TrainingError, choose_device
+    from scenegen.model.training.device import choose_device
     from scenegen.model.training.loop import Watcher
     from scenegen.model.training.loop import train as run
     from scenegen.workers import cores
@@ -86,8 +80,8 @@ def train(
             **taken(TrainConfig, options),
         )
     except ValueError as error:
-        raise TrainingError(str(error)) from None
-    out = out or Path("runs") / config.network.variant
+        raise click.UsageError(str(error)) from None
+    out = options["out"] or Path("runs") / config.network.variant
     begin = time.monotonic()
     # the loop looks for a stop between two steps
     with Progress(config.network.variant, shown=talk) as progress, stops.noted() as stop:
@@ -114,10 +108,7 @@ def train(
         return
     if not shown.begun:
         say(f"{out}: this run is complete already; give another --out for another one")
-    say(
-        f"best: epoch {best['epoch']:.0f} of {len(rows)}, validation loss {best['val_loss']:.4f}, "
-        f"IoU {best['val_iou']:.3f}, Near-MAE {best['val_near_mae']:.3f} m; {out}, {seconds:.0f} s"
-    )
+    say(f"best: epoch {best['epoch']:.0f} of {len(rows)}, {_validated(best)}; {out}, {seconds:.0f} s")
 
 
 class _Shown:
@@ -125,13 +116,13 @@ class _Shown:
 
     def __init__(self, config: TrainConfig, progress: Progress, talk: bool):
         self._config, self._progress, self._talk = config, progress, talk
-        self._recent, self._iou = 0.0, ""
-        self.begun = False
+        self._recent, self._iou, self.begun = 0.0, "", False
 
     def on_start(self, epoch: int, total: int, done: int) -> None:
         self.begun = True
-        label = f"{self._config.network.variant}, epoch {epoch + 1} of {self._config.epochs}"
-        self._progress.restart(label, total, done)
+        self._progress.restart(
+            f"{self._config.network.variant}, epoch {epoch + 1} of {self._config.epochs}", total, done
+        )
 
     def on_step(self, maps: int, loss: float) -> None:
         self._recent = loss if self._recent == 0.0 else 0.98 * self._recent + 0.02 * loss
@@ -141,7 +132,9 @@ class _Shown:
     def on_epoch(self, row: dict[str, float]) -> None:
         self._iou = f", validation IoU {row['val_iou']:.3f}"
         if self._talk:
-            say(
-                f"epoch {row['epoch']:.0f}: loss {row['train_loss']:.4f}, validation loss {row['val_loss']:.4f}, "
-                f"IoU {row['val_iou']:.3f}, Near-MAE {row['val_near_mae']:.3f} m, {row['seconds']:.0f} s"
-            )
+            seconds, loss = row["seconds"], row["train_loss"]
+            say(f"epoch {row['epoch']:.0f}: loss {loss:.4f}, {_validated(row)}, {seconds:.0f} s")
+
+
+def _validated(row: dict[str, float]) -> str:
+    return f"validation loss {row['val_loss']:.4f}, IoU {row['val_iou']:.3f}, Near-MAE {row['val_near_mae']:.3f} m"

@@ -1,12 +1,11 @@
 """How a trained network is named on the command line."""
 
-from pathlib import Path
 from typing import Any
 
 import rich_click as click
 from click.shell_completion import CompletionItem
 
-BUNDLED = Path(__file__).resolve().parents[1] / "weights"
+from scenegen.model.config import bundled
 
 
 class Weights(click.ParamType):
@@ -20,6 +19,5 @@ class Weights(click.ParamType):
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Bundled networks that begin with what is typed, or else files."""
-        names = sorted(path.stem for path in BUNDLED.glob("*.safetensors"))
-        found = [CompletionItem(name) for name in names if name.startswith(incomplete)]
+        found = [CompletionItem(name) for name in bundled() if name.startswith(incomplete)]
         return found or [CompletionItem(incomplete, type="file")]

@@ -20,12 +20,11 @@ from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.errors import needs
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
+from scenegen.model.config import BUNDLED, bundled
 from scenegen.model.inputs import INPUTS
 from scenegen.model.network import Output
 from scenegen.model.runtime import load_onnx
 
-BUNDLED = Path(__file__).parents[1] / "weights"
-"""Where the networks lie that come with scenegen."""
 HUB = "hf://"
 Maps: TypeAlias = NDArray[Any] | Tensor
 NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
@@ -145,11 +144,6 @@ def called(name: str | Path, path: Path) -> str:
     if str(name).startswith(HUB):
         return str(name).removeprefix(HUB).partition("@")[0].rpartition("/")[2]
     return path.resolve().parent.name if path.name in NAMES_IN_FOLDER else path.stem
-
-
-def bundled() -> list[str]:
-    """Names of the networks that come with scenegen."""
-    return sorted(path.stem for path in BUNDLED.glob("*.safetensors"))
 
 
 def locate(name: str | Path) -> Path:

@@ -1,15 +1,13 @@
 """Completions on disk: a whole split of a dataset, or one scan that somebody recorded."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lidarsim import GridSpec
 from lidarsim.limits import MOST_LENGTH_M
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
@@ -18,28 +16,13 @@ from scenegen.files import open_bounded, whole, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.points import read_points
-from scenegen.model.completion.protocol import PARTS, Prediction, Thresholds
+from scenegen.model.completion.protocol import PARTS, Prediction
+from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, of_sample, of_scan
 from scenegen.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
 """How the point clouds begin that are written here."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Used:
-    """How many points of a scan came into its map."""
-
-    points: int
-    returned: int
-    """Points that are finite; the others are rays that returned nothing."""
-    inside: int
-    """Points that lie in the map."""
-
-    def __str__(self) -> str:
-        return f"{self.inside} of {self.points} points used, {self.points - self.returned} without a return, " + (
-            f"{self.returned - self.inside} outside the map"
-        )
 
 
 def predict_split(
@@ -59,14 +42,15 @@ def predict_split(
     """
     check_output(out)
     dataset = Dataset(folder)
-    check_grid(completer, dataset.grid, folder)
+    if dataset.grid != completer.grid:
+        raise DatasetError(
+            f"{folder}: its maps are on {dataset.grid}, {completer.name} completes maps on {completer.grid}; train a "
+            "network on this grid with `scenegen train`"
+        )
     samples = dataset.split(split)
     if not len(samples):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
     names = samples.names
-
-    def maps(row: int) -> dict[str, NDArray[Any]]:
-        return of_sample(completer.inputs, samples[row], dataset.grid, dataset.lidar)
 
     on_start(len(samples))
     with whole(out) as draft, h5py.File(draft, "w") as file:
@@ -74,7 +58,8 @@ def predict_split(
         file["world"] = np.array([world for _, world, _ in names], dtype=np.int64)
         file["viewpoint"] = np.array([viewpoint for _, _, viewpoint in names], dtype=np.int64)
         for first in range(0, len(samples), batch):
-            read = [maps(row) for row in range(first, min(first + batch, len(samples)))]
+            rows = range(first, min(first + batch, len(samples)))
+            read = [of_sample(completer.inputs, samples[row], dataset.grid, dataset.lidar) for row in rows]
             stacked = {name: np.stack([one[name] for one in read]) for name in completer.inputs}
             _write(file, completer(stacked), first, len(samples))
             on_done(len(read))
@@ -82,15 +67,16 @@ def predict_split(
 
 def predict_scan(
     completer: Completer, scan: Path, out: Path, *, sensor: ArrayLike = (0.0, 0.0, 0.0), thresholds: Thresholds
-) -> Used:
-    """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor` (3,).
+) -> str:
+    """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor` (3,). Returns in
+    words how many points came into its map.
 
     `out` is HDF5 (``.h5``: the network's inputs, what is predicted, and the grid) or a point cloud (``.ply``: the
     centres of the voxels that are occupied at `thresholds`, in the scan's frame). Raises DatasetError for files that
     are not such, and where `out` is something else already.
     """
-    if out.suffix not in WRITERS:
-        raise DatasetError(f"{out}: expected a name that ends in {' or '.join(WRITERS)}")
+    if out.suffix not in (".h5", ".ply"):
+        raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
     check_output(out)
     place = np.asarray(sensor, dtype=np.float64)
     if not (np.abs(place) <= MOST_LENGTH_M).all():
@@ -98,14 +84,27 @@ def predict_scan(
     points = read_points(scan)
     returned = points[np.isfinite(points).all(axis=1)]
     seen = PointScan(points=returned, sensor=place, grid=completer.grid)
-    used = Used(points=len(points), returned=len(returned), inside=len(seen.voxels))
-    if not used.inside:
+    inside = len(seen.voxels)
+    used = f"{inside} of {len(points)} points used, {len(points) - len(returned)} without a return, " + (
+        f"{len(returned) - inside} outside the map"
+    )
+    if not inside:
         raise DatasetError(
             f"{scan}: {used}, a map of {completer.grid.extent_m} m around the sensor at {place.tolist()}; "
             "give --sensor, and metres"
         )
     maps = of_scan(completer.inputs, seen)
-    WRITERS[out.suffix](CompletedScan(completer.name, seen, maps, completer(maps), thresholds), out)
+    prediction = completer(maps)
+    if out.suffix == ".ply":
+        centres = seen.grid.centres(seen.origin)[prediction.occupied(thresholds)]
+        header = f"element vertex {len(centres)}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+        write_whole(out, PLY_HEAD + header.encode() + b"end_header\n" + centres.astype("<f4").tobytes())
+        return used
+    with whole(out) as draft, h5py.File(draft, "w") as file:
+        file.attrs.update({"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m})
+        for name, values in (maps | {name: getattr(prediction, name) for name in PARTS}).items():
+            if values is not None:
+                file[name] = values
     return used
 
 
@@ -133,15 +132,6 @@ def _names_a_method(path: Path) -> bool:
         return False
 
 
-def check_grid(completer: Completer, grid: GridSpec, where: Path) -> None:
-    """Raise DatasetError unless a network completes maps on `grid`."""
-    if grid != completer.grid:
-        raise DatasetError(
-            f"{where}: its maps are on {grid}, {completer.name} completes maps on {completer.grid}; train a network on "
-            "this grid with `scenegen train`"
-        )
-
-
 def _write(file: h5py.File, prediction: Prediction, row: int, total: int) -> None:
     for name in PARTS:
         values: Any = getattr(prediction, name)
@@ -154,35 +144,3 @@ def _write(file: h5py.File, prediction: Prediction, row: int, total: int) -> Non
             )
         for n, value in enumerate(values):
             file[name].id.write_direct_chunk((row + n, 0, 0, 0), compress(value))
-
-
-@dataclass(frozen=True)
-class CompletedScan:
-    """One scan, and what `method` says of its map."""
-
-    method: str
-    scan: PointScan
-    maps: dict[str, NDArray[Any]]
-    """What the method was shown, by name."""
-    prediction: Prediction
-    thresholds: Thresholds
-
-    def write_h5(self, out: Path) -> None:
-        """Write everything as HDF5."""
-        with whole(out) as draft, h5py.File(draft, "w") as file:
-            file.attrs.update({"method": self.method, "origin": self.scan.origin, "voxel": self.scan.grid.voxel_m})
-            for name, values in self.maps.items():
-                file[name] = values
-            for name in PARTS:
-                if getattr(self.prediction, name) is not None:
-                    file[name] = getattr(self.prediction, name)
-
-    def write_ply(self, out: Path) -> None:
-        """Write the centres of the voxels that are occupied as a cloud of points in the scan's frame."""
-        centres = self.scan.grid.centres(self.scan.origin)[self.prediction.occupied(self.thresholds)]
-        header = f"element vertex {len(centres)}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
-        write_whole(out, PLY_HEAD + header.encode() + b"end_header\n" + centres.astype("<f4").tobytes())
-
-
-WRITERS = {".h5": CompletedScan.write_h5, ".ply": CompletedScan.write_ply}
-"""File types of a completed scan."""

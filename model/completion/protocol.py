@@ -12,22 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
-from lidarsim.parameters import check, number
 from scenegen.errors import ScenegenError
+from scenegen.model.config import Thresholds
 from scenegen.truth import distance_field
-
-
-@dataclass(frozen=True, kw_only=True)
-class Thresholds:
-    """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
-
-    probability: float = number(0.85, least=0, most=1)
-    """A voxel is occupied from this probability on."""
-    distance_m: float = number(0.2, least=0)
-    """A voxel is occupied below this distance, where no probability is predicted, metres."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from lidarsim.jit import kernel
-from scenegen.model.completion.protocol import MapCompleter, Prediction
+from scenegen.model.completion.protocol import Prediction
 
 
 class Returns:
@@ -56,7 +56,3 @@ def _extend(observed, free, extended):
                     start, seen = k + 1, False
                 elif observed[i, j, k]:
                     seen = True
-
-
-UNLEARNED: tuple[MapCompleter, ...] = (Returns(), Conservative(), Extrude())
-"""The methods that need no learning."""

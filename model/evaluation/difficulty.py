@@ -4,8 +4,8 @@ import numpy as np
 from scipy import ndimage
 
 from lidarsim import GridSpec
+from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice
-from scenegen.model.evaluation.planning.config import PlanConfig
 from scenegen.sample import Sample
 
 DESCRIPTORS = ("gap_m", "traversable", "hidden")

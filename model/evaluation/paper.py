@@ -1,125 +1,34 @@
-"""What the paper reports, Tables I and II: (mean, standard deviation), to stand beside our figures."""
+"""What the paper reports, Tables I and II, mean±standard deviation, to stand beside our figures."""
 
 Row = dict[str, tuple[float, float | None]]
 
-RECONSTRUCTION: dict[str, dict[str, Row]] = {
-    "geometric": {
-        "TUDF": {
-            "rmse": (0.317, 0.097),
-            "mae": (0.162, 0.068),
-            "near_rmse": (0.310, 0.111),
-            "near_mae": (0.157, 0.064),
-            "bias": (0.004, 0.050),
-            "near_bias": (0.101, 0.064),
-            "iou": (0.526, 0.068),
-            "f1": (0.687, 0.060),
-            "precision": (0.830, 0.046),
-            "recall": (0.590, 0.077),
-        },
-        "OCC": {
-            "rmse": (0.437, 0.123),
-            "mae": (0.203, 0.081),
-            "near_rmse": (0.576, 0.156),
-            "near_mae": (0.313, 0.114),
-            "bias": (0.188, 0.082),
-            "near_bias": (0.305, 0.115),
-            "iou": (0.575, 0.081),
-            "f1": (0.727, 0.067),
-            "precision": (0.966, 0.029),
-            "recall": (0.587, 0.083),
-        },
-        "Proposed": {
-            "rmse": (0.321, 0.097),
-            "mae": (0.162, 0.064),
-            "near_rmse": (0.282, 0.113),
-            "near_mae": (0.141, 0.062),
-            "bias": (-0.028, 0.047),
-            "near_bias": (0.064, 0.065),
-            "iou": (0.601, 0.080),
-            "f1": (0.747, 0.064),
-            "precision": (0.867, 0.043),
-            "recall": (0.662, 0.090),
-        },
-    },
-    "pillar": {
-        "TUDF": {
-            "rmse": (0.355, 0.069),
-            "mae": (0.214, 0.050),
-            "near_rmse": (0.344, 0.075),
-            "near_mae": (0.186, 0.047),
-            "bias": (0.016, 0.061),
-            "near_bias": (0.134, 0.053),
-            "iou": (0.440, 0.043),
-            "f1": (0.610, 0.042),
-            "precision": (0.681, 0.037),
-            "recall": (0.557, 0.065),
-        },
-        "OCC": {
-            "rmse": (0.485, 0.095),
-            "mae": (0.251, 0.072),
-            "near_rmse": (0.574, 0.112),
-            "near_mae": (0.308, 0.087),
-            "bias": (0.238, 0.077),
-            "near_bias": (0.304, 0.087),
-            "iou": (0.556, 0.058),
-            "f1": (0.713, 0.048),
-            "precision": (0.976, 0.035),
-            "recall": (0.564, 0.057),
-        },
-        "Proposed": {
-            "rmse": (0.329, 0.068),
-            "mae": (0.191, 0.050),
-            "near_rmse": (0.338, 0.079),
-            "near_mae": (0.177, 0.049),
-            "bias": (0.026, 0.060),
-            "near_bias": (0.128, 0.054),
-            "iou": (0.559, 0.058),
-            "f1": (0.715, 0.049),
-            "precision": (0.890, 0.039),
-            "recall": (0.601, 0.065),
-        },
-    },
-}
 
-PLANNING: dict[str, dict[str, Row]] = {
-    "geometric": {
-        "TUDF": {
-            "success": (0.787, None),
-            "length": (9.377, 1.279),
-            "min_clearance": (0.985, 0.713),
-            "avg_clearance": (1.376, 0.675),
-        },
-        "OCC": {
-            "success": (0.778, None),
-            "length": (9.156, 1.020),
-            "min_clearance": (0.917, 0.737),
-            "avg_clearance": (1.347, 0.657),
-        },
-        "Proposed": {
-            "success": (0.806, None),
-            "length": (9.404, 1.281),
-            "min_clearance": (1.007, 0.698),
-            "avg_clearance": (1.371, 0.683),
-        },
-    },
-    "pillar": {
-        "TUDF": {
-            "success": (0.846, None),
-            "length": (8.639, 3.885),
-            "min_clearance": (0.750, 0.403),
-            "avg_clearance": (1.312, 0.356),
-        },
-        "OCC": {
-            "success": (0.769, None),
-            "length": (7.873, 1.572),
-            "min_clearance": (0.725, 0.418),
-            "avg_clearance": (1.310, 0.268),
-        },
-        "Proposed": {
-            "success": (0.885, None),
-            "length": (8.525, 3.881),
-            "min_clearance": (0.816, 0.370),
-            "avg_clearance": (1.326, 0.352),
-        },
-    },
-}
+def _read(table: str) -> dict[str, dict[str, Row]]:
+    """``tables[kind][method][metric]``: (mean, standard deviation, or None where the paper gives none)."""
+    names, *rows = [line.split() for line in table.strip().splitlines()]
+    found: dict[str, dict[str, Row]] = {}
+    for kind, method, *cells in rows:
+        pairs = (cell.partition("±") for cell in cells)
+        values = ((float(mean), float(std) if std else None) for mean, _, std in pairs)
+        found.setdefault(kind, {})[method] = dict(zip(names, values, strict=True))
+    return found
+
+
+RECONSTRUCTION = _read("""
+                   rmse      mae       near_rmse near_mae  bias       near_bias iou       f1        precision recall
+geometric TUDF     .317±.097 .162±.068 .310±.111 .157±.064 .004±.050  .101±.064 .526±.068 .687±.060 .830±.046 .590±.077
+geometric OCC      .437±.123 .203±.081 .576±.156 .313±.114 .188±.082  .305±.115 .575±.081 .727±.067 .966±.029 .587±.083
+geometric Proposed .321±.097 .162±.064 .282±.113 .141±.062 -.028±.047 .064±.065 .601±.080 .747±.064 .867±.043 .662±.090
+pillar TUDF        .355±.069 .214±.050 .344±.075 .186±.047 .016±.061  .134±.053 .440±.043 .610±.042 .681±.037 .557±.065
+pillar OCC         .485±.095 .251±.072 .574±.112 .308±.087 .238±.077  .304±.087 .556±.058 .713±.048 .976±.035 .564±.057
+pillar Proposed    .329±.068 .191±.050 .338±.079 .177±.049 .026±.060  .128±.054 .559±.058 .715±.049 .890±.039 .601±.065
+""")
+PLANNING = _read("""
+                   success length      min_clearance avg_clearance
+geometric TUDF     .787    9.377±1.279 .985±.713     1.376±.675
+geometric OCC      .778    9.156±1.020 .917±.737     1.347±.657
+geometric Proposed .806    9.404±1.281 1.007±.698    1.371±.683
+pillar TUDF        .846    8.639±3.885 .750±.403     1.312±.356
+pillar OCC         .769    7.873±1.572 .725±.418     1.310±.268
+pillar Proposed    .885    8.525±3.881 .816±.370     1.326±.352
+""")

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +39,13 @@ class Predicted:
         Another process, with limits, reads all of it first: HDF5 could make a small file large. That costs about as
         much as reading the file.
         """
-        names = [name[1:] for name in dataset.split(split).names]
+        names = [(world, viewpoint) for _, world, viewpoint in dataset.split(split).names]
         digest, shape = str(dataset.manifest.digest), dataset.grid.shape
-        voxels = math.prod(shape)
-        task = _Wanted(self.path, str(dataset.folder), digest, split, tuple(names), shape)
+        check = partial(_check_file, folder=dataset.folder, digest=digest, split=split, names=names, shape=shape)
         try:
             with open_bounded(self.path, 1 << 62):
                 pass
-            guarded(_check_file, task, seconds=GUARD_S + len(names) * voxels / 1e6, memory_bytes=GUARD_BYTES)
+            guarded(check, self.path, seconds=GUARD_S + len(names) * math.prod(shape) / 1e6, memory_bytes=GUARD_BYTES)
         except FileNotFoundError:
             raise DatasetError(f"{self.path}: no such file; give an HDF5 file of predictions") from None
         except GuardError as error:
@@ -65,41 +64,31 @@ class Predicted:
             return _prediction(file, row)
 
 
-@dataclass(frozen=True)
-class _Wanted:
-    """What a predictions file must predict."""
-
-    path: Path
-    folder: str
-    digest: str
-    split: str
-    names: tuple[tuple[int, int], ...]
-    """(world, viewpoint) of every sample."""
-    shape: tuple[int, int, int]
-
-
-def _check_file(wanted: _Wanted) -> None:
-    """Raise DatasetError unless the file at `wanted.path` predicts what is `wanted`."""
+def _check_file(
+    path: Path, *, folder: Path, digest: str, split: str, names: list[tuple[int, int]], shape: tuple[int, ...]
+) -> None:
+    """Raise DatasetError unless the file at `path` predicts the samples `names`, (world, viewpoint), of `split` of the
+    dataset `digest` in `folder`, on maps of `shape`."""
     try:
-        with h5py.File(wanted.path, "r") as file:
-            _check_names(file, wanted)
-            for row in range(len(wanted.names)):
-                check_prediction(_prediction(file, row), wanted.shape, f"row {row}")
+        with h5py.File(path, "r") as file:
+            said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
+            if said[0] != digest:
+                raise DatasetError(
+                    f"predicts dataset {printable(said[0])[:12]}…, not {folder} ({digest[:12]}…); "
+                    "predict this one, and copy its digest into the attribute `dataset`"
+                )
+            if said[1] != split:
+                raise DatasetError(f"predicts split {short(said[1])}, expected {split!r}")
+            _check_arrays(file, split, names, shape)
+            for row in range(len(names)):
+                check_prediction(_prediction(file, row), shape, f"row {row}")
     except (DatasetError, PredictionError) as error:
-        raise DatasetError(f"{wanted.path}: {error}") from None
+        raise DatasetError(f"{path}: {error}") from None
     except Exception as error:  # h5py's errors share no base
-        raise DatasetError(f"{wanted.path}: cannot be read as HDF5 predictions: {printable(error)[:200]}") from None
+        raise DatasetError(f"{path}: cannot be read as HDF5 predictions: {printable(error)[:200]}") from None
 
 
-def _check_names(file: h5py.File, wanted: _Wanted) -> None:
-    digest, split = (str(file.attrs.get(name)) for name in ("dataset", "split"))
-    if digest != wanted.digest:
-        raise DatasetError(
-            f"predicts dataset {printable(digest)[:12]}…, not {wanted.folder} ({wanted.digest[:12]}…); "
-            "predict this one, and copy its digest into the attribute `dataset`"
-        )
-    if split != wanted.split:
-        raise DatasetError(f"predicts split {short(split)}, expected {wanted.split!r}")
+def _check_arrays(file: h5py.File, split: str, names: list[tuple[int, int]], shape: tuple[int, ...]) -> None:
     links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS)}
     held = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
     if not set(WHO) < set(held) or any(link is not None for name, link in links.items() if name not in held):
@@ -107,7 +96,7 @@ def _check_names(file: h5py.File, wanted: _Wanted) -> None:
             f"expected world, viewpoint, and at least one of {', '.join(PARTS)}, none of them a link; found {held}"
         )
     for name in held:
-        maps = () if name in WHO else wanted.shape
+        maps = () if name in WHO else shape
         kinds = "iu" if name in WHO else "fiub"
         data = file[name]
         if not isinstance(data, h5py.Dataset) or data.is_virtual or data.external or data.dtype.kind not in kinds:
@@ -118,17 +107,17 @@ def _check_names(file: h5py.File, wanted: _Wanted) -> None:
             raise DatasetError(f"{name} has {data.shape[0]} rows, expected {file['world'].shape[0]}, as many as world")
         if data.chunks:
             _check_chunks(name, data)
-    if file["world"].shape[0] > len(wanted.names):
-        raise DatasetError(f"predicts {file['world'].shape[0]} samples, split {wanted.split} has {len(wanted.names)}")
+    if file["world"].shape[0] > len(names):
+        raise DatasetError(f"predicts {file['world'].shape[0]} samples, split {split} has {len(names)}")
     for name in held:  # HDF5 would make up zeros
         if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
-            raise DatasetError(f"{name} is not written to its end; predict each sample of split {wanted.split} once")
+            raise DatasetError(f"{name} is not written to its end; predict each sample of split {split} once")
     found = set(_pairs(file))
-    missing = [name for name in wanted.names if name not in found]
+    missing = [name for name in names if name not in found]
     if missing:
         raise DatasetError(
-            f"{len(missing)} of {len(wanted.names)} samples are missing, the first is world {missing[0][0]}, viewpoint "
-            f"{missing[0][1]}; predict each sample of split {wanted.split} once"
+            f"{len(missing)} of {len(names)} samples are missing, the first is world {missing[0][0]}, viewpoint "
+            f"{missing[0][1]}; predict each sample of split {split} once"
         )
 
 

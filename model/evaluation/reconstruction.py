@@ -1,27 +1,13 @@
 """Table I: how near a completion comes to the truth, voxel by voxel."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.jit import kernel
-from lidarsim.parameters import check, number
+from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS, Sums
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReconstructionConfig:
-    """What counts as near."""
-
-    near_m: float = number(1.0, least=0)
-    """Voxels whose true distance is at most this are near an obstacle, metres."""
-    strict: bool = False
-    """Whether voxels exactly at `near_m` are not near; on the default grid they are an eighth of the near ones."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def measure(
@@ -46,22 +32,10 @@ def measure(
     near = np.float32(config.near_m)
     if config.strict:
         near = np.nextafter(near, np.float32(0))
-    _accumulate(
-        occupied.reshape(-1),
-        distance.reshape(-1),
-        true_occupancy.reshape(-1),
-        true_distance.reshape(-1),
-        classes.reshape(-1),
-        near,
-        sums,
-    )
-    return np.stack([_metrics(sums.sum(axis=0)), _metrics(sums[list(union)].sum(axis=0)), *map(_metrics, sums)])
-
-
-def _metrics(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """All metrics from the sums of `_accumulate`, (11,)."""
-    added = Sums(*sums.tolist())
-    return np.array([metric.of(added) for metric in METRICS.values()], dtype=np.float64)
+    said, true = (occupied.reshape(-1), distance.reshape(-1)), (true_occupancy.reshape(-1), true_distance.reshape(-1))
+    _accumulate(*said, *true, classes.reshape(-1), near, sums)
+    rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
+    return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64)
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -26,6 +26,7 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[
     report: dict[str, Any] = {**about, "reconstruction": {}, "planning": {}, "tests": {}, "datasets": {}}
     for result in results:
         rng = np.random.default_rng(seed)
+        methods = result.methods.items()
         report["datasets"][result.kind] = {
             "digest": result.digest,
             "samples": len(result.worlds),
@@ -33,25 +34,22 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
             "difficulty": {
-                name: dataclasses.asdict(summarize(result.difficulty[:, n], result.worlds, rng=rng))
-                for n, name in enumerate(DESCRIPTORS)
+                name: _figure(result.difficulty[:, n], result.worlds, rng) for n, name in enumerate(DESCRIPTORS)
             },
         }
-        report["reconstruction"][result.kind] = {
-            name: _reconstruction(found, result, rng) for name, found in result.methods.items()
-        }
-        report["planning"][result.kind] = {
-            name: _planning(found, result, rng) for name, found in result.methods.items()
-        }
+        report["reconstruction"][result.kind] = {name: _reconstruction(found, result, rng) for name, found in methods}
+        report["planning"][result.kind] = {name: _planning(found, result, rng) for name, found in methods}
         report["tests"][result.kind] = _tests(result, rng)
     return report
 
 
+def _figure(values: np.ndarray, worlds: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
+    return dataclasses.asdict(summarize(values, worlds, rng=rng))
+
+
 def _reconstruction(found: MethodResult, result: DatasetResult, rng: np.random.Generator) -> dict[str, Any]:
     def figures(values: np.ndarray) -> dict[str, Any]:
-        return {
-            name: dataclasses.asdict(summarize(values[:, m], result.worlds, rng=rng)) for m, name in enumerate(METRICS)
-        }
+        return {name: _figure(values[:, m], result.worlds, rng) for m, name in enumerate(METRICS)}
 
     return {
         **figures(found.reconstruction[:, 0]),
@@ -68,10 +66,7 @@ def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generat
     succeeded = np.array([trial.success for trial in found.trials], dtype=bool)
 
     def figures(names: Sequence[str], chosen: np.ndarray) -> dict[str, Any]:
-        return {
-            name: dataclasses.asdict(summarize(np.where(chosen, columns[name], np.nan), result.trial_worlds, rng=rng))
-            for name in names
-        }
+        return {name: _figure(np.where(chosen, columns[name], np.nan), result.trial_worlds, rng) for name in names}
 
     everywhere = np.all([[trial.success for trial in other.trials] for other in result.methods.values()], axis=0)
     return {
@@ -104,16 +99,9 @@ def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, An
     paired = [summarize(a - b, worlds, rng=rng) for *_, a, b, worlds in rows]
     raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
     return [
-        {
-            "first": first,
-            "second": second,
-            "metric": metric,
-            "difference": difference.mean,
-            "low": difference.low,
-            "high": difference.high,
-            "p": p,
-            "p_holm": float(corrected),
-        }
+        {"first": first, "second": second, "metric": metric}
+        | {"difference": difference.mean, "low": difference.low, "high": difference.high}
+        | {"p": p, "p_holm": float(corrected)}
         for (first, second, metric, *_), difference, p, corrected in zip(rows, paired, raw, holm(raw), strict=True)
     ]
 
@@ -132,34 +120,35 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             "deviation over samples or trials, in brackets the 95 % interval of the mean, by bootstrap over worlds"
             f"{', which one world does not give' * (about['worlds'] == 1)}. *Italics*: the paper's.",
         ]
-        lines += ["", "### Difficulty", "", *_head(DESCRIPTORS)]
-        lines.append("| truth | " + " | ".join(_cell(about["difficulty"][name]) for name in DESCRIPTORS) + " |")
+        lines += [
+            "",
+            "### Difficulty",
+            "",
+            *_head(DESCRIPTORS),
+            _line("truth", map(_cell, about["difficulty"].values())),
+        ]
         for title, table, reference, metrics in (
             ("Reconstruction", report["reconstruction"][kind], paper.RECONSTRUCTION.get(kind, {}), METRICS),
             ("Planning", report["planning"][kind], paper.PLANNING.get(kind, {}), PLAN_METRICS),
         ):
             lines += ["", f"### {title}", "", *_head(metrics)]
-            lines += [f"| {name} | " + " | ".join(_cell(row[m]) for m in metrics) + " |" for name, row in table.items()]
+            lines += [_line(name, (_cell(row[m]) for m in metrics)) for name, row in table.items()]
             for name, row in reference.items():
                 cells = (f"*{_spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items())
-                lines.append(f"| *{name}* | " + " | ".join(cells) + " |")
+                lines.append(_line(f"*{name}*", cells))
         lines += ["", "### Failures", ""]
         for name, row in report["planning"][kind].items():
             counted = ", ".join(f"{cause} {count}" for cause, count in sorted(row["failures"].items()))
             lines.append(f"- {name}: {counted or 'none'}")
         lines += ["", "### IoU by what was seen", "", *_head(CLASSES)]
         for name, row in report["reconstruction"][kind].items():
-            lines.append(f"| {name} | " + " | ".join(_cell(row["by_class"][c]["iou"]) for c in CLASSES) + " |")
-        lines += [
-            "",
-            "### Paired tests, by world, Holm-corrected",
-            "",
-            "| | metric | difference | p |",
-            "|---|---|---|---|",
-        ]
+            lines.append(_line(name, (_cell(row["by_class"][c]["iou"]) for c in CLASSES)))
+        lines += ["", "### Paired tests, by world, Holm-corrected", "", *_head(("metric", "difference", "p"))]
         for test in report["tests"][kind]:
-            pair = f"{test['first']} − {test['second']}"
-            lines.append(f"| {pair} | {test['metric']} | {_difference(test)} | {test['p_holm']:.4f} |")
+            pair, found = f"{test['first']} − {test['second']}", "–"
+            if test["difference"] is not None:
+                found = f"{test['difference']:+.3f} {_interval(test, '+.3f')}"
+            lines.append(_line(pair, (test["metric"], found, f"{test['p_holm']:.4f}")))
     return "\n".join(lines) + "\n"
 
 
@@ -167,16 +156,14 @@ def _head(names: Collection[str]) -> list[str]:
     return [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
 
 
+def _line(name: str, cells: Iterable[str]) -> str:
+    return f"| {name} | {' | '.join(cells)} |"
+
+
 def _cell(figure: Mapping[str, float]) -> str:
     if not figure["n"]:
         return "–"
     return f"{_spread(figure['mean'], figure['std'])} {_interval(figure, '.3f')}"
-
-
-def _difference(test: Mapping[str, Any]) -> str:
-    if test["difference"] is None:
-        return "–"
-    return f"{test['difference']:+.3f} {_interval(test, '+.3f')}"
 
 
 def _interval(figure: Mapping[str, Any], form: str) -> str:

@@ -3,50 +3,28 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.parameters import check, number
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, empty_split
-from scenegen.model.completion.protocol import Thresholds
+from scenegen.model.config import Thresholds
+from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.difficulty import describe
 from scenegen.model.evaluation.methods import Method
-from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.planning.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import Measurement, run_trial
 from scenegen.model.evaluation.planning.trials import draw_trials
-from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
-from scenegen.model.evaluation.tuning import tune
+from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.tuning import spread, tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify
 from scenegen.workers import run as run_workers
 
 CHUNK = 10
 """Samples a task of a worker."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchConfig:
-    """What is measured, and how much of it."""
-
-    split: str = "test"
-    """The split that is measured; calibration looks at val."""
-    samples: int | None = None
-    """At most this many of the split's samples, evenly spread; None for all."""
-    trials: int = number(2000, least=1, whole=True)
-    """Valid planning trials a dataset, spread over its samples (the paper's number)."""
-    seed: int = number(0, least=0, whole=True)
-    """Seed of goals, bootstraps and permutations."""
-    thresholds: Thresholds = field(default_factory=Thresholds)
-    reconstruction: ReconstructionConfig = field(default_factory=ReconstructionConfig)
-    plan: PlanConfig = field(default_factory=PlanConfig)
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,27 +57,17 @@ class DatasetResult:
     methods: dict[str, MethodResult]
 
 
-@dataclass(frozen=True)
-class _Task:
-    folder: Path
-    indices: tuple[int, ...]
-    methods: tuple[Method, ...]
-    tuned: tuple[Thresholds, ...]
-    trials_each: int
-    config: BenchConfig
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Found:
+    """What one sample gave; the last three by method."""
 
-
-@dataclass(frozen=True, eq=False)
-class _Outcome:
-    """What a task found, by sample number: worlds, metrics and trials of every method."""
-
-    indices: tuple[int, ...]
-    worlds: list[int]
-    difficulty: list[NDArray[np.float64]]
-    reconstruction: list[list[NDArray[np.float64]]]
-    tuned: list[list[NDArray[np.float64]]]
-    trials: list[list[list[Measurement]]]
+    index: int
+    world: int
+    difficulty: NDArray[np.float64]
     excluded: Counter[str]
+    reconstruction: list[NDArray[np.float64]]
+    tuned: list[NDArray[np.float64]]
+    trials: list[list[Measurement]]
 
 
 def bench(
@@ -119,52 +87,81 @@ def bench(
     split = dataset.split(config.split)
     if not len(split):
         raise DatasetError(f"{dataset.folder}: {empty_split(config.split)}, or give another --split")
-    count = min(config.samples or len(split), len(split))
-    indices = np.unique(np.linspace(0, len(split) - 1, count).astype(int))
-    tuned = tuple(tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods)
-    each = math.ceil(1.1 * config.trials / len(indices))
-    tasks = [
-        _Task(dataset.folder, tuple(part.tolist()), tuple(methods), tuned, each, config)
-        for part in np.array_split(indices, math.ceil(len(indices) / CHUNK))
-    ]
-    outcomes = []
-    for outcome in run_workers(_work, tasks, workers, lambda: on_start(len(indices))):
-        outcomes.append(outcome)
-        on_done(len(outcome.indices))
-    outcomes.sort(key=lambda outcome: outcome.indices)
-    return _gather(dataset, methods, tuned, outcomes, config)
+    indices = spread(len(split), config.samples or len(split))
+    tuned = [tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods]
+    work = partial(_work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config)
+    tasks = [indices[n : n + CHUNK] for n in range(0, len(indices), CHUNK)]
+    found: list[_Found] = []
+    for several in run_workers(work, tasks, workers, lambda: on_start(len(indices))):
+        found += several
+        on_done(len(several))
+    found.sort(key=lambda one: one.index)
+    # of the trials, the first of every sample first, cut to the number asked for
+    turns = sorted((turn, n) for n, one in enumerate(found) for turn in range(len(one.trials[0])))[: config.trials]
+    return DatasetResult(
+        kind=dataset.manifest.kind,
+        digest=str(dataset.manifest.digest),
+        worlds=np.array([one.world for one in found]),
+        trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
+        difficulty=np.array([one.difficulty for one in found]),
+        excluded=sum((one.excluded for one in found), start=Counter()),
+        methods={
+            method.name: MethodResult(
+                reconstruction=np.array([one.reconstruction[m] for one in found]),
+                tuned=np.array([one.tuned[m] for one in found]),
+                thresholds=tuned[m],
+                trials=tuple(found[n].trials[m][turn] for turn, n in turns),
+            )
+            for m, method in enumerate(methods)
+        },
+    )
 
 
-def _work(task: _Task) -> _Outcome:
-    dataset = Dataset(task.folder)
-    split, grid, config = dataset.split(task.config.split), dataset.grid, task.config
-    found = _Outcome(task.indices, [], [], [], [], [], Counter())
-    for index in task.indices:
+def _work(
+    folder: Path,
+    methods: Sequence[Method],
+    tuned: Sequence[Thresholds],
+    trials_each: int,
+    config: BenchConfig,
+    indices: Sequence[int],
+) -> list[_Found]:
+    dataset = Dataset(folder)
+    split, grid, usual = dataset.split(config.split), dataset.grid, config.thresholds
+    found = []
+    for index in indices:
         sample = split[index]
+        truth = sample.occupancy, sample.tudf
         classes = classify(sample, lidar=dataset.lidar, grid=grid)
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
         bounds = _world_bounds(dataset, sample.origin)
-        drawn = draw_trials(sample.occupancy, grid, config.plan, count=task.trials_each, rng=rng, bounds=bounds)
-        found.excluded.update(drawn.excluded)
-        found.worlds.append(int(sample.world))
-        found.difficulty.append(describe(sample, grid=grid, config=config.plan))
-        rows, tuned_rows, trials = [], [], []
-        for method, tuned in zip(task.methods, task.tuned, strict=True):
-            completion = method.completion(sample, split=config.split, grid=grid, lidar=dataset.lidar)
-            occupied, distance = completion.occupied(config.thresholds), completion.distance(config.thresholds, grid)
-            truth = sample.occupancy, sample.tudf
-            measured = partial(
-                measure, classes=classes, class_count=len(CLASSES), config=config.reconstruction, union=UNOBSERVED
-            )
-            rows.append(measured(occupied, distance, *truth))
-            if tuned == config.thresholds:
-                tuned_rows.append(rows[-1][0])
-            else:
-                tuned_rows.append(measured(completion.occupied(tuned), completion.distance(tuned, grid), *truth)[0])
-            trials.append([run_trial(occupied, distance, *truth, goal, grid, config.plan) for goal in drawn.goals])
-        found.reconstruction.append(rows)
-        found.tuned.append(tuned_rows)
-        found.trials.append(trials)
+        drawn = draw_trials(sample.occupancy, grid, config.plan, count=trials_each, rng=rng, bounds=bounds)
+        one = _Found(
+            index=index,
+            world=int(sample.world),
+            difficulty=describe(sample, grid=grid, config=config.plan),
+            excluded=Counter(drawn.excluded),
+            reconstruction=[],
+            tuned=[],
+            trials=[],
+        )
+        for method, best in zip(methods, tuned, strict=True):
+            said = method.completion(sample, split=config.split, grid=grid, lidar=dataset.lidar)
+            maps = {at: (said.occupied(at), said.distance(at, grid)) for at in {usual, best}}
+            figures = {
+                at: measure(
+                    *maps[at],
+                    *truth,
+                    classes=classes,
+                    class_count=len(CLASSES),
+                    config=config.reconstruction,
+                    union=UNOBSERVED,
+                )
+                for at in maps
+            }
+            one.reconstruction.append(figures[usual])
+            one.tuned.append(figures[best][0])
+            one.trials.append([run_trial(*maps[usual], *truth, goal, grid, config.plan) for goal in drawn.goals])
+        found.append(one)
     return found
 
 
@@ -172,35 +169,3 @@ def _world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.f
     """The drawn world's box (2, 3) in the map frame, metres; None for worlds drawn by hand."""
     world = dataset.manifest.tables.get("world")
     return None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - origin
-
-
-def _gather(
-    dataset: Dataset,
-    methods: Sequence[Method],
-    tuned: Sequence[Thresholds],
-    outcomes: Sequence[_Outcome],
-    config: BenchConfig,
-) -> DatasetResult:
-    """Tasks' outcomes as one result; of the trials, the first of every sample first, cut to the number asked for."""
-    worlds = [world for outcome in outcomes for world in outcome.worlds]
-    rows = [row for outcome in outcomes for row in outcome.reconstruction]
-    tuned_rows = [row for outcome in outcomes for row in outcome.tuned]
-    trials = [sample for outcome in outcomes for sample in outcome.trials]
-    turns = sorted((turn, n) for n, sample in enumerate(trials) for turn in range(len(sample[0])))[: config.trials]
-    return DatasetResult(
-        kind=dataset.manifest.kind,
-        digest=str(dataset.manifest.digest),
-        worlds=np.array(worlds),
-        trial_worlds=np.array([worlds[n] for _, n in turns], dtype=np.int64),
-        difficulty=np.array([row for outcome in outcomes for row in outcome.difficulty]),
-        excluded=sum((outcome.excluded for outcome in outcomes), start=Counter()),
-        methods={
-            method.name: MethodResult(
-                reconstruction=np.array([row[m] for row in rows]),
-                tuned=np.array([row[m] for row in tuned_rows]).reshape(-1, len(METRICS)),
-                thresholds=tuned[m],
-                trials=tuple(trials[n][m][turn] for turn, n in turns),
-            )
-            for m, method in enumerate(methods)
-        },
-    )

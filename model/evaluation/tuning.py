@@ -5,11 +5,16 @@ import dataclasses
 import numpy as np
 
 from scenegen.dataset.read import Dataset
-from scenegen.model.completion.protocol import Thresholds
+from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Method
 
 PROBABILITIES = np.arange(0.05, 1.0, 0.05)
 DISTANCES_M = np.arange(0.05, 0.85, 0.05)
+
+
+def spread(count: int, most: int) -> list[int]:
+    """At most `most` of the numbers below `count`, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist()
 
 
 def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds) -> Thresholds:
@@ -22,8 +27,8 @@ def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds)
         return thresholds
     scores: list[list[float]] = []
     name, candidates = "probability", PROBABILITIES
-    for index in np.unique(np.linspace(0, len(split) - 1, min(most, len(split))).astype(int)):
-        sample = split[int(index)]
+    for index in spread(len(split), most):
+        sample = split[index]
         try:
             completion = method.completion(sample, split="val", grid=dataset.grid, lidar=dataset.lidar)
         except KeyError:  # a file that predicts the test split alone

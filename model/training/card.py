@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from scenegen.model.config import VARIANTS
-from scenegen.model.evaluation.metrics import METRICS, Metric
+from scenegen.model.evaluation.metrics import METRICS
 
 FULL_EPOCHS = 100
 """Epochs of the full protocol at most; it ends when validation no longer improves."""
@@ -17,7 +17,8 @@ def card(name: str, about: Mapping[str, Any]) -> str:
     """The card of a network, as Markdown, from what its file's header says `about` it."""
     settings, figures = about["settings"], about["figures"]
     network = settings["network"]
-    shown = {"val_loss": "loss"} | {f"val_{name}": metric.label for name, metric in _occupancy_first()}
+    occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
+    shown = {"val_loss": "loss"} | {f"val_{name}": metric.label for name, metric in occupancy_first}
     shown = {key: label for key, label in shown.items() if key in figures}
     data = ", ".join(
         f"{kind} {digest[:16]}…" for kind, digest in zip(settings["kinds"], settings["datasets"], strict=True)
@@ -48,9 +49,10 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         "",
     ]
     if settings["epochs"] < FULL_EPOCHS:
+        full = re.sub(rf" --epochs[ =]{settings['epochs']}\b", "", about["command"])
         lines += [
             f"This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and stops when validation has "
-            f"not improved for {settings['patience']}: `{_full(about['command'], settings['epochs'])}`.",
+            f"not improved for {settings['patience']}: `{full}`.",
             "",
         ]
     lines += [
@@ -60,11 +62,3 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         f"{settings['loss']['occupied_weight']:g} times as much as free ones.",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _occupancy_first() -> list[tuple[str, Metric]]:
-    return sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
-
-
-def _full(command: str, epochs: int) -> str:
-    return re.sub(rf" --epochs[ =]{epochs}\b", "", command)

@@ -3,7 +3,7 @@
 import os
 import platform
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,26 +57,16 @@ def autocast(device: torch.device, precision: torch.dtype) -> Any:
     return nullcontext() if precision == torch.float32 else torch.autocast(device.type, dtype=precision)
 
 
-def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error of torch's, or of Python's, means that memory ran out."""
-    known = ("not enough memory", "can't allocate memory", "out of memory")
-    return isinstance(error, torch.OutOfMemoryError | MemoryError) or any(text in str(error) for text in known)
-
-
 def device_name(device: torch.device) -> str:
     """What a device is called."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
-    return f"{_processor()}, {torch.get_num_threads()} of {os.cpu_count()} threads"
-
-
-def _processor() -> str:
-    try:
+    named = []
+    with suppress(OSError):  # elsewhere than on Linux
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.processor() or "CPU"
+        named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    processor = named[0] if named else platform.processor() or "CPU"
+    return f"{processor}, {torch.get_num_threads()} of {os.cpu_count()} threads"
 
 
 class Group:

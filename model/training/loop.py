@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import platform
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -15,11 +16,11 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from scenegen.checkout import commit
-from scenegen.errors import DatasetError, StoppedError, empty_split
+from scenegen.dataset.manifest import installed, software
+from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
 from scenegen.model.config import TrainConfig
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
-from scenegen.model.provenance import versions
 from scenegen.model.training.data import Batch, LoaderError, Maps, Samples, TudfOf, epoch_batches, load
 from scenegen.model.training.device import (
     Group,
@@ -27,12 +28,13 @@ from scenegen.model.training.device import (
     autocast,
     choose_device,
     device_name,
-    is_out_of_memory,
     resolve_precision,
 )
 from scenegen.model.training.run_folder import Progress, RunFolder
 from scenegen.model.training.validation import validate
 
+PACKAGES = ("torch", "safetensors")
+"""What a trained network depends on, besides what a dataset does."""
 SAVE_EVERY_S = 60.0
 """How much work a kill may cost, seconds."""
 
@@ -81,7 +83,8 @@ def train(
         network = Network(config.network).to(where, memory_format=torch.channels_last_3d)
         optimizer = torch.optim.AdamW(network.parameters(), lr=config.lr, weight_decay=config.weight_decay)
         settings = describe(maps, config, precision)
-        about = {"command": command, "commit": commit(), "versions": versions(), "device": device_name(where)}
+        versions = software() | {"python": platform.python_version()} | {name: installed(name) for name in PACKAGES}
+        about = {"command": command, "commit": commit(), "versions": versions, "device": device_name(where)}
         group.first_alone(lambda: folder.open({"settings": settings, **about}))
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, where, precision, group)
@@ -101,9 +104,9 @@ def train(
                 try:
                     maps_read = next(loaded)
                 except LoaderError:
-                    if not watcher.stop():
+                    if not watcher.stop():  # the signal to stop went to the loader's processes, too
                         raise
-                    if group.first:  # the signal to stop went to the loader's processes, too
+                    if group.first:
                         folder.save(progress, network, optimizer)
                     raise StoppedError(stopped) from None
                 rate = learning_rate(config, progress.epoch * steps + progress.step, config.epochs * steps)

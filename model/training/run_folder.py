@@ -108,14 +108,6 @@ class RunFolder:
             raise DatasetError(f"{self.path}: holds {LAST} but no {CONFIG}; choose another --out")
         else:
             write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
-        self._hold(config)
-
-    def close(self) -> None:
-        """Let other processes work on the run."""
-        if self._lock is not None:
-            self._lock.close()
-
-    def _hold(self, config: Path) -> None:
         self._lock = open(config)  # noqa: SIM115 (held until `close`)
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -123,6 +115,11 @@ class RunFolder:
             raise DatasetError(f"{self.path}: another process trains this run; wait, or give another --out") from None
         except OSError:  # a file system without locks
             return
+
+    def close(self) -> None:
+        """Let other processes work on the run."""
+        if self._lock is not None:
+            self._lock.close()
 
     def settings(self) -> dict[str, Any]:
         """What the run was begun with. Raises DatasetError where there is none."""
@@ -171,16 +168,13 @@ class RunFolder:
         picture = draw_curve(rows)
         if picture is not None:
             write_whole(self.path / CURVE, picture)
-        self._tell_tensorboard(rows[-1])
-
-    def _tell_tensorboard(self, row: dict[str, float]) -> None:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
             return
         with SummaryWriter(str(self.path / "tensorboard")) as writer:
-            for name, value in row.items():
-                writer.add_scalar(name.replace("_", "/", 1), value, int(row["epoch"]))
+            for name, value in rows[-1].items():
+                writer.add_scalar(name.replace("_", "/", 1), value, int(rows[-1]["epoch"]))
 
 
 def draw_curve(rows: list[dict[str, float]]) -> bytes | None:

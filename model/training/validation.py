@@ -6,10 +6,11 @@ from collections import Counter, defaultdict
 import numpy as np
 import torch
 
-from scenegen.model.completion.protocol import Prediction, Thresholds
-from scenegen.model.config import LossConfig
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.config import LossConfig, Thresholds
+from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
+from scenegen.model.evaluation.reconstruction import measure
 from scenegen.model.losses import objective
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, load

@@ -28,10 +28,9 @@ def doctor(as_json: bool) -> None:
         print(json.dumps(found))
     else:
         rows, advice = flat(found), _advice(found, cached=not cache_trouble("scenegen"))
-        bad = {name for name, value in rows.items() if value is False}
         marks = {
-            name: ("✗", "red") if name in bad else ("!", "yellow") if name in advice else ("✓", "green")
-            for name in rows
+            name: ("✗", "red") if value is False else ("!", "yellow") if name in advice else ("✓", "green")
+            for name, value in rows.items()
         }
         show_table({name: f"{value}{advice.get(name, '')}" for name, value in rows.items()}, marks=marks)
     if not found["ok"]:

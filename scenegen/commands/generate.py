@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from lidarsim.engines import ENGINES, MUJOCO
+from lidarsim.sensors import SENSORS
 from scenegen.limits import USUAL_IN_SHARD
-from scenegen.recipes import kind_names
+from scenegen.recipes import KINDS
 from scenegen.terminal.options import json_option, out_option, quiet_option, seed_option, workers_option
 from scenegen.terminal.progress import Progress, announce_compilation, note
 from scenegen.terminal.show import flat, per_split, rejections, say, show_table
-from scenegen.terminal.types import KindName, ShardRange
+from scenegen.terminal.types import Named, ShardRange
 
 if TYPE_CHECKING:
     from scenegen.dataset.build import Summary
@@ -23,9 +25,19 @@ NETWORK_EDGE = 8
 
 
 @click.command()
-@click.option("--kind", type=KindName(), help=f"Kind of random worlds: {', '.join(kind_names())}, or MODULE:CLASS.")
+@click.option("--kind", type=Named(KINDS), help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.")
 @click.option("--scene", type=click.Path(path_type=Path), help="An MJCF world drawn by hand, or a folder of them.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
+@click.option(
+    "--sensor", type=Named(SENSORS), help="The recipe's [lidar] sensor: a name as there.  [default: the recipe's]"
+)
+@click.option(
+    "--engine",
+    type=Named(ENGINES),
+    default=MUJOCO,
+    show_default=True,
+    help=f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.",
+)
 @click.option("-n", "--n", type=click.IntRange(min=1), default=2500, show_default=True, help="Training samples.")
 @click.option("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")
 @click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth of --n]")
@@ -43,13 +55,10 @@ NETWORK_EDGE = 8
 @json_option
 @quiet_option
 def generate(
-    kind: str | None,
-    scene: Path | None,
-    recipe: Path | None,
     n: int,
     val: int | None,
     test: int | None,
-    workers: int | None,
+    workers: int,
     dry_run: bool,
     as_json: bool,
     quiet: bool,
@@ -57,6 +66,7 @@ def generate(
 ) -> None:
     """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where it was."""
     begin = time.perf_counter()
+    scene: Path | None = options["scene"]
     single = scene is not None and not scene.is_dir()
     counts = {
         "train": n,
@@ -67,9 +77,8 @@ def generate(
     if talk:
         announce_compilation()
     from scenegen.dataset.build import build, check_folder
-    from scenegen.workers import cores
 
-    plan = _plan(kind, scene, recipe, counts, options | {"talk": talk})
+    plan = _plan(counts, options, talk=talk)
     shard_range = options["split_range"]
     if shard_range and shard_range[1] > len(plan.shards):
         raise click.UsageError(f"--split-range {shard_range[0]}:{shard_range[1]}: there are {len(plan.shards)} shards")
@@ -94,7 +103,7 @@ def generate(
     with Progress(plan.parameters["kind"], shown=talk) as progress:
         summary = build(
             plan,
-            workers=workers or cores(),
+            workers=workers,
             shard_range=shard_range,
             force=options["force"],
             on_start=start,
@@ -106,39 +115,33 @@ def generate(
         _show_summary(summary, time.perf_counter() - begin)
 
 
-def _plan(
-    kind: str | None, scene: Path | None, recipe_file: Path | None, counts: dict[str, int], options: Any
-) -> "Plan":
+def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Plan":
     """What the options ask for, resolved."""
     from scenegen.dataset.build import plan_dataset
     from scenegen.recipe import preset, read_recipe
     from scenegen.source import DrawnWorlds, Source, read_scenes
 
-    if kind is None and scene is None and recipe_file is None:
+    kind, scene, file, seed = (options[name] for name in ("kind", "scene", "recipe", "seed"))
+    if kind is None and scene is None and file is None:
         raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
     if kind is not None and scene is not None:
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
-    named = "scene" if scene is not None else kind
-    recipe = read_recipe(recipe_file, named) if recipe_file is not None else preset(str(named))
+    named = kind if scene is None else "scene"
+    sensor = options["sensor"]
+    recipe = preset(named, sensor=sensor) if file is None else read_recipe(file, named, sensor=sensor)
     source: Source
     if scene is not None:
-        source = read_scenes(scene, counts, seed=options["seed"], allow_unseen=options["allow_unseen"])
-        for line in source.notes if options["talk"] else ():
+        source = read_scenes(scene, counts, seed=seed, allow_unseen=options["allow_unseen"])
+        for line in source.notes if talk else ():
             note(line)
     elif recipe.world is None:
-        raise click.UsageError(f'{recipe_file}: kind "scene" needs the worlds, too: give --scene')
+        raise click.UsageError(f'{file}: kind "scene" needs the worlds, too: give --scene')
     else:
         source = DrawnWorlds(recipe)
     name = scene.stem if scene is not None else recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
-    return plan_dataset(
-        options["out"] or Path("data") / name,
-        recipe,
-        source,
-        seed=options["seed"],
-        counts=counts,
-        compact=options["compact"],
-        shard_samples=options["shard_samples"],
-    )
+    out = options["out"] or Path("data") / name
+    more = {option: options[option] for option in ("compact", "shard_samples", "engine")}
+    return plan_dataset(out, recipe, source, seed=seed, counts=counts, **more)
 
 
 def _show_plan(plan: "Plan", as_json: bool) -> None:

@@ -51,7 +51,6 @@ def publish(
     from scenegen.dataset.locate import locate
     from scenegen.publish.run import publish as run_publish
     from scenegen.publish.stage import Request
-    from scenegen.workers import cores
 
     request = Request(
         dataset=locate(dataset, shown=talk),
@@ -74,7 +73,7 @@ def publish(
             dry_run=dry_run,
             private=options["private"],
             quick=options["quick"],
-            workers=options["workers"] or cores(),
+            workers=options["workers"],
             shown=talk,
             on_start=progress.start,
             on_done=progress.count,

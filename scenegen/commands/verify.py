@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @json_option
 @quiet_option
 def verify(
-    dataset: Path | str, quick: bool, seed: int, kind: str | None, workers: int | None, as_json: bool, quiet: bool
+    dataset: Path | str, quick: bool, seed: int, kind: str | None, workers: int, as_json: bool, quiet: bool
 ) -> None:
     """Prove a dataset against the format: files, digests, truth, rays, splits; end with 1 where a check fails."""
     talk = not (quiet or as_json)
@@ -40,7 +40,6 @@ def verify(
         announce_compilation()
     from scenegen.dataset.locate import locate
     from scenegen.verify import verify as prove
-    from scenegen.workers import cores
 
     folder = locate(dataset, shown=talk)
     begin = time.perf_counter()
@@ -50,7 +49,7 @@ def verify(
             quick=quick,
             seed=seed,
             kind=kind,
-            workers=workers or cores(),
+            workers=workers,
             on_start=progress.start,
             on_done=progress.count,
         )

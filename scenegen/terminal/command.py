@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import rich_click as click
 
 from lidarsim.registry import Registry
-from scenegen.errors import ScenegenError, StoppedError, needs, printable
+from scenegen.errors import ScenegenError, StoppedError, is_out_of_memory, needs, printable, told
 from scenegen.terminal import stops
 from scenegen.terminal.streams import lost_output, open_streams
 
@@ -93,24 +93,27 @@ def _outcome(app: Any) -> tuple[int, str]:
     """Exit code and line of a run."""
     try:
         return app.main(prog_name="scenegen", standalone_mode=False) or 0, ""
-    except click.UsageError as error:
-        name = error.ctx.command_path if error.ctx else "scenegen"
-        return 2, f"{error.format_message()} (see {name} --help)"
-    except click.ClickException as error:
-        return 1, error.format_message()
-    except ScenegenError as error:
-        return stops.CODE if isinstance(error, StoppedError) else 1, str(error)
-    except (click.Abort, KeyboardInterrupt):
-        return stops.CODE, stops.STOPPED
-    except ModuleNotFoundError as error:
-        if error.name not in EXTRAS:
-            raise
-        return 1, f"this command {needs(error.name, EXTRAS[error.name])}"
-    except OSError as error:
-        name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "the system"
-        return 1, f"{name}: {error.strerror or error}; nothing finished is lost"
-    except (MemoryError, RuntimeError) as error:
-        memory = ("out of memory", "not enough memory", "can't allocate memory")  # as torch says it
-        if isinstance(error, RuntimeError) and not any(text in str(error) for text in memory):
-            raise
-        return 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
+    except (Exception, KeyboardInterrupt) as error:
+        return _end(error)
+
+
+def _end(error: BaseException) -> tuple[int, str]:
+    """Exit code and line of what ended a run. Raises it again where nobody but its authors can act on it."""
+    match error:
+        case click.UsageError():
+            name = error.ctx.command_path if error.ctx else "scenegen"
+            return 2, f"{error.format_message()} (see {name} --help)"
+        case click.ClickException():
+            return 1, error.format_message()
+        case click.Abort() | KeyboardInterrupt() | StoppedError():
+            return stops.CODE, str(error) if isinstance(error, StoppedError) else stops.STOPPED
+        case ModuleNotFoundError(name=str(name)) if name in EXTRAS:
+            return 1, f"this command {needs(name, EXTRAS[name])}"
+        case MemoryError() | RuntimeError() if is_out_of_memory(error):
+            return 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
+        case Exception() if isinstance(error := told(error), ScenegenError):
+            return 1, str(error)
+        case OSError():
+            name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "the system"
+            return 1, f"{name}: {error.strerror or error}; nothing finished is lost"
+    raise error

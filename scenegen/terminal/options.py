@@ -12,14 +12,24 @@ import rich_click as click
 from lidarsim.parameters import BOUNDS, Bounds
 from scenegen import SPLITS
 from scenegen.limits import MOST_WORKERS
-from scenegen.terminal.types import DatasetPath, Finite, OutputFile
+from scenegen.terminal.types import DatasetPath, Number, OutputFile
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _workers(ctx: Any, parameter: Any, given: int | None) -> int:
+    from scenegen.workers import cores
+
+    return given or cores()
+
 
 dataset_argument = click.argument("dataset", type=DatasetPath())
 datasets_argument = click.argument("datasets", nargs=-1, type=DatasetPath())
 workers_option = click.option(
-    "--workers", type=click.IntRange(1, MOST_WORKERS), help="Processes.  [default: all cores]"
+    "--workers",
+    type=click.IntRange(1, MOST_WORKERS),
+    callback=_workers,
+    help="Processes.  [default: all cores]",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print errors alone.")
@@ -79,5 +89,7 @@ def _option(config: type, name: str, text: str) -> Callable[[Function], Function
         more |= {"type": click.Choice(list(choices)), "default": str(item.default)}
         return click.option(flag, name, callback=lambda ctx, parameter, value: choices[value], **more)
     bounds = item.metadata.get(BOUNDS, Bounds())
+    if kind is float:
+        return click.option(flag, name, type=Number(bounds), **more)
     least, most = (None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most))
-    return click.option(flag, name, type=click.IntRange(least, most) if kind is int else Finite(), **more)
+    return click.option(flag, name, type=click.IntRange(least, most), **more)

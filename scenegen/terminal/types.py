@@ -1,29 +1,30 @@
 """Types of options and arguments: what is wrong with one is told before anything begins."""
 
-import math
 from pathlib import Path
 from typing import Any
 
 import rich_click as click
 from click.shell_completion import CompletionItem
 
-from scenegen.recipes import KINDS
+from lidarsim.parameters import Bounds
+from lidarsim.registry import Registry
 
 
-class KindName(click.ParamType):
-    """A kind of world, or a user's own as module:Class."""
+class Named(click.ParamType):
+    """The name of something in a registry, or a user's own as module:Object."""
 
-    name = "kind"
+    def __init__(self, registry: Registry):
+        self.registry, self.name = registry, registry.what
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """The name, if it can be one; a user's own is imported later."""
-        if ":" not in value and value not in KINDS.known:
-            self.fail(KINDS.unknown(value), param, ctx)
+        if ":" not in value and value not in self.registry.known:
+            self.fail(self.registry.unknown(value), param, ctx)
         return str(value)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        """Kinds that begin with what is typed."""
-        return [CompletionItem(name) for name in KINDS.known if name.startswith(incomplete)]
+        """Names that begin with what is typed."""
+        return [CompletionItem(name) for name in self.registry.known if name.startswith(incomplete)]
 
 
 class DatasetPath(click.ParamType):
@@ -64,16 +65,19 @@ class OutputFile(click.Path):
         return path
 
 
-class Finite(click.ParamType):
-    """A number that is one."""
+class Number(click.ParamType):
+    """A finite number within bounds."""
 
     name = "float"
+
+    def __init__(self, bounds: Bounds | None = None):
+        self.bounds = bounds or Bounds()
 
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
         """The number."""
         number = float(click.FLOAT.convert(value, param, ctx))
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number", param, ctx)
+        if not self.bounds.hold(number):
+            self.fail(f"{value} is not {self.bounds}", param, ctx)
         return number
 
 

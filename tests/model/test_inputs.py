@@ -13,8 +13,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_network, save_tensors
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_scan, predict_split
-from scenegen.model.completion.protocol import Thresholds
-from scenegen.model.config import NetworkConfig, TrainConfig
+from scenegen.model.config import NetworkConfig, Thresholds, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, Metric
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.pretrained import Pretrained

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
-from scenegen.model.evaluation.planning.config import PlanConfig
+from scenegen.model.evaluation.config import PlanConfig
 
 TIE = 1e-9
 """Paths whose lengths differ by less, in lattice steps, are equally long: what differs is rounding."""

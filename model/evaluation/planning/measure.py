@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
+from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Blocked, checked, plan_path
-from scenegen.model.evaluation.planning.config import PlanConfig
 from scenegen.model.evaluation.planning.refine import field_at, refine
 
 Cause = Blocked | Literal["initial_collides", "refined_into_obstacle"]
@@ -24,14 +24,14 @@ class Measurement:
     """A path was found, and no point of it, sampled every `sample_m`, lies in an occupied voxel of the truth."""
     waypoints_clear: bool
     """The second reading: a path was found, and none of its waypoints lies in an occupied voxel of the truth."""
-    length_m: float
+    length_m: float = math.nan
     """Length of the refined path, metres."""
-    min_clearance_m: float
+    min_clearance_m: float = math.nan
     """Least value of the truth's TUDF at those points, metres: "Euclidean distance to the nearest obstacle using the
     ground-truth TUDF ... along each trajectory" (the paper), to voxel centres and at most the truncation."""
-    mean_clearance_m: float
+    mean_clearance_m: float = math.nan
     """Its mean along the path's length (trapezoidal rule between the points), metres."""
-    cause: Cause | None
+    cause: Cause | None = None
     """Why the trial failed; None for a success. `start_blocked`, `goal_blocked` and `no_path` are the predicted map's;
     `initial_collides`: A*'s path, too, meets an occupied voxel of the truth; `refined_into_obstacle`: it does not."""
 
@@ -49,14 +49,7 @@ def run_trial(
     the truth (*grid.shape). Distances are metres. The paper's section "Planning with Predicted Distance Fields"."""
     initial, reason = plan_path(occupied_pred, goal, grid, config)
     if initial is None:
-        return Measurement(
-            success=False,
-            waypoints_clear=False,
-            length_m=math.nan,
-            min_clearance_m=math.nan,
-            mean_clearance_m=math.nan,
-            cause=reason,
-        )
+        return Measurement(success=False, waypoints_clear=False, cause=reason)
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
     refined = refine(initial, tudf_pred, grid, config)

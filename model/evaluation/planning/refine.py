@@ -5,15 +5,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
+from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import checked
-from scenegen.model.evaluation.planning.config import PlanConfig
 
 SHORTEST_STEP = 1e-12
 """Steps shorter than this, in gradients, are not tried: the path stands at a minimum or on a kink of the field."""
 
 
 def refine(waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig) -> NDArray[np.float64]:
-    """The path (n, 3) after gradient descent on `cost` from `waypoints` (n, 3), map frame, metres; ends stay.
+    """The path (n, 3) after gradient descent on `_cost` from `waypoints` (n, 3), map frame, metres; ends stay.
 
     The paper's section "Planning Evaluation", whose optimizer is not told; here each of `config.iterations` steps is
     projected onto the box of the map's voxel centres, where the field is interpolated and never extrapolated, and
@@ -21,7 +21,10 @@ def refine(waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, con
 
     `tudf` (*grid.shape) is the predicted distance, metres. Raises ValueError where a waypoint lies outside that box.
     """
-    path, tudf = _path(waypoints), checked(tudf, "tudf", grid, np.float32)
+    path = np.ascontiguousarray(waypoints, dtype=np.float64)
+    if path.ndim != 2 or path.shape[1] != 3 or not np.isfinite(path).all():
+        raise ValueError(f"waypoints: expected finite metres of shape (n, 3), got shape {path.shape}")
+    tudf = checked(tudf, "tudf", grid, np.float32)
     low, high = 0.5 * grid.voxel_m, (np.array(grid.shape) - 0.5) * grid.voxel_m
     if (path < low - 1e-9).any() or (path > high + 1e-9).any():
         raise ValueError(f"waypoints: must lie between {low:g} and {high.tolist()} metres, the outermost voxel centres")
@@ -36,38 +39,6 @@ def refine(waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, con
         config.shrink,
         config.armijo,
     )
-
-
-def cost(waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig) -> float:
-    """J = sum |p[i+1] - 2 p[i] + p[i-1]|^2 + lambda_c sum max(0, d_s - D(p[i]))^2, m^2, over the waypoints between the
-    ends (the paper's section "Planning Evaluation"). D is `interpolate`'s."""
-    tudf = checked(tudf, "tudf", grid, np.float32)
-    return float(_cost(_path(waypoints), tudf, grid.voxel_m, config.safety_m, config.clearance_weight))
-
-
-def gradient(
-    waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig
-) -> NDArray[np.float64]:
-    """The gradient of `cost` by the waypoints, (n, 3), metres; 0 at the ends. On a kink of the interpolated field it is
-    that of one side."""
-    path, tudf = _path(waypoints), checked(tudf, "tudf", grid, np.float32)
-    slope = np.empty_like(path)
-    _gradient(path, tudf, grid.voxel_m, config.safety_m, config.clearance_weight, slope)
-    return slope
-
-
-def interpolate(tudf: NDArray[np.floating], points: ArrayLike, grid: GridSpec) -> NDArray[np.float64]:
-    """The field (n,), metres, at `points` (n, 3), map frame, metres: trilinear between voxel centres, and beyond the
-    outermost ones as at the nearest point between them."""
-    tudf = checked(tudf, "tudf", grid, np.float32)
-    return np.array([field_at(tudf, x, y, z, grid.voxel_m)[0] for x, y, z in _path(points)])
-
-
-def _path(waypoints: ArrayLike) -> NDArray[np.float64]:
-    path = np.ascontiguousarray(waypoints, dtype=np.float64)
-    if path.ndim != 2 or path.shape[1] != 3 or not np.isfinite(path).all():
-        raise ValueError(f"waypoints: expected finite metres of shape (n, 3), got shape {path.shape}")
-    return path
 
 
 @kernel
@@ -106,6 +77,8 @@ def _cell(at, voxel_m, count):
 
 @kernel
 def _cost(path, tudf, voxel_m, safety_m, weight):
+    """J = sum |p[i+1] - 2 p[i] + p[i-1]|^2 + lambda_c sum max(0, d_s - D(p[i]))^2, m^2, over the waypoints between the
+    ends (the paper's section "Planning Evaluation"). D is `field_at`'s."""
     total = 0.0
     for i in range(1, len(path) - 1):
         for axis in range(3):
@@ -118,7 +91,8 @@ def _cost(path, tudf, voxel_m, safety_m, weight):
 
 @kernel
 def _gradient(path, tudf, voxel_m, safety_m, weight, slope):
-    """Write the gradient of `_cost` to `slope`."""
+    """Write the gradient of `_cost` to `slope` (n, 3), metres; 0 at the ends. On a kink of the interpolated field, it
+    is that of one side."""
     slope[:] = 0.0
     for i in range(1, len(path) - 1):
         for axis in range(3):

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
+from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Blocked, Lattice, checked, plan_path
-from scenegen.model.evaluation.planning.config import PlanConfig
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,7 +50,7 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
     for words, code, named in (
         (("train", "elsewhere"), 1, "not a dataset"),
         (("train", "--variant", "best"), 2, "--variant"),
-        (("train", "--lr", "-1"), 1, "lr = -1.0: expected a finite number above 0"),
+        (("train", "--lr", "-1"), 2, "'--lr': -1 is not a finite number above 0"),
         (("train", "--width", 2000), 2, "--width"),
         (("train", "--batch", 10**9), 2, "--batch"),
         (("train", "--epochs", 10**9), 2, "--epochs"),
@@ -58,7 +58,7 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
         (("complete", "data/pillar", "-o", "pickle.pt"), 1, "is there already"),
         (("complete", "pickle.pt", "-o", "pickle.pt"), 1, "ends in .h5 or .ply"),
         (("export", "-o", "foo.pt"), 1, "ends in .onnx"),
-        (("train", "--beta", 0), 1, "beta_m = 0.0"),
+        (("train", "--beta", 0), 2, "'--beta': 0 is not a finite number above 0"),
         (("train", "--lr", "nan"), 2, "nan is not a finite number"),
         (("train", "--beta", "inf"), 2, "inf is not a finite number"),
         (("complete", "scan.ply", "--sensor", "0", "nan", "0"), 2, "nan is not a finite number"),

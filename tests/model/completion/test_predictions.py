@@ -14,8 +14,7 @@ from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_scan, predict_split
-from scenegen.model.completion.protocol import Thresholds
-from scenegen.model.config import NetworkConfig
+from scenegen.model.config import NetworkConfig, Thresholds
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.network import Network
 from tests.model.conftest import make_dataset
@@ -82,7 +81,9 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders: list[Path], t
         np.savetxt(path, points)
     out = tmp_path / "out.h5"
     used = predict_scan(net, path, out, sensor=sample.position, thresholds=Thresholds())
-    assert (used.inside, used.returned, used.points) == (len(points), len(points), len(points) + (suffix == ".npy"))
+    lost = int(suffix == ".npy")
+    count = len(points)
+    assert used == f"{count} of {count + lost} points used, {lost} without a return, 0 outside the map"
     expected = net(sample.observed)
     with h5py.File(out) as file:
         assert np.array_equal(file["observed"][:], sample.observed)
@@ -126,7 +127,7 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(folders: list[Pa
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         used = predict_scan(net, tmp_path / "scan.npy", tmp_path / "out.h5", thresholds=Thresholds())
-    assert str(used) == "2 of 7 points used, 2 without a return, 3 outside the map"
+    assert used == "2 of 7 points used, 2 without a return, 3 outside the map"
     np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
     with pytest.raises(DatasetError, match="0 of 4 points used, 4 without a return"):
         predict_scan(net, tmp_path / "scan.npy", tmp_path / "none.h5", thresholds=Thresholds())

@@ -12,13 +12,14 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.commands.bench import choose_methods, run_bench
-from scenegen.model.completion.protocol import Prediction, Thresholds
+from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
+from scenegen.model.config import Thresholds
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.planning.config import PlanConfig
 from scenegen.model.evaluation.predicted import Predicted
-from scenegen.model.evaluation.run import BenchConfig, bench
+from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.tuning import tune
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe

@@ -6,10 +6,12 @@ from scipy import stats
 
 from lidarsim import GridSpec
 from scenegen.draw import draw_unit
-from scenegen.model.completion.protocol import Prediction, Thresholds
-from scenegen.model.completion.unlearned import UNLEARNED, Conservative, Extrude, Returns
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
+from scenegen.model.config import Thresholds
+from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
+from scenegen.model.evaluation.reconstruction import measure
 from scenegen.model.evaluation.visibility import CLASSES, classify
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
@@ -130,7 +132,7 @@ def test_unlearned_methods_do_what_they_say() -> None:
     assert extruded[2, 3].tolist() == [False, True, True, True, False]
     assert extruded[4, 4].tolist() == [True, False, False, False, False]
     assert extruded.sum() == 4
-    for method in UNLEARNED:
+    for method in (Returns(), Conservative(), Extrude()):
         completion = method.complete(observed, free, grid=GRID)
         expected = distance_field(completion.occupied(at), GRID)
         np.testing.assert_array_equal(completion.distance(at, GRID), expected)

@@ -6,7 +6,9 @@ from pathlib import Path
 import mujoco
 import pytest
 
+from lidarsim.engines import ENGINES
 from scenegen.dataset.read import Dataset
+from scenegen.terminal.types import Named
 from tests.command_line import ROOT, SMALL, run
 
 BOX = '<mujoco><worldbody><geom name="{name}" type="box" size="1 1 1" pos="{x} 0 0" {more}/></worldbody></mujoco>'
@@ -48,6 +50,19 @@ def test_json_and_quiet_and_dry_run_print_what_they_say(
     code, said, _error = run(capsys, *words, "--json")
     assert json.loads(said)["complete"]
     assert run(capsys, *words, "--quiet") == (0, "", "")
+
+
+def test_an_engine_and_a_sensor_are_taken_by_name(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("generate", "--recipe", small, "--n", 3, "--val", 0, "--test", 0, "--workers", 1, "--out", tmp_path / "d")
+    named = (*words, "--quiet", "--engine", "analytic", "--sensor", "raster")
+    assert run(capsys, *named) == (0, "", "")
+    assert Dataset(tmp_path / "d").manifest.engine == "analytic"
+    assert run(capsys, "verify", tmp_path / "d", "--quiet", "--workers", 1) == (0, "", "")
+    code, _, error = run(capsys, *words)
+    assert (code, "engine" in error, error.count("\n")) == (1, True, 1)
+    assert [item.value for item in Named(ENGINES).shell_complete(None, None, "a")] == ["analytic"]
 
 
 def test_a_split_range_makes_its_shards_alone(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -46,7 +46,11 @@ def test_what_is_given_has_the_fields_type() -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [("--width", "65"), ("--width", "0"), ("--width", "1.5"), ("--stride", "3"), ("--mode", "odd")]
+    "words",
+    [
+        *(("--width", "65"), ("--width", "0"), ("--width", "1.5"), ("--stride", "3"), ("--mode", "odd")),
+        *(("--reach", "0"), ("--reach", "-1"), ("--reach", "many")),
+    ],
 )
 def test_bounds_and_choices_are_the_fields(words: tuple[str, ...]) -> None:
     code, said = run(*words)

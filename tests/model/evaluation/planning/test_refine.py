@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
-from scenegen.model.evaluation.planning import PlanConfig, plan_path, refine
-from scenegen.model.evaluation.planning.astar import Lattice
-from scenegen.model.evaluation.planning.refine import cost, gradient, interpolate
+from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.evaluation.planning.astar import Lattice, plan_path
+from scenegen.model.evaluation.planning.refine import _cost, _gradient, field_at, refine
 from scenegen.truth import distance_field
 
 GRID = GridSpec(shape=(20, 16, 12), voxel_m=0.25)
@@ -25,6 +25,21 @@ def reference_cost(path: NDArray, tudf: NDArray, grid: GridSpec, safety_m: float
     bends = path[2:] - 2 * path[1:-1] + path[:-2]
     lack = np.maximum(0.0, safety_m - reference_field(tudf, grid, path[1:-1]))
     return float((bends**2).sum() + weight * (lack**2).sum())
+
+
+def cost(path: NDArray, tudf: NDArray, grid: GridSpec, config: PlanConfig) -> float:
+    return _cost(path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight)
+
+
+def gradient(path: NDArray, tudf: NDArray, grid: GridSpec, config: PlanConfig) -> NDArray[np.float64]:
+    slope = np.empty_like(path)
+    _gradient(path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight, slope)
+    return slope
+
+
+def interpolate(tudf: NDArray, points: NDArray, grid: GridSpec) -> NDArray[np.float64]:
+    field = tudf.astype(np.float32)
+    return np.array([field_at(field, x, y, z, grid.voxel_m)[0] for x, y, z in points])
 
 
 def searched(rng: np.random.Generator, grid: GridSpec, density: float) -> tuple[NDArray, NDArray]:

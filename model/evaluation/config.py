@@ -1,9 +1,23 @@
-"""The planner's parameters and the trials'."""
+"""What the bench measures, and how. Nothing heavy is imported here: the command line reads its options here."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from lidarsim.parameters import check, number
+from scenegen.model.config import Thresholds
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionConfig:
+    """What counts as near."""
+
+    near_m: float = number(1.0, least=0)
+    """Voxels whose true distance is at most this are near an obstacle, metres."""
+    strict: bool = False
+    """Whether voxels exactly at `near_m` are not near; on the default grid they are an eighth of the near ones."""
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,7 +27,7 @@ class PlanConfig:
     "Paper" is the paper's section "Implementation Details" or "Planning Evaluation"; "ours" is what it leaves open.
     """
 
-    step_voxels: int = number(3, least=1, whole=True)
+    step_voxels: int = number(3, least=1)
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
     """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone (ours)."""
@@ -21,7 +35,7 @@ class PlanConfig:
     """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without a value; ours)."""
     clearance_weight: float = number(1.0, least=0)
     """lambda_c, of the squared clearance deficit against the squared second differences, both in m^2 (paper)."""
-    iterations: int = number(50, least=0, whole=True)
+    iterations: int = number(50, least=0)
     """Steps of gradient descent (paper)."""
     first_step: float = number(1.0, above=0)
     """Length of the first step tried, in gradients; later ones begin at the last accepted one, lengthened (ours)."""
@@ -39,7 +53,23 @@ class PlanConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        for name, known in (("clearance", ("trilinear", "voxel")), ("goal_faces", ("lateral", "box"))):
-            value = getattr(self, name)
-            if value not in known:
-                raise ValueError(f"plan: {name} = {value!r} must be one of {', '.join(known)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchConfig:
+    """What is measured, and how much of it."""
+
+    split: Literal["train", "val", "test"] = "test"
+    """The split that is measured; calibration looks at val."""
+    samples: int | None = None
+    """At most this many of the split's samples, evenly spread; None for all."""
+    trials: int = number(2000, least=1)
+    """Valid planning trials a dataset, spread over its samples (the paper's number)."""
+    seed: int = number(0, least=0)
+    """Seed of goals, bootstraps and permutations."""
+    thresholds: Thresholds = field(default_factory=Thresholds)
+    reconstruction: ReconstructionConfig = field(default_factory=ReconstructionConfig)
+    plan: PlanConfig = field(default_factory=PlanConfig)
+
+    def __post_init__(self) -> None:
+        check(self)
