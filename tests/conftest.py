@@ -1,5 +1,6 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from scenegen.recipe import Recipe, make_recipe
 from scenegen.source import DrawnWorlds
 from tests.command_line import SMALL as SMALL_FILE
+from tests.shell import Shell
 
 SMALL = {
     "flight": {"viewpoints": 3, "margin_m": 2.0, "min_distance_m": 4.0, "iterations": 300},
@@ -52,3 +54,11 @@ def small(tmp_path: Path) -> Path:
     path = tmp_path / "small.toml"
     path.write_text(SMALL_FILE)
     return path
+
+
+@pytest.fixture(scope="session")
+def shell() -> Iterator[Shell]:
+    """Runs files and the installed script as a user does."""
+    opened = Shell()
+    yield opened
+    opened.close()
