@@ -1,6 +1,9 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
-from collections.abc import Iterator
+import fcntl
+import os
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -39,6 +42,32 @@ def picky_recipe() -> Recipe:
         accept={"min_solids": 2.0, "min_occupied_share": 0.01, "min_returned_share": 0.03},
         flight={"altitude_m": (1.5, 5.0)},
     )
+
+
+Once = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """Makes a folder once for all processes that run tests: the first that asks fills it, and the others wait.
+
+    Tests of several processes read what is in it at the same time, and must not change it.
+    """
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        folder = base / name
+        with open(base / f"{name}.made", "a+") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if lock.tell() == 0:
+                shutil.rmtree(folder, ignore_errors=True)  # which another process could not fill
+                folder.mkdir()
+                fill(folder)
+                lock.write("made")
+        return folder
+
+    return make
 
 
 @pytest.fixture(params=["pillar", "geometric"])
