@@ -19,9 +19,7 @@ from scenegen.model.evaluation.run import BenchConfig
 from tests.command_line import ROOT, run
 
 
-def test_version_completion_and_doctor(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_version_completion_and_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scenegen.doctor.SELF_TEST_S", 0.1)
     assert __version__ in run(capsys, "--version")[1] == run(capsys, "-V")[1]
     assert "_SCENEGEN_COMPLETE" in run(capsys, "completion", "bash")[1]
