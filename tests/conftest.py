@@ -1,5 +1,9 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
+import fcntl
+import os
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -7,6 +11,7 @@ import pytest
 from scenegen.recipe import Recipe, make_recipe
 from scenegen.source import DrawnWorlds
 from tests.command_line import SMALL as SMALL_FILE
+from tests.shell import Shell
 
 SMALL = {
     "flight": {"viewpoints": 3, "margin_m": 2.0, "min_distance_m": 4.0, "iterations": 300},
@@ -39,6 +44,32 @@ def picky_recipe() -> Recipe:
     )
 
 
+Once = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """Makes a folder once for all processes that run tests: the first that asks fills it, and the others wait.
+
+    Tests of several processes read what is in it at the same time, and must not change it.
+    """
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        folder = base / name
+        with open(base / f"{name}.made", "a+") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if lock.tell() == 0:
+                shutil.rmtree(folder, ignore_errors=True)  # which another process could not fill
+                folder.mkdir()
+                fill(folder)
+                lock.write("made")
+        return folder
+
+    return make
+
+
 @pytest.fixture(params=["pillar", "geometric"])
 def drawn(request: pytest.FixtureRequest) -> tuple[Recipe, DrawnWorlds]:
     """A small recipe of each kind, and its source."""
@@ -52,3 +83,11 @@ def small(tmp_path: Path) -> Path:
     path = tmp_path / "small.toml"
     path.write_text(SMALL_FILE)
     return path
+
+
+@pytest.fixture(scope="session")
+def shell() -> Iterator[Shell]:
+    """Runs files and the installed script as a user does."""
+    opened = Shell()
+    yield opened
+    opened.close()

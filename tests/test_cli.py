@@ -19,13 +19,15 @@ from scenegen.model.evaluation.config import BenchConfig
 from tests.command_line import ROOT, run
 
 
-def test_version_completion_and_doctor(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version_completion_and_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scenegen.doctor.SELF_TEST_S", 0.1)
     assert __version__ in run(capsys, "--version")[1] == run(capsys, "-V")[1]
     assert "_SCENEGEN_COMPLETE" in run(capsys, "completion", "bash")[1]
     code, said, _ = run(capsys, "doctor", "--json")
     found = json.loads(said)
     assert code == 0
     assert found["ok"]
+    assert found["self_test"]["samples"] > 0
     assert found["self_test"]["returns_occupied"]
     assert found["self_test"]["repeatable"]
     assert found["software"]["mujoco"] == mujoco.__version__

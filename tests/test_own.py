@@ -1,7 +1,5 @@
 """A user's own kind, method and command, as the docs show them, by the installed script in a folder of the user's."""
 
-import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +10,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT, SMALL, run
 from tests.conftest import small_recipe
+from tests.shell import Shell
 
 EXAMPLES = {"my_worlds.py": "recipes.md", "my_methods.py": "bench.md", "my_commands.py": "commands.md"}
 OTHERS = ("model.py", "cli.py", "data.py", "tests/__init__.py", "tests/helpers.py")
@@ -36,33 +35,22 @@ def here(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def scenegen(here: Path, *words: str) -> tuple[int, str, str]:
-    """How the installed script ends, in the user's folder."""
-    script = shutil.which("scenegen", path=str(Path(sys.executable).parent))
-    assert script, "install scenegen first: pip install -e ."
-    ended = subprocess.run([script, *words], cwd=here, capture_output=True, text=True, timeout=300, check=False)
-    return ended.returncode, ended.stdout, ended.stderr
+def test_a_kind_a_method_and_a_command_of_ones_own(here: Path, shell: Shell) -> None:
+    def done(*words: str) -> str:
+        return shell.done(*words, here=here)
 
-
-def done(here: Path, *words: str) -> str:
-    code, said, error = scenegen(here, *words)
-    assert code == 0, error
-    return said
-
-
-def test_a_kind_a_method_and_a_command_of_ones_own(here: Path) -> None:
-    done(here, "generate", "--recipe", "fence.toml", "-n", "6", "--workers", "2")
+    done("generate", "--recipe", "fence.toml", "-n", "6", "--workers", "2")
     assert '"kind": "my_worlds:Fence"' in (here / "data" / "Fence" / "dataset.json").read_text()
-    assert "ok" in regenerated(done(here, "verify", "data/Fence", "--workers", "2", "--kind", "my_worlds:Fence"))
-    assert "world 0, viewpoint" in done(here, "my_commands:fill", "data/Fence")
+    assert "ok" in regenerated(done("verify", "data/Fence", "--workers", "2", "--kind", "my_worlds:Fence"))
+    assert "world 0, viewpoint" in done("my_commands:fill", "data/Fence")
     (here / "my_worlds.py").write_text("raise AssertionError('imported because a manifest names it')")
     words = ("--method", "my_methods:Grown", "--method", "returns", "--quick", "--workers", "2")
-    assert "grown" in done(here, "bench", "data/Fence", *words)
-    assert "cannot be drawn again" in regenerated(done(here, "verify", "data/Fence", "--workers", "2"))
-    done(here, "inspect", "data/Fence")
-    done(here, "world", "data/Fence", "0")
-    code, _, error = scenegen(here, "publish", "data/Fence", "--repo", "ada/fence", "--dry-run")
-    assert (code, "give --kind" in error, error.count("\n")) == (1, True, 1)
+    assert "grown" in done("bench", "data/Fence", *words)
+    assert "cannot be drawn again" in regenerated(done("verify", "data/Fence", "--workers", "2"))
+    done("inspect", "data/Fence")
+    done("world", "data/Fence", "0")
+    ended = shell.scenegen("publish", "data/Fence", "--repo", "ada/fence", "--dry-run", here=here)
+    assert (ended.code, "give --kind" in ended.err, ended.err.count("\n")) == (1, True, 1)
 
 
 def regenerated(table: str) -> str:

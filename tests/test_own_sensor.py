@@ -2,11 +2,11 @@
 
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.shell import Shell
 
 ROOT = Path(__file__).parents[1]
 SMALL = """petals = 5.7
@@ -38,32 +38,22 @@ def examples(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(*words: object, cwd: Path, status: int = 0) -> str:
-    """What a command prints on both streams."""
-    ended = subprocess.run([sys.executable, *map(str, words)], cwd=cwd, capture_output=True, text=True, check=False)
-    assert ended.returncode == status, ended.stdout + ended.stderr
-    assert "Traceback" not in ended.stderr
-    return ended.stdout + ended.stderr
-
-
-def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(examples: Path) -> None:
+def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(examples: Path, shell: Shell) -> None:
     made = ("generate", "--recipe", "my.toml", "--n", 6, "--val", 0, "--test", 3, "--workers", 2)
-    run("-m", "scenegen", *made, "--out", "data/rosette", "--shard-samples", 3, cwd=examples)
+    shell.done(*made, "--out", "data/rosette", "--shard-samples", 3, here=examples)
     (elsewhere := examples / "elsewhere").mkdir()
     shutil.move(examples / "data", elsewhere / "data")
-    print_one = (
+    (elsewhere / "print_one.py").write_text(
         "import scenegen; sample = scenegen.load('data/rosette')[1]; print(sample.ranges.shape, sample.free.any())"
     )
-    assert run("-c", print_one, cwd=elsewhere).split("\n")[0] == "(300,) True"
-    assert "regenerated  ok" in run("-m", "scenegen", "verify", "data/rosette", cwd=elsewhere)
+    assert shell.python("print_one.py", here=elsewhere).out == "(300,) True\n"
+    assert "regenerated  ok" in shell.done("verify", "data/rosette", "--workers", 1, here=elsewhere)
     bench = ("bench", "data/rosette", "--quick", "--method", "returns", "--workers", 1)
-    assert "returns" in run("-m", "scenegen", *bench, cwd=elsewhere)
-    published = run(
-        "-m", "scenegen", "publish", "data/rosette", "--repo", "a/b", "--out", "out", "--dry-run", cwd=elsewhere
-    )
-    assert "rays.npy" in published
-    again = ("--n", 6, "--val", 0, "--test", 3, "--shard-samples", 3, "--out", elsewhere / "again")
-    run("-m", "scenegen", "generate", "--recipe", "recipe.toml", *again, cwd=elsewhere / "out")
+    assert "returns" in shell.done(*bench, here=elsewhere)
+    publish = ("publish", "data/rosette", "--repo", "a/b", "--out", "out", "--dry-run", "--workers", 1)
+    assert "rays.npy" in shell.done(*publish, here=elsewhere)
+    again = ("--n", 6, "--val", 0, "--test", 3, "--shard-samples", 3, "--out", elsewhere / "again", "--workers", 1)
+    shell.done("generate", "--recipe", "recipe.toml", *again, here=elsewhere / "out")
     assert (elsewhere / "again" / "dataset.json").read_bytes() == (elsewhere / "out" / "dataset.json").read_bytes()
 
 
@@ -82,21 +72,21 @@ def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(example
     ],
 )
 def test_a_sensor_that_is_none_is_told_of_in_one_line(
-    examples: Path, file: str, find: str, put: str, told: str
+    examples: Path, shell: Shell, file: str, find: str, put: str, told: str
 ) -> None:
     text = (examples / file).read_text()
     assert find in text
     (examples / file).write_text(text.replace(find, put))
-    said = run("-m", "scenegen", "generate", "--recipe", "my.toml", "--n", 3, "--quiet", cwd=examples, status=1)
-    assert told in said
-    assert said.count("\n") == 1
+    ended = shell.scenegen("generate", "--recipe", "my.toml", "--n", 3, "--quiet", here=examples)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (1, "", 1), ended.err
+    assert told in ended.err
 
 
-def test_a_users_engine_makes_a_dataset_that_verify_audits_with_mujoco(examples: Path) -> None:
+def test_a_users_engine_makes_a_dataset_that_verify_audits_with_mujoco(examples: Path, shell: Shell) -> None:
     script = examples / "make.py"
     script.write_text(script.read_text().replace('"train": 5', '"train": 2'))
-    assert re.fullmatch(r"[0-9a-f]{64}\n", run("make.py", cwd=examples))
+    assert re.fullmatch(r"[0-9a-f]{64}\n", shell.python("make.py", here=examples).out)
     (examples / "my_engine.py").unlink()
-    told = run("-m", "scenegen", "verify", "data/slow", cwd=examples)
+    told = shell.done("verify", "data/slow", here=examples)
     assert re.search(r"rays +ok", told)
     assert re.search(r"regenerated +skipped .*made with the engine 'my_engine:OneByOne'", told)

@@ -11,7 +11,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.model.inputs import INPUTS, Input, PointScan
 from scenegen.sample import derive_free
 from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import Once, small_recipe
 
 COUNTS = {"train": 12, "val": 6, "test": 5}
 
@@ -32,10 +32,10 @@ def make_dataset(
 
 
 @pytest.fixture(scope="session")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def folders(once: Once) -> list[Path]:
     """One dataset of each kind; the second leaves out what can be derived."""
-    base = tmp_path_factory.mktemp("data")
-    return [make_dataset(base / "pillar"), make_dataset(base / "geometric", "geometric", compact=True)]
+    pillar = once("pillar", make_dataset)
+    return [pillar, once("geometric", lambda folder: make_dataset(folder, "geometric", compact=True))]
 
 
 POSE = ("ranges", "position", "quaternion", "origin")

@@ -13,12 +13,13 @@ import pytest
 import torch
 
 from lidarsim import GridSpec
-from scenegen.model.checkpoint import CheckpointError
+from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import NetworkConfig
 from scenegen.model.export import export_onnx
 from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, examine, load_onnx, read_graph
+from tests.conftest import Once
 
 GRID = GridSpec(shape=(16, 24, 8))
 pytest.importorskip("onnxscript")
@@ -29,16 +30,21 @@ def seen(batch: int) -> dict[str, torch.Tensor]:
     return {name: torch.rand(batch, *GRID.shape) < 0.1 for name in ("free", "observed")}
 
 
-@pytest.fixture(scope="module")
-def exported(free: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Network]:
-    """A network of two inputs, of which one is not the toolkit's, as ONNX."""
+def export(folder: Path) -> None:
+    """A network of two inputs, of which one is not the toolkit's: as a checkpoint, and as ONNX."""
     torch.manual_seed(0)
     network = Network(NetworkConfig(width=4, inputs=("observed", "free")))
     for _ in range(3):  # statistics that are not those of a fresh network
         network.train()(seen(4))
-    path = tmp_path_factory.mktemp("onnx") / "net.onnx"
-    export_onnx(network.eval(), GRID, path, about={"seed": 0})
-    return path, network
+    save_network(folder / "net.safetensors", network, GRID, {})
+    export_onnx(network.eval(), GRID, folder / "net.onnx", about={"seed": 0})
+
+
+@pytest.fixture(scope="module")
+def exported(free: None, once: Once) -> tuple[Path, Network]:
+    """Such an ONNX file, and its network."""
+    folder = once("onnx", export)
+    return folder / "net.onnx", load_network(folder / "net.safetensors")[0]
 
 
 @pytest.mark.parametrize("runtime", RUNTIMES)

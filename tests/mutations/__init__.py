@@ -11,6 +11,6 @@ A case is named ``family/number``; with the seed, the name decides every byte of
     python -m tests.mutations archives --cases 500     # of one family
     python -m tests.mutations archives/17 --seed 7     # one case: prints all that it did, and keeps its folder
 
-`python -m pytest tests/mutations` runs 20 a family; with ``-m slow``, SCENEGEN_MUTATIONS of them (300), by
+`python -m pytest tests/mutations` runs 10 a family; with ``-m slow``, SCENEGEN_MUTATIONS of them (300), by
 SCENEGEN_MUTATION_SEED (1).
 """

@@ -1,19 +1,36 @@
 """`scenegen bench` as users meet it."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
 from tests.command_line import SMALL, run
+from tests.conftest import Once
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
     """A folder with a small dataset under data/, to stand in."""
+
+    def generate(folder: Path) -> None:
+        (folder / "small.toml").write_text(SMALL)
+        words = (
+            "--recipe",
+            folder / "small.toml",
+            "--n",
+            6,
+            "--workers",
+            1,
+            "--quiet",
+            "--out",
+            folder / "data" / "pillar",
+        )
+        assert run(capsys, "generate", *words)[0] == 0
+
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "small.toml").write_text(SMALL)
-    assert run(capsys, "generate", "--recipe", "small.toml", "--n", 6, "--workers", 1, "--quiet")[0] == 0
+    shutil.copytree(once("here", generate), tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 

@@ -1,8 +1,6 @@
 """`scenegen train`, `complete`, `export`, `networks` and `bench --weights` as users meet them."""
 
 import json
-import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -11,9 +9,14 @@ import h5py
 import pytest
 import torch
 
+import scenegen.model.training.run_folder
+from scenegen import __main__ as cli
 from scenegen.model.evaluation.metrics import METRICS
-from tests.command_line import ROOT, run
+from scenegen.terminal import stops
+from tests.command_line import run
 from tests.model.commands.test_bench import here
+from tests.model.training.runs import elsewhere
+from tests.shell import Shell
 
 assert here  # the fixture
 QUICK = ("--width", 4, "--batch", 2, "--device", "cpu", "--precision", "float32")
@@ -87,37 +90,43 @@ def test_without_datasets_it_says_which_command_makes_one(
     assert "scenegen generate --kind pillar" in error
 
 
-def test_without_torch_it_says_what_to_install(tmp_path: Path) -> None:
-    code = "import sys; sys.modules['torch'] = None; sys.argv = ['scenegen', *sys.argv[1:]]; "
-    code += "from scenegen.__main__ import main; main()"
+WITHOUT_TORCH = "import sys; sys.modules['torch'] = None; from scenegen.__main__ import main; main()"
+
+
+def test_without_torch_it_says_what_to_install(tmp_path: Path, shell: Shell) -> None:
+    (tmp_path / "without.py").write_text(WITHOUT_TORCH)
     for words in (
         ("train", "anything"),
         ("complete", "anything"),
         ("networks",),
         ("bench", "data", "--weights", "proposed"),
     ):
-        ended = subprocess.run(
-            [sys.executable, "-c", code, *words],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
-        assert "pip install -e '.[train]'" in ended.stderr
+        ended = shell.python("without.py", *words, here=tmp_path)
+        assert (ended.code, ended.out, ended.err.count("\n")) == (1, "", 1), ended.err
+        assert "pip install -e '.[train]'" in ended.err
+
+
+def train_until_stopped(error: Path) -> None:
+    """The command line, which answers signals as the installed script does, in a process of its own."""
+    sys.stderr = error.open("w")
+    torch.set_num_threads(1)
+    sys.argv = ["scenegen", "train", "--epochs", "1000", "--patience", "3", *map(str, QUICK)]
+    scenegen.model.training.run_folder.draw_curve = lambda rows: None
+    stops.answer()
+    cli.main()
 
 
 def test_the_same_command_goes_on_after_a_signal(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    command = [sys.executable, ROOT / "cli.py", "train", "--epochs", 1000, "--patience", 3, *QUICK]
-    running = subprocess.Popen([str(word) for word in command], cwd=here, stderr=subprocess.PIPE, text=True)
+    running = elsewhere(train_until_stopped, here / "error.txt")
     while not (here / "runs" / "proposed" / "metrics.csv").exists():
-        assert running.poll() is None
+        assert running.is_alive()
         time.sleep(0.1)
-    running.send_signal(signal.SIGTERM)
-    error = running.communicate(timeout=60)[1]
-    assert running.returncode == 130
+    running.terminate()  # by SIGTERM
+    running.join()
+    assert running.exitcode == 130
+    error = (here / "error.txt").read_text()
     assert "the same command goes on with runs/proposed" in error
     ended, _, error = run(capsys, "train", "--epochs", 999, "--patience", 3, *QUICK)
     assert (ended, "epochs is 1000 there, 999 asked for" in error) == (1, True)

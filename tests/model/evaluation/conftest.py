@@ -2,16 +2,14 @@
 
 import pytest
 
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import Once
+from tests.model.conftest import make_dataset
+
+COUNTS = {"train": 3, "val": 4, "test": 9}
 
 
 @pytest.fixture(scope="session")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+def dataset(once: Once) -> Dataset:
     """Nine test maps of three worlds."""
-    folder = tmp_path_factory.mktemp("data")
-    recipe = small_recipe(world={"density": (0.05, 0.1)})
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 4, "test": 9}))
-    return Dataset(folder)
+    return Dataset(once("dense", lambda folder: make_dataset(folder, counts=COUNTS, world={"density": (0.05, 0.1)})))

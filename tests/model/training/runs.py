@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import torch
+
 import scenegen.model.training.loop
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.data import opened
@@ -17,10 +19,14 @@ def train(folders: list[Path], config: TrainConfig, out: Path, **more: Any) -> l
     return scenegen.model.training.loop.train(opened(folders, "train"), opened(folders, "val"), config, out, **more)
 
 
-def elsewhere(function: Callable[..., None], *given: Any) -> multiprocessing.Process:
-    """A process that has torch already, and runs `function`."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["scenegen.model.training.loop"])
+def elsewhere(function: Callable[..., None], *given: Any) -> Any:
+    """A process that has torch already, and runs `function`.
+
+    Without a GPU it is a copy of this one. Autograd has threads where there is a GPU, and they are not copied.
+    """
+    context: Any = multiprocessing.get_context("forkserver" if torch.cuda.is_available() else "fork")
+    if torch.cuda.is_available():
+        context.set_forkserver_preload(["scenegen.model.training.loop"])
     process = context.Process(target=function, args=given)
     process.start()
     return process

@@ -5,6 +5,7 @@ import dataclasses
 import fcntl
 import math
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, opened
 from scenegen.model.training.device import TrainingError
 from scenegen.model.training.loop import Watcher, learning_rate
+from tests.conftest import Once
 from tests.model.conftest import make_dataset
 from tests.model.training.runs import SMALL, elsewhere, train
 
@@ -63,11 +65,10 @@ def figures(out: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(folders: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def uninterrupted(folders: list[Path], once: Once) -> Path:
+    """The run that none interrupts; not to be changed, nor to be locked."""
     torch.set_num_threads(1)
-    out = tmp_path_factory.mktemp("runs") / "whole"
-    train(folders, SMALL, out, device="cpu", command="test")
-    return out
+    return once("run", lambda out: train(folders, SMALL, out, device="cpu", command="test"))
 
 
 @pytest.fixture(autouse=True)
@@ -140,25 +141,25 @@ def test_a_killed_run_ends_where_an_uninterrupted_one_does(
         assert same(out / name, uninterrupted / name)
 
 
-def test_a_run_is_not_continued_by_mistake(folders: list[Path], uninterrupted: Path) -> None:
-    with (uninterrupted / "config.json").open() as held:
+def test_a_run_is_not_continued_by_mistake(folders: list[Path], tmp_path: Path, uninterrupted: Path) -> None:
+    out = shutil.copytree(uninterrupted, tmp_path / "run")
+    with (out / "config.json").open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         with pytest.raises(DatasetError, match="another process trains this run"):
-            train(folders, SMALL, uninterrupted, device="cpu")
+            train(folders, SMALL, out, device="cpu")
     with pytest.raises(DatasetError, match=r"lr is 0\.001 there, 0\.1 asked for"):
-        train(folders, dataclasses.replace(SMALL, lr=0.1), uninterrupted, device="cpu")
+        train(folders, dataclasses.replace(SMALL, lr=0.1), out, device="cpu")
     with pytest.raises(DatasetError, match="datasets is"):
-        train(folders[:1], SMALL, uninterrupted, device="cpu")
+        train(folders[:1], SMALL, out, device="cpu")
 
 
-def test_a_finished_run_given_again_stays_as_it_is(uninterrupted: Path, folders: list[Path]) -> None:
-    before = {path.name: path.read_bytes() for path in uninterrupted.iterdir() if path.is_file()}
+def test_a_finished_run_given_again_stays_as_it_is(folders: list[Path], tmp_path: Path, uninterrupted: Path) -> None:
+    out = shutil.copytree(uninterrupted, tmp_path / "run")
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     told: list[int] = []
-    rows = train(
-        folders, SMALL, uninterrupted, device="cpu", watcher=Watcher(on_step=lambda maps, _: told.append(maps))
-    )
+    rows = train(folders, SMALL, out, device="cpu", watcher=Watcher(on_step=lambda maps, _: told.append(maps)))
     assert (len(rows), told) == (3, [])
-    assert {path.name: path.read_bytes() for path in uninterrupted.iterdir() if path.is_file()} == before
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 
 def test_training_ends_after_so_many_epochs_without_improvement(

@@ -15,17 +15,16 @@ from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.run_folder import Progress, RunFolder
+from tests.conftest import Once
 from tests.model.training.runs import SMALL, train
 
 
 @pytest.fixture(scope="module")
-def begun(folders: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of one epoch."""
-    out = tmp_path_factory.mktemp("runs") / "begun"
+def begun(folders: list[Path], once: Once) -> Path:
+    """A run of one epoch; not to be changed, nor to be locked."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
-        train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu")
-    return out
+        return once("begun", lambda out: train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu"))
 
 
 @pytest.mark.parametrize(
