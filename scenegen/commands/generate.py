@@ -36,6 +36,7 @@ NETWORK_EDGE = 8
 @click.option(
     "--shard-samples", type=click.IntRange(min=1), default=USUAL_IN_SHARD, show_default=True, help="Samples in a file."
 )
+@click.option("--engine", help="What casts the rays: mujoco, analytic, or MODULE:CLASS.  [default: mujoco]")
 @click.option("--split-range", type=ShardRange(), help="Only these shards, for a cluster; --dry-run counts them.")
 @click.option("--allow-unseen", is_flag=True, help="Take scenes with geoms that rays cannot see; leave these out.")
 @click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
@@ -110,6 +111,7 @@ def _plan(
     kind: str | None, scene: Path | None, recipe_file: Path | None, counts: dict[str, int], options: Any
 ) -> "Plan":
     """What the options ask for, resolved."""
+    from lidarsim.engines import MUJOCO
     from scenegen.dataset.build import plan_dataset
     from scenegen.recipe import preset, read_recipe
     from scenegen.source import DrawnWorlds, Source, read_scenes
@@ -138,6 +140,7 @@ def _plan(
         counts=counts,
         compact=options["compact"],
         shard_samples=options["shard_samples"],
+        engine=options["engine"] or MUJOCO,
     )
 
 

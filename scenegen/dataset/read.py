@@ -30,7 +30,8 @@ class Dataset:
     def __init__(self, folder: Path | str, *, partial: bool = False):
         self.folder = Path(folder)
         self.manifest = trust.load(self.folder)
-        self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
+        with self._advice():
+            self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
         if not (self.manifest.complete or partial):
             raise DatasetError(f"{self.folder}: incomplete; give the command that made it again to go on where it was")
 

@@ -100,23 +100,22 @@ def write_shard(spec: ShardSpec) -> ShardReport:
     """
     rejected, digests, numbers, documents = Rejections(), list[bytes](), list[int](), dict[str, bytes]()
     with h5py.File(spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20) as file:
-        columns = _columns(file, spec)
-        small: dict[str, list[Any]] = {name: [] for name, column in columns.items() if not column.compression}
+        packed = _create(file, spec)
+        small: dict[str, list[Any]] = {name: [] for name in stored_fields(spec.compact) if name not in packed}
         for unit in map(spec.draw, range(spec.first_unit, spec.first_unit + spec.units)):
             rejected.worlds.update(unit.rejected.worlds)
             rejected.viewpoints.update(unit.rejected.viewpoints)
             numbers.append(unit.number)
             documents |= {f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets}
             for sample in unit.samples[: spec.samples - len(digests)]:
-                for name, column in columns.items():
+                for name, values in small.items():
+                    values.append(getattr(sample, name))
+                for name, column in packed.items():
                     value = getattr(sample, name)
-                    if name in small:
-                        small[name].append(value)
-                    else:
-                        column.id.write_direct_chunk((len(digests),) + (0,) * value.ndim, compress(value))
+                    column.write_direct_chunk((len(digests),) + (0,) * value.ndim, compress(value))
                 digests.append(sample.sha256())
         for name, values in small.items():
-            columns[name][:] = np.array(values)
+            file[name][:] = np.array(values)
         own = b"".join(digests)
         file.create_dataset(DIGEST, data=np.frombuffer(own, np.uint8).reshape(-1, 32), chunks=(1, 32))
         worlds = zip_reproducibly(documents.items())
@@ -134,17 +133,18 @@ def write_shard(spec: ShardSpec) -> ShardReport:
     return _report(spec, min(numbers), sums, len(samples) + len(worlds), rejected, own)
 
 
-def _columns(file: h5py.File, spec: ShardSpec) -> dict[str, h5py.Dataset]:
-    """The shard's datasets, one chunk a sample; grids and ranges are packed."""
+def _create(file: h5py.File, spec: ShardSpec) -> dict[str, h5py.h5d.DatasetID]:
+    """Make the shard's datasets, one chunk a sample, and return those that are packed: grids and ranges."""
     found = {}
     for name in stored_fields(spec.compact):
         shape = shape_of(name, spec.recipe.grid, spec.recipe.lidar)
-        packing = (
-            {"compression": "gzip", "compression_opts": _LEVEL} if SCHEMA[name]["axes"] in ("grid", "rays") else {}
-        )
-        found[name] = file.create_dataset(
+        packed = SCHEMA[name]["axes"] in ("grid", "rays")
+        packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
+        dataset = file.create_dataset(
             name, shape=(spec.samples, *shape), dtype=SCHEMA[name]["dtype"], chunks=(1, *shape), **packing
         )
+        if packed:  # the others are closed meanwhile, which decides where HDF5 puts what
+            found[name] = dataset.id
     return found
 
 
