@@ -15,11 +15,11 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.engines import ENGINES, MUJOCO
+from lidarsim.engines import ENGINES, MUJOCO, EngineFactory
 from scenegen.dataset.layout import DIGEST, ShardFile, layout_of, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
-from scenegen.errors import BrokenError, DatasetError
+from scenegen.errors import BrokenError, DatasetError, printable
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA, Sample, shape_of, stored_fields
@@ -27,6 +27,15 @@ from scenegen.source import Source
 
 _LEVEL = 1
 """Of compression: the next one saves a hundredth, the one after takes four times as long (docs/log.md)."""
+
+
+def find_engine(name: str) -> EngineFactory:
+    """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
+    try:
+        found: EngineFactory = ENGINES.find(name).of
+    except ValueError as error:
+        raise DatasetError(printable(error)) from None
+    return found
 
 
 @dataclass(frozen=True)
@@ -53,10 +62,7 @@ class ShardSpec:
 
     def draw(self, unit: int) -> Unit:
         """Unit `unit` of the split. Raises GenerationError, and DatasetError for an engine that is not to be had."""
-        try:
-            engine = ENGINES.find(self.engine).of
-        except ValueError as error:
-            raise DatasetError(str(error)) from None
+        engine = find_engine(self.engine)
         return draw_unit(
             self.source,
             self.recipe,

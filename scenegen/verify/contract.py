@@ -2,8 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,27 +9,12 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.errors import DatasetError, printable, short
-from scenegen.recipe import Recipe
-from scenegen.recipes import find_kind, kind_names
+from scenegen.recipes import find_kind
 from scenegen.verify.report import BrokenError, Ledger, Page
 
 
-@dataclass(frozen=True, kw_only=True)
 class Contract(Manifest):
     """What the manifest promises."""
-
-    named: str | None
-    """The kind of a user's own that the user named, so that its module may be imported."""
-
-    @property
-    def drawn(self) -> bool:
-        """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
-        return self.kind in (*kind_names(), self.named)
-
-    @cached_property
-    def recipe(self) -> Recipe:
-        """See `Manifest.recipe`; with its world where the user named its kind."""
-        return self.recipe_of(self.named)
 
     @property
     def viewpoints(self) -> int:
@@ -83,7 +66,7 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Cont
     with ledger.checking("manifest") as page:
         page.count(files=1)
         try:
-            found = Contract(named=kind, **vars(trust.parse(given, folder)))
+            found = Contract(**vars(trust.parse(given, folder, kind)))
             if found.kind == "scene" and found.tables.get("scenes") is None:
                 raise BrokenError("recipe.scenes = None: expected the worlds of each split")
             found.recipe  # noqa: B018 (spelled out now, so that what is wrong with it is found here)

@@ -33,4 +33,10 @@ def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(engin
     unsigned = manifest.assemble(plan.parameters, [], complete=False) | {"engine": engine}
     name, verb, *words = shlex.split(command(parse(unsigned, tmp_path), "again"))
     asked = generate.make_context("generate", words).params
-    assert (name, verb, asked["engine"] or "mujoco", asked["seed"], asked["n"]) == ("scenegen", "generate", engine, 3, 5)
+    assert (name, verb, asked["engine"] or "mujoco", asked["seed"], asked["n"]) == (
+        "scenegen",
+        "generate",
+        engine,
+        3,
+        5,
+    )
