@@ -58,15 +58,15 @@ def check(found: Any, rules: Mapping[str, Rule], at: str, known: Collection[str]
     """
     if not isinstance(found, Mapping):
         raise BrokenError(f"{at} = {short(found)}: expected a table")
-    for name in found if known else ():
-        if name not in known:
-            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(known)}")
     for name, rule in rules.items():
         where = f"{at}.{name}" if at else name
         if name not in found:
             raise BrokenError(f"{where} is missing: expected {rule.words}")
         if not rule.fits(found[name]):
             raise BrokenError(f"{where} = {short(found[name])}: expected {rule.words}")
+    for name in found if known else ():
+        if name not in known:
+            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(known)}")
 
 
 def ruled(rule: Rule) -> Any:

@@ -56,11 +56,6 @@ def entry_of(sensor: Sensor) -> dict[str, Any]:
     }
 
 
-def recipe_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """The table [lidar] of a recipe, next to the dataset's files, that gives the sensor of a manifest's `entry`."""
-    return {name: value for name, value in entry.items() if name != "shape"}
-
-
 def files_of(entry: Mapping[str, Any]) -> dict[str, str]:
     """Files that the sensor takes in the dataset's folder, with their SHA-256. Raises BrokenError."""
     if "sensor" not in entry:
