@@ -75,12 +75,13 @@ def croissant(it: Publication, sha256: Mapping[str, str]) -> str:
 
 def _responsible(it: Publication) -> dict[str, Any]:
     """How the data came about, what they are for, and what they are not."""
-    engine = it.manifest.engine
+    engine, by_hand = it.manifest.engine, it.manifest.kind == "scene"
+    worlds = "Worlds were drawn by hand; from" if by_hand else "Random worlds are drawn from"
     rejected = sum(sum(counts.values()) for counts in it.manifest.rejected.values())
     made = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
     return {
         "rai:dataCollection": (
-            f"Simulated. Random worlds are drawn from seed {it.manifest.seed}, a planner flies a robot through "
+            f"Simulated. {worlds} seed {it.manifest.seed}, a planner flies a robot through "
             f"each, and a LiDAR of {' × '.join(map(str, it.manifest.lidar.shape))} rays is cast from its poses by "
             f"{'MuJoCo' if engine == MUJOCO else f'the engine {engine}'}. "
             "Nothing was recorded in the real world."
@@ -105,8 +106,10 @@ def _responsible(it: Publication) -> dict[str, Any]:
             "Not for certifying the safety of a robot.",
         ],
         "rai:dataBiases": [
-            "Worlds follow the distributions of recipe.toml and no real place; the frequencies of shapes, gaps and "
-            "densities are those of the recipe."
+            "Worlds are few, and those that their author thought of."
+            if by_hand
+            else "Worlds follow the distributions of recipe.toml and no real place; the frequencies of shapes, gaps "
+            "and densities are those of the recipe."
         ],
         "rai:dataLimitations": [
             "Rigid and static solids, a scan without noise or motion, one sensor and one voxel size.",

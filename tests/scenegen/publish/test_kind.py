@@ -1,5 +1,6 @@
 """What makes a dataset again: the command, and the kind, whose module only the user can have imported."""
 
+import json
 import shlex
 from pathlib import Path
 
@@ -10,6 +11,9 @@ from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.trust import parse
 from scenegen.errors import PublishError
+from scenegen.publish.croissant import croissant
+from scenegen.publish.licence import LICENCES
+from scenegen.publish.publication import Publication
 from scenegen.publish.regenerate import check_kind, command
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
@@ -40,3 +44,15 @@ def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(engin
         3,
         5,
     )
+
+
+@pytest.mark.parametrize(("kind", "random"), [("pillar", True), ("scene", False)])
+def test_worlds_drawn_by_hand_are_not_called_random(kind: str, random: bool, tmp_path: Path) -> None:
+    recipe = small_recipe()
+    plan = plan_dataset(tmp_path, recipe, DrawnWorlds(recipe), seed=3, counts={"train": 5, "val": 1, "test": 0})
+    found = parse(manifest.assemble(plan.parameters, [], complete=False) | {"kind": kind}, tmp_path)
+    empty = {"command": "", "lock": "", "checks": (), "pictures": (), "statistics": {"samples": 6, "splits": {}}}
+    about = {"repository": "ada/x", "tag": "v1", "licence": LICENCES[0], "date": "2026-01-01", "manifest": found}
+    said = json.loads(croissant(Publication(**about, **empty), {}))
+    assert ("Random worlds" in said["rai:dataCollection"]) == random
+    assert ("distributions of recipe.toml" in str(said["rai:dataBiases"])) == random
