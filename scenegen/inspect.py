@@ -7,6 +7,7 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.dataset.read import Dataset
+from scenegen.sample import Sample
 
 
 def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:
@@ -34,25 +35,21 @@ def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:
 def _describe(dataset: Dataset, name: str, most: int) -> dict[str, Any]:
     split = dataset.split(name)
     chosen = np.unique(np.linspace(0, len(split) - 1, min(most, len(split))).astype(int))
-    rows: dict[str, list[float]] = {
-        key: [] for key in ("occupied", "observed", "free", "returned", "range_m", "tudf_m")
-    }
-    for index in chosen:
-        sample = split[int(index)]
-        hit = np.isfinite(sample.ranges)
-        rows["occupied"].append(float(sample.occupancy.mean()))
-        rows["observed"].append(float(sample.observed.mean()))
-        rows["free"].append(float(sample.free.mean()))
-        rows["returned"].append(float(hit.mean()))
-        rows["range_m"].append(float(sample.ranges[hit].mean()) if hit.any() else float("nan"))
-        rows["tudf_m"].append(float(sample.tudf.mean()))
-    statistics = {key: _statistics([value for value in values if value == value]) for key, values in rows.items()}
+    rows = [_figures(split[int(index)]) for index in chosen]
+    statistics = {key: _statistics([row[key] for row in rows if row[key] == row[key]]) for key in rows[0]}
     return {
         "samples": len(split),
         "worlds": len({world for _, world, _ in split.names}),
         "sampled": len(chosen),
         "statistics": statistics,
     }
+
+
+def _figures(sample: Sample) -> dict[str, float]:
+    hit = np.isfinite(sample.ranges)
+    found = {"occupied": sample.occupancy.mean(), "observed": sample.observed.mean(), "free": sample.free.mean()}
+    found |= {"returned": hit.mean(), "range_m": sample.ranges[hit].mean() if hit.any() else np.nan}
+    return {name: float(value) for name, value in (found | {"tudf_m": sample.tudf.mean()}).items()}
 
 
 def _statistics(values: list[float]) -> dict[str, float | None]:

@@ -181,10 +181,7 @@ def make_recipe(
             raise RecipeError(f"{where}: {name} = {short(table)}: expected a table, [{name}], of parameters")
     given = {name: defaults.get(name, {}) | dict(tables.get(name, {})) for name in parts}
     parts["lidar"] = _find_sensor(given["lidar"].pop("sensor", RASTER), where)
-    built = {
-        name: _from_table(part, _rooted(part, given[name], folder), f"{where}: [{name}]")
-        for name, part in parts.items()
-    }
+    built = {name: _from_table(part, given[name], f"{where}: [{name}]", folder) for name, part in parts.items()}
     if sensor is not None:
         built["lidar"] = sensor
     try:
@@ -217,25 +214,20 @@ def _beam_table(sensor: Sensor) -> BeamTable:
         raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {said}") from None
 
 
-def _rooted(part: type, table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """A table of values whose paths are relative to `folder`, the recipe's."""
-    paths = {item.name for item in dataclasses.fields(part) if item.type in (Path, "Path")}
-    return {
-        name: folder / value if name in paths and isinstance(value, str) else value for name, value in table.items()
-    }
-
-
-def _from_table(part: type, table: dict[str, Any], where: str) -> Any:
-    """An instance of the dataclass `part` from a table of values, which it checks."""
+def _from_table(part: type, table: dict[str, Any], where: str, folder: Path) -> Any:
+    """An instance of the dataclass `part`, which checks its values; paths in `table` are relative to `folder`."""
     fields = {item.name: item for item in dataclasses.fields(part)}
-    for name in table:
+    values = {}
+    for name, value in table.items():
         _check_name(name, tuple(fields), "parameter", where)
+        is_path = fields[name].type in (Path, "Path") and isinstance(value, str)
+        values[name] = folder / value if is_path else value
     for name, item in fields.items():
         needed = item.default is item.default_factory is dataclasses.MISSING
         if needed and name not in table:
             raise RecipeError(f"{where} {name}: is missing, and has no default; give it a value")
     try:
-        return part(**table)
+        return part(**values)
     except (ValueError, TypeError) as error:  # a user's own sensor may check its values in either way
         raise RecipeError(f"{where} {printable(error)}") from None
 

@@ -10,14 +10,14 @@ import numpy as np
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
 from scenegen.drawing import least_memory
-from scenegen.errors import BrokenError, SceneError
+from scenegen.errors import BrokenError, SceneError, printable
 from scenegen.flatten import flatten
 from scenegen.geometry import geometry_digest
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.parts import look_over
 from scenegen.quiet import quiet_mujoco
 from scenegen.screen import screen
-from scenegen.world import compile_world, one_line
+from scenegen.world import compile_world
 
 MOST_MOVED = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach as much again: what
@@ -75,7 +75,7 @@ def load_scene(path: Path) -> Scene:
         try:
             expected = solids_of(drawn, data)
         except ValueError as error:
-            raise SceneError(f"{path}: {one_line(error)}") from None
+            raise SceneError(f"{path}: {printable(error)}") from None
     mjcf, assets = flatten(drawn, data)
     _check_kept(path, mjcf, assets)
     world = compile_world(mjcf, assets, name=str(path))
@@ -92,7 +92,7 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
         _undress(spec, path)
         return spec.compile(), skins
     except (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError) as error:
-        raise SceneError(f"{path}: not valid MJCF: {one_line(error)}") from None
+        raise SceneError(f"{path}: not valid MJCF: {printable(error)}") from None
 
 
 def _undress(spec: mujoco.MjSpec, path: Path) -> None:

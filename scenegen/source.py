@@ -71,7 +71,7 @@ class SceneWorlds:
     """Worlds drawn by hand. The units of a split visit its worlds in turn, each time with another flight, so that any
     number of samples spreads evenly over them."""
 
-    scenes: Mapping[str, tuple[Scene, ...]]
+    scenes: Mapping[str, Sequence[Scene]]
     """The worlds of each split."""
     notes: tuple[str, ...] = ()
     """What was left out of the files or taken otherwise than one might expect: a sentence each."""

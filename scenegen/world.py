@@ -48,7 +48,7 @@ def compile_world(mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, nam
         try:
             model = mujoco.MjModel.from_xml_string(mjcf.decode(), assets)
         except (ValueError, UnicodeDecodeError, mujoco.FatalError) as error:
-            raise SceneError(f"{name}: not valid MJCF: {one_line(error)}") from None
+            raise SceneError(f"{name}: not valid MJCF: {printable(error)}") from None
         return _world(model, mjcf, assets, name)
 
 
@@ -74,7 +74,7 @@ def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name
     try:
         solids = solids_of(model, data)
     except ValueError as error:
-        raise SceneError(f"{name}: {one_line(error)}") from None
+        raise SceneError(f"{name}: {printable(error)}") from None
     return World(mjcf, assets, model, data, solids, _flight_bounds(model, solids, name), unseen)
 
 
@@ -93,8 +93,3 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> NDArray[
     if not len(corners):
         raise SceneError(f"{name}: only planes, so nothing bounds the flights; add <numeric {FLIGHT_BOUNDS}>")
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
-
-
-def one_line(error: BaseException) -> str:
-    """An error's message on one line."""
-    return printable(error)

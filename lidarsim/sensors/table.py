@@ -145,20 +145,9 @@ class BeamFile:
             raise ValueError(f"rays = {self.rays.name!a}: is not the file whose sha256 is {self.sha256[:64]!a}")
         return BeamTable(rays=read_npy(content), max_range_m=self.max_range_m, made_by=self.made_by)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """How the rays are ordered."""
-        return self._table.shape
-
-    @property
-    def directions_body(self) -> NDArray[np.float64]:
-        """Unit vectors (*shape, 3) in the body frame."""
-        return self._table.directions_body
-
-    @property
-    def times_s(self) -> NDArray[np.float64]:
-        """(*shape), seconds after the scan begins."""
-        return self._table.times_s
+    shape = property(lambda self: self._table.shape, doc="How the rays are ordered.")
+    directions_body = property(lambda self: self._table.directions_body, doc="(*shape, 3), in the body frame.")
+    times_s = property(lambda self: self._table.times_s, doc="(*shape), seconds after the scan begins.")
 
 
 def most_bytes(rays: int) -> int:

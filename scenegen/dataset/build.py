@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lidarsim.engines import ENGINES, MUJOCO
+from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.shard import ShardReport, ShardSpec, write_shard
+from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
-from scenegen.errors import DatasetError, printable, short
+from scenegen.errors import DatasetError, short
 from scenegen.files import remove_drafts
 from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
 from scenegen.recipe import Recipe
@@ -60,10 +60,7 @@ def plan_dataset(
     _check_asked("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
     for split, count in counts.items():
         _check_asked("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
-    try:
-        ENGINES.find(engine)
-    except ValueError as error:
-        raise DatasetError(printable(error)) from None
+    find_engine(engine)
     given = manifest.parameters(
         recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples, engine=engine
     )

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import sys
+import weakref
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -185,7 +186,21 @@ def open_file(path: Path) -> BufferedReader:
 
 
 def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -> ShardFile:
-    """The shard in `file`, which `path` was opened as, its layout checked. Raises BrokenError with what is wrong."""
+    """The shard in `file`, which `path` was opened as, its layout checked; the file is closed once nobody holds the
+    shard any more. Raises BrokenError with what is wrong."""
+    try:
+        shard = ShardFile(file, path.name, *_checked(file, path, samples, layout))
+    except BaseException:
+        file.close()
+        raise
+    weakref.finalize(shard, file.close)
+    return shard
+
+
+def _checked(
+    file: BufferedReader, path: Path, samples: int, layout: Layout
+) -> tuple[dict[str, Column], Mapping[str, int | str | None]]:
+    """The columns and attributes of a shard."""
     size, most = os.fstat(file.fileno()).st_size, most_bytes(layout, samples)
     if size > most:
         raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {most} at most")
@@ -204,7 +219,7 @@ def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -
         stored = index.objects[name]
         assert isinstance(stored, Stored)
         columns[name] = _column(f"{path.name}: {name}", name, stored, samples, dtype, shape, size)
-    return ShardFile(file, path.name, columns, index.attributes)
+    return columns, index.attributes
 
 
 def _column(

@@ -1,7 +1,6 @@
 """Read a dataset: samples by split and number, with what was left out derived, and the worlds they come from."""
 
 import os
-import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -31,7 +30,8 @@ class Dataset:
     def __init__(self, folder: Path | str, *, partial: bool = False):
         self.folder = Path(folder)
         self.manifest = trust.load(self.folder)
-        self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
+        with self._advice():
+            self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
         if not (self.manifest.complete or partial):
             raise DatasetError(f"{self.folder}: incomplete; give the command that made it again to go on where it was")
 
@@ -61,22 +61,16 @@ class Dataset:
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
     def _shard(self, entry: trust.Entry) -> ShardFile:
-        """An open shard, of this dataset by its own word; its file is closed once nobody holds it any more."""
+        """An open shard, of this dataset by its own word."""
+        path = self.folder / entry.file
         with self._advice():
-            path = self.folder / entry.file
-            file = open_file(path)
-            try:
-                shard = open_shard(file, path, entry.samples, self.manifest.layout)
-                shard.check_origin(
-                    split=entry.split,
-                    first_world=entry.first_world,
-                    worlds_sha256=entry.worlds_sha256,
-                    parameters=self.manifest.fingerprint,
-                )
-            except BaseException:
-                file.close()
-                raise
-        weakref.finalize(shard, file.close)
+            shard = open_shard(open_file(path), path, entry.samples, self.manifest.layout)
+            shard.check_origin(
+                split=entry.split,
+                first_world=entry.first_world,
+                worlds_sha256=entry.worlds_sha256,
+                parameters=self.manifest.fingerprint,
+            )
         return shard
 
     @contextmanager

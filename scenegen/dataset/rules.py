@@ -1,7 +1,7 @@
 """A stranger's JSON, held against rules before anybody relies on it; what is wrong is said in words of our own."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
@@ -50,8 +50,9 @@ def table_of(rule: Rule) -> Rule:
     )
 
 
-def check(found: Any, rules: Mapping[str, Rule], at: str) -> None:
-    """Raise BrokenError unless `found` is a table that has all that `rules` name, each as its rule says.
+def check(found: Any, rules: Mapping[str, Rule], at: str, known: Collection[str] = ()) -> None:
+    """Raise BrokenError unless `found` is a table that has all that `rules` name, each as its rule says, and, where
+    names are `known`, no others.
 
     `at` is where the table stands in the file, such as ``shards.3``, empty for the whole; it begins the error.
     """
@@ -63,6 +64,9 @@ def check(found: Any, rules: Mapping[str, Rule], at: str) -> None:
             raise BrokenError(f"{where} is missing: expected {rule.words}")
         if not rule.fits(found[name]):
             raise BrokenError(f"{where} = {short(found[name])}: expected {rule.words}")
+    for name in found if known else ():
+        if name not in known:
+            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(known)}")
 
 
 def ruled(rule: Rule) -> Any:
@@ -79,10 +83,7 @@ def checked(kind: type, found: Any, at: str) -> dict[str, Any]:
 
 def made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:
     """The dataclass `part` of a table whose keys `names` are called otherwise there. Raises BrokenError."""
-    check(table, {}, at)
-    for name in table:
-        if name not in names:
-            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(names)}")
+    check(table, {}, at, names)
     try:
         return part(**{names[name]: value for name, value in table.items()})
     except ValueError as error:

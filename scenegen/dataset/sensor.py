@@ -15,7 +15,7 @@ from lidarsim import BeamTable, Lidar, Sensor
 from lidarsim.limits import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen.dataset.rules import DIGEST, Rule, check, made
-from scenegen.errors import BrokenError, DatasetError, printable, short
+from scenegen.errors import BrokenError, DatasetError, printable
 from scenegen.files import read_bounded, write_whole
 
 RAYS = "rays.npy"
@@ -56,36 +56,33 @@ def entry_of(sensor: Sensor) -> dict[str, Any]:
     }
 
 
-def recipe_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """The table [lidar] of a recipe, next to the dataset's files, that gives the sensor of a manifest's `entry`."""
-    return {name: value for name, value in entry.items() if name != "shape"}
-
-
 def files_of(entry: Mapping[str, Any]) -> dict[str, str]:
     """Files that the sensor takes in the dataset's folder, with their SHA-256. Raises BrokenError."""
     if "sensor" not in entry:
         _raster(entry)
         return {}
-    return {RAYS: _checked(entry)["sha256"]}
+    check(entry, _ENTRY, "lidar", _ENTRY)
+    return {RAYS: entry["sha256"]}
 
 
 def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
     """The sensor of a manifest's `entry`. Raises BrokenError where it, or the table in `folder`, is damaged."""
-    if "sensor" not in entry:
+    files = files_of(entry)
+    if not files:
         return _raster(entry)
-    said = _checked(entry)
+    expected = (*entry["shape"], 4)
     try:
-        content = read_bounded(folder / RAYS, most_bytes(math.prod(said["shape"])))
-        if hashlib.sha256(content).hexdigest() != said["sha256"]:
-            raise BrokenError(f"{RAYS}: is not the file whose sha256 the manifest's lidar names")
+        content = read_bounded(folder / RAYS, most_bytes(math.prod(entry["shape"])))
+        if hashlib.sha256(content).hexdigest() != files[RAYS]:
+            raise ValueError("is not the file whose sha256 the manifest's lidar names")
         rays = read_npy(content)
-        if rays.shape != (*said["shape"], 4):
-            raise BrokenError(f"{RAYS}: has shape {rays.shape}, the manifest's lidar names {(*said['shape'], 4)}")
-        return BeamTable(rays=rays, max_range_m=said["max_range_m"], made_by=said["made_by"])
+        if rays.shape != expected:
+            raise ValueError(f"has shape {rays.shape}, the manifest's lidar names {expected}")
+        return BeamTable(rays=rays, max_range_m=entry["max_range_m"], made_by=entry["made_by"])
     except FileNotFoundError:
         raise BrokenError(f"{RAYS}: is missing, though the manifest's lidar is a table of rays") from None
     except (ValueError, OSError, DatasetError) as error:
-        raise BrokenError(f"{RAYS}: {printable(error)[:200].removeprefix(f'{RAYS}: ')}") from None
+        raise BrokenError(f"{RAYS}: {printable(error)[:200]}") from None
 
 
 def write_rays(sensor: Sensor, folder: Path) -> None:
@@ -101,12 +98,3 @@ def write_rays(sensor: Sensor, folder: Path) -> None:
 
 def _raster(entry: Mapping[str, Any]) -> Lidar:
     return made(Lidar, entry, {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar")
-
-
-def _checked(entry: Mapping[str, Any]) -> Mapping[str, Any]:
-    """An entry that describes a table. Raises BrokenError."""
-    check(entry, _ENTRY, "lidar")
-    for name in entry:
-        if name not in _ENTRY:
-            raise BrokenError(f"lidar: unknown parameter {short(name)}: expected {', '.join(_ENTRY)}")
-    return entry

@@ -15,11 +15,11 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.engines import ENGINES, MUJOCO
+from lidarsim.engines import ENGINES, MUJOCO, EngineFactory
 from scenegen.dataset.layout import DIGEST, ShardFile, layout_of, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
-from scenegen.errors import BrokenError, DatasetError
+from scenegen.errors import BrokenError, DatasetError, printable
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA, Sample, shape_of, stored_fields
@@ -27,6 +27,15 @@ from scenegen.source import Source
 
 _LEVEL = 1
 """Of compression: the next one saves a hundredth, the one after takes four times as long (docs/log.md)."""
+
+
+def find_engine(name: str) -> EngineFactory:
+    """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
+    try:
+        found: EngineFactory = ENGINES.find(name).of
+    except ValueError as error:
+        raise DatasetError(printable(error)) from None
+    return found
 
 
 @dataclass(frozen=True)
@@ -53,10 +62,7 @@ class ShardSpec:
 
     def draw(self, unit: int) -> Unit:
         """Unit `unit` of the split. Raises GenerationError, and DatasetError for an engine that is not to be had."""
-        try:
-            engine = ENGINES.find(self.engine).of
-        except ValueError as error:
-            raise DatasetError(str(error)) from None
+        engine = find_engine(self.engine)
         return draw_unit(
             self.source,
             self.recipe,
@@ -96,26 +102,72 @@ class ShardReport(Entry):
 def write_shard(spec: ShardSpec) -> ShardReport:
     """Draw a shard's units and write it: the worlds first, then the samples, which commit it. Pure but for these files.
 
-    Raises GenerationError, DatasetError.
+    A shard is made in memory: a few megabytes, whatever the dataset's size. Raises GenerationError, DatasetError.
     """
-    with _ShardContent(spec) as content:
-        for unit in range(spec.first_unit, spec.first_unit + spec.units):
-            content.add(spec.draw(unit))
-        worlds = content.worlds()
-        samples = content.samples(worlds_sha256=file_digest(worlds))
+    rejected, digests, numbers, documents = Rejections(), list[bytes](), list[int](), dict[str, bytes]()
+    with h5py.File(spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20) as file:
+        packed = _create(file, spec)
+        small: dict[str, list[Any]] = {name: [] for name in stored_fields(spec.compact) if name not in packed}
+        for unit in map(spec.draw, range(spec.first_unit, spec.first_unit + spec.units)):
+            rejected.worlds.update(unit.rejected.worlds)
+            rejected.viewpoints.update(unit.rejected.viewpoints)
+            numbers.append(unit.number)
+            documents |= {f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets}
+            for sample in unit.samples[: spec.samples - len(digests)]:
+                for name, values in small.items():
+                    values.append(getattr(sample, name))
+                for name, column in packed.items():
+                    value = getattr(sample, name)
+                    column.write_direct_chunk((len(digests),) + (0,) * value.ndim, compress(value))
+                digests.append(sample.sha256())
+        for name, values in small.items():
+            file[name][:] = np.array(values)
+        own = b"".join(digests)
+        file.create_dataset(DIGEST, data=np.frombuffer(own, np.uint8).reshape(-1, 32), chunks=(1, 32))
+        worlds = zip_reproducibly(documents.items())
+        counted = {"worlds": rejected.worlds, "viewpoints": rejected.viewpoints}
+        file.attrs["split"] = spec.split
+        file.attrs["first_world"] = min(numbers)
+        file.attrs["worlds_sha256"] = file_digest(worlds)
+        file.attrs["parameters"] = spec.parameters
+        file.attrs["rejected"] = json.dumps(counted, sort_keys=True)
+        file.flush()
+        samples = file.id.get_file_image()
     write_whole(spec.worlds_file, worlds)
     write_whole(spec.file, samples)
+    sums = file_digest(samples), file_digest(worlds)
+    return _report(spec, min(numbers), sums, len(samples) + len(worlds), rejected, own)
+
+
+def _create(file: h5py.File, spec: ShardSpec) -> dict[str, h5py.h5d.DatasetID]:
+    """Make the shard's datasets, one chunk a sample, and return those that are packed: grids and ranges."""
+    found = {}
+    for name in stored_fields(spec.compact):
+        shape = shape_of(name, spec.recipe.grid, spec.recipe.lidar)
+        packed = SCHEMA[name]["axes"] in ("grid", "rays")
+        packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
+        dataset = file.create_dataset(
+            name, shape=(spec.samples, *shape), dtype=SCHEMA[name]["dtype"], chunks=(1, *shape), **packing
+        )
+        if packed:  # the others are closed meanwhile, which decides where HDF5 puts what
+            found[name] = dataset.id
+    return found
+
+
+def _report(
+    spec: ShardSpec, first_world: int, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
+) -> ShardReport:
     return ShardReport(
         file=spec.file.name,
         worlds=spec.worlds_file.name,
         split=spec.split,
         samples=spec.samples,
-        first_world=content.first_world,
-        sha256=file_digest(samples),
-        worlds_sha256=file_digest(worlds),
-        size=len(samples) + len(worlds),
-        rejected=content.rejected,
-        digests=content.digests,
+        first_world=first_world,
+        sha256=sums[0],
+        worlds_sha256=sums[1],
+        size=size,
+        rejected=rejected,
+        digests=digests,
     )
 
 
@@ -141,28 +193,14 @@ def read_report(spec: ShardSpec, listed: Entry | None = None, *, verify: bool = 
         with open_file(spec.file) as file, open_file(spec.worlds_file) as worlds:
             shard = open_shard(file, spec.file, spec.samples, layout)
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
-            digests = hashlib.file_digest(file, "sha256").hexdigest(), hashlib.file_digest(worlds, "sha256").hexdigest()
+            sums = hashlib.file_digest(file, "sha256").hexdigest(), hashlib.file_digest(worlds, "sha256").hexdigest()
             first = min(spec.source.number(spec.split, spec.first_unit + n)[0] for n in range(spec.units))
-            shard.check_origin(
-                split=spec.split, first_world=first, worlds_sha256=digests[1], parameters=spec.parameters
-            )
-            if listed is not None and (listed.sha256, listed.worlds_sha256) != digests:
+            shard.check_origin(split=spec.split, first_world=first, worlds_sha256=sums[1], parameters=spec.parameters)
+            if listed is not None and (listed.sha256, listed.worlds_sha256) != sums:
                 return None
             if listed is None and verify and not _digests_hold(shard):
                 return None
-            rejected = shard.rejected()
-            return ShardReport(
-                file=spec.file.name,
-                worlds=spec.worlds_file.name,
-                split=spec.split,
-                samples=spec.samples,
-                first_world=first,
-                sha256=digests[0],
-                worlds_sha256=digests[1],
-                size=size,
-                rejected=Rejections(rejected["worlds"], rejected["viewpoints"]),
-                digests=shard.column(DIGEST).tobytes(),
-            )
+            return _report(spec, first, sums, size, Rejections(**shard.rejected()), shard.column(DIGEST).tobytes())
     except (BrokenError, OSError, KeyError, ValueError):
         return None
 
@@ -176,87 +214,6 @@ def _digests_hold(shard: ShardFile) -> bool:
         if sample.sha256() != digest.tobytes():
             return False
     return True
-
-
-class _ShardContent:
-    """A shard being made, in memory: a few megabytes, whatever the dataset's size."""
-
-    def __init__(self, spec: ShardSpec):
-        self.rejected = Rejections()
-        self.digests = b""
-        self._spec = spec
-        self._documents: dict[str, bytes] = {}
-        self._numbers: list[int] = []
-        self._count = 0
-        self._file = h5py.File(spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20)
-        self._packed: dict[str, Any] = {}
-        self._small: dict[str, list[Any]] = {}
-        grid, lidar = spec.recipe.grid, spec.recipe.lidar
-        for name in stored_fields(spec.compact):
-            shape = shape_of(name, grid, lidar)
-            packed = SCHEMA[name]["axes"] in ("grid", "rays")
-            dataset = self._file.create_dataset(
-                name,
-                shape=(spec.samples, *shape),
-                dtype=SCHEMA[name]["dtype"],
-                chunks=(1, *shape),
-                compression="gzip" if packed else None,
-                compression_opts=_LEVEL if packed else None,
-            )
-            if packed:
-                self._packed[name] = dataset.id
-            else:
-                self._small[name] = []
-
-    def __enter__(self) -> "_ShardContent":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._file.close()
-
-    @property
-    def first_world(self) -> int:
-        """Least number of the shard's worlds."""
-        return min(self._numbers)
-
-    def add(self, unit: Unit) -> None:
-        """Take in a unit's world and its samples, as many as the shard still holds."""
-        self.rejected.worlds.update(unit.rejected.worlds)
-        self.rejected.viewpoints.update(unit.rejected.viewpoints)
-        self._numbers.append(unit.number)
-        self._documents[f"{unit.number:06d}.xml"] = unit.world.mjcf
-        self._documents.update(unit.world.assets)
-        for sample in unit.samples[: self._spec.samples - self._count]:
-            self._add_sample(sample)
-
-    def _add_sample(self, sample: Sample) -> None:
-        for name, values in self._small.items():
-            values.append(getattr(sample, name))
-        for name, dataset in self._packed.items():
-            value = getattr(sample, name)
-            dataset.write_direct_chunk((self._count,) + (0,) * value.ndim, compress(value))
-        self.digests += sample.sha256()
-        self._count += 1
-
-    def samples(self, *, worlds_sha256: str) -> bytes:
-        """The finished HDF5 file."""
-        for name, values in self._small.items():
-            self._file[name][:] = np.array(values)
-        digests = np.frombuffer(self.digests, np.uint8).reshape(-1, 32)
-        self._file.create_dataset(DIGEST, data=digests, chunks=(1, 32))
-        self._file.attrs["split"] = self._spec.split
-        self._file.attrs["first_world"] = self.first_world
-        self._file.attrs["worlds_sha256"] = worlds_sha256
-        self._file.attrs["parameters"] = self._spec.parameters
-        self._file.attrs["rejected"] = json.dumps(
-            {"worlds": self.rejected.worlds, "viewpoints": self.rejected.viewpoints}, sort_keys=True
-        )
-        self._file.flush()
-        return self._file.id.get_file_image()
-
-    def worlds(self) -> bytes:
-        """The finished archive: members sorted, dates and attributes fixed."""
-        return zip_reproducibly(self._documents.items())
 
 
 def zip_reproducibly(members: Iterable[tuple[str, bytes]]) -> bytes:

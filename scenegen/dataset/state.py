@@ -72,8 +72,9 @@ class State:
             raise disk_error(folder, error) from None
         if not folder.is_dir():
             raise DatasetError(f"{folder}: is a file, expected a folder; choose another one with --out")
+        # listed first: what another job begins meanwhile, it begins with a manifest
+        others = [item.name for item in folder.iterdir() if not item.name.endswith(".tmp")]
         if not (folder / manifest.NAME).exists():
-            others = [item.name for item in folder.iterdir() if not item.name.endswith(".tmp")]
             if others:
                 raise DatasetError(
                     f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another folder with --out"
@@ -111,20 +112,22 @@ class State:
 
     def open(self) -> None:
         """Make the folder ready for shards. Nothing in it is touched unless it is this dataset's or `force`."""
-        self._listed = self._read()
-        folder, begun = self.plan.folder, self.begun
+        folder = self.plan.folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            there = _shard_files(folder)  # listed first: what comes later is another job's, and this dataset's
+            self._listed = self._read()
             remove_drafts(folder)
         except OSError as error:
             raise disk_error(folder, error) from None
+        begun = self.begun
         if not begun:
             # the new manifest comes first: shards that carry another fingerprint are not taken for its own
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
             self._listed = {}
         write_rays(self.plan.lidar, folder)
         planned = {path for shard in self.plan.shards for path in (shard.file, shard.worlds_file)}
-        for file in _shard_files(folder):
+        for file in there:
             if not begun or file not in planned:  # another dataset's, or left by a replacement that was killed
                 file.unlink(missing_ok=True)
 

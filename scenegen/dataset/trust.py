@@ -107,6 +107,8 @@ class Manifest:
     """Rejections by reason, of `worlds` and of `viewpoints`."""
     digest: str | None = ruled(optional(DIGEST))
     """Of all samples; None as long as shards are missing."""
+    named: str | None = field(default=None, compare=False)
+    """A kind of a user's own that the user named, so that its module may be imported."""
 
     @property
     def files(self) -> dict[str, str]:
@@ -131,39 +133,41 @@ class Manifest:
         """What every shard carries, so that it is not taken for another dataset's."""
         return manifest.fingerprint(self.parameters)
 
+    @property
+    def drawn(self) -> bool:
+        """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
+        from scenegen.recipes import kind_names
+
+        return self.kind in (*kind_names(), self.named)
+
     @cached_property
     def recipe(self) -> "Recipe":
-        """What the tables spell out; without its world where that is of a kind not known here. Raises BrokenError."""
-        return self.recipe_of()
-
-    def recipe_of(self, named: str | None = None) -> "Recipe":
-        """The recipe, with its world if it is of the kind that a user `named`: no module is imported because a manifest
-        names it. Raises BrokenError."""
+        """What the tables spell out; without its world where the kind is not `drawn`: no module is imported because a
+        manifest names it. Raises BrokenError."""
         from scenegen.recipe import make_recipe
-        from scenegen.recipes import kind_names
 
         tables = {name: table for name, table in self.tables.items() if name not in ("version", "scenes")}
         tables["grid"] = dataclasses.asdict(self.grid)
-        drawn = self.kind in (*kind_names(), named)
-        if not drawn:
+        if not self.drawn:
             tables.pop("world", None)
         try:
-            return make_recipe(self.kind if drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
+            return make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
         except RecipeError as error:
             raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 
 
-def parse(document: Mapping[str, Any], folder: Path) -> Manifest:
-    """The content of the manifest in `folder`, checked. Raises BrokenError with what is wrong, where, and what was
-    expected."""
+def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -> Manifest:
+    """The content of the manifest in `folder`, checked; `named` is the kind that the user named.
+
+    Raises BrokenError with what is wrong, where, and what was expected.
+    """
     found: dict[str, Any] = {"generator": 1, "engine": MUJOCO} | dict(document)
     plain = checked(Manifest, found, "")
-    check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE}, "")
+    check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE, "lidar": TABLE}, "")
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
     check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
     check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
     check(found["grid"], dict.fromkeys(manifest.GRID, _GIVEN), "grid")
-    check(found, {"lidar": TABLE}, "")
     files_of(found["lidar"])
     shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
@@ -180,6 +184,7 @@ def parse(document: Mapping[str, Any], folder: Path) -> Manifest:
         grid=grid,
         folder=folder,
         shards=shards,
+        named=named,
     )
 
 

@@ -75,12 +75,13 @@ def croissant(it: Publication, sha256: Mapping[str, str]) -> str:
 
 def _responsible(it: Publication) -> dict[str, Any]:
     """How the data came about, what they are for, and what they are not."""
-    engine = it.manifest.engine
+    engine, by_hand = it.manifest.engine, it.manifest.kind == "scene"
+    worlds = "Worlds were drawn by hand; from" if by_hand else "Random worlds are drawn from"
     rejected = sum(sum(counts.values()) for counts in it.manifest.rejected.values())
     made = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
     return {
         "rai:dataCollection": (
-            f"Simulated. Random worlds are drawn from seed {it.manifest.seed}, a planner flies a robot through "
+            f"Simulated. {worlds} seed {it.manifest.seed}, a planner flies a robot through "
             f"each, and a LiDAR of {' × '.join(map(str, it.manifest.lidar.shape))} rays is cast from its poses by "
             f"{'MuJoCo' if engine == MUJOCO else f'the engine {engine}'}. "
             "Nothing was recorded in the real world."
@@ -105,8 +106,10 @@ def _responsible(it: Publication) -> dict[str, Any]:
             "Not for certifying the safety of a robot.",
         ],
         "rai:dataBiases": [
-            "Worlds follow the distributions of recipe.toml and no real place; the frequencies of shapes, gaps and "
-            "densities are those of the recipe."
+            "Worlds are few, and those that their author thought of."
+            if by_hand
+            else "Worlds follow the distributions of recipe.toml and no real place; the frequencies of shapes, gaps "
+            "and densities are those of the recipe."
         ],
         "rai:dataLimitations": [
             "Rigid and static solids, a scan without noise or motion, one sensor and one voxel size.",
@@ -120,42 +123,23 @@ def _responsible(it: Publication) -> dict[str, Any]:
     }
 
 
+def _node(kind: str, name: str, **about: Any) -> dict[str, Any]:
+    """A thing of the file, which others call by its name."""
+    return {"@type": f"cr:{kind}", "@id": name, "name": name, **about}
+
+
 def _distribution(it: Publication, sha256: Mapping[str, str]) -> list[dict[str, Any]]:
     """The repository, each of its data files, and the shards of each split as a set."""
-    found: list[dict[str, Any]] = [
-        {
-            "@type": "cr:FileObject",
-            "@id": "repository",
-            "name": "repository",
-            "description": "The repository on the Hub; in place of a checksum, the dataset's own digest.",
-            "contentUrl": f"{it.url}/tree/{it.tag}",
-            "encodingFormat": "git+https",
-            "sha256": it.manifest.digest,
-        }
-    ]
+    said = "The repository on the Hub; in place of a checksum, the dataset's own digest."
+    at = {"contentUrl": f"{it.url}/tree/{it.tag}", "encodingFormat": "git+https", "sha256": it.manifest.digest}
+    found = [_node("FileObject", "repository", description=said, **at)]
     for name, digest in sha256.items():
-        found.append(
-            {
-                "@type": "cr:FileObject",
-                "@id": name,
-                "name": name,
-                "contentUrl": f"{it.url}/resolve/{it.tag}/{name}",
-                "encodingFormat": FORMATS[name[name.rindex(".") :]],
-                "sha256": digest,
-            }
-        )
+        url, form = f"{it.url}/resolve/{it.tag}/{name}", FORMATS[name[name.rindex(".") :]]
+        found.append(_node("FileObject", name, contentUrl=url, encodingFormat=form, sha256=digest))
     for split in it.splits:
-        found.append(
-            {
-                "@type": "cr:FileSet",
-                "@id": f"{split}-shards",
-                "name": f"{split}-shards",
-                "description": f"HDF5 files of the {split} split; samples along the first dimension of every dataset.",
-                "containedIn": {"@id": "repository"},
-                "encodingFormat": FORMATS[".h5"],
-                "includes": f"{split}-*.h5",
-            }
-        )
+        said = f"HDF5 files of the {split} split; samples along the first dimension of every dataset."
+        within = {"containedIn": {"@id": "repository"}, "encodingFormat": FORMATS[".h5"], "includes": f"{split}-*.h5"}
+        found.append(_node("FileSet", f"{split}-shards", description=said, **within))
     return found
 
 
@@ -174,11 +158,6 @@ def _record_set(it: Publication, split: str) -> dict[str, Any]:
         if meta["shape"]:
             field |= {"isArray": True, "arrayShape": ",".join(map(str, meta["shape"]))}
         fields.append(field)
-    return {
-        "@type": "cr:RecordSet",
-        "@id": split,
-        "name": split,
-        "description": f"{it.statistics['splits'][split]['samples']} samples of the {split} split.",
-        "key": [{"@id": f"{split}/world"}, {"@id": f"{split}/viewpoint"}],
-        "field": fields,
-    }
+    said = f"{it.statistics['splits'][split]['samples']} samples of the {split} split."
+    key = [{"@id": f"{split}/world"}, {"@id": f"{split}/viewpoint"}]
+    return _node("RecordSet", split, description=said, key=key, field=fields)

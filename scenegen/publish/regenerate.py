@@ -12,7 +12,7 @@ from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.sensor import recipe_entry, write_rays
+from scenegen.dataset.sensor import write_rays
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
 from scenegen.recipe import read_recipe
@@ -46,7 +46,8 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes anything; `title` is
     its first line."""
     tables = {name: parameters["recipe"].get(name) for name in ("world", "flight", "accept")}
-    tables["lidar"] = recipe_entry(parameters["lidar"])
+    # a table of rays has its shape in the file
+    tables["lidar"] = {name: value for name, value in parameters["lidar"].items() if name != "shape"}
     tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():

@@ -10,10 +10,10 @@ from lidarsim.engines import MUJOCO
 from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
+from scenegen.errors import printable
 from scenegen.quiet import quiet_mujoco
 from scenegen.screen import screen
 from scenegen.verify.report import BrokenError
-from scenegen.world import one_line
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Soli
         with quiet_mujoco():
             return solids_of(mujoco.MjModel.from_xml_string(document.decode(), assets))
     except (ValueError, MemoryError, mujoco.FatalError) as error:
-        raise BrokenError(f"{name}: MuJoCo cannot compile it: {one_line(error)[:200]}") from None
+        raise BrokenError(f"{name}: MuJoCo cannot compile it: {printable(error)[:200]}") from None
 
 
 def auditor(document: bytes, assets: dict[str, bytes], solids: Solids, *, made_with: str) -> Engine:

@@ -2,8 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,27 +9,12 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.errors import DatasetError, printable, short
-from scenegen.recipe import Recipe
-from scenegen.recipes import find_kind, kind_names
-from scenegen.verify.report import BrokenError, Ledger
+from scenegen.recipes import find_kind
+from scenegen.verify.report import BrokenError, Ledger, Page
 
 
-@dataclass(frozen=True, kw_only=True)
 class Contract(Manifest):
     """What the manifest promises."""
-
-    named: str | None
-    """The kind of a user's own that the user named, so that its module may be imported."""
-
-    @property
-    def drawn(self) -> bool:
-        """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
-        return self.kind in (*kind_names(), self.named)
-
-    @cached_property
-    def recipe(self) -> Recipe:
-        """See `Manifest.recipe`; with its world where the user named its kind."""
-        return self.recipe_of(self.named)
 
     @property
     def viewpoints(self) -> int:
@@ -80,16 +63,16 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Cont
     if kind is not None:
         _check_named(kind, given.get("kind"))
     contract = None
-    with ledger.checking("manifest"):
-        ledger.count("manifest", files=1)
+    with ledger.checking("manifest") as page:
+        page.count(files=1)
         try:
-            found = Contract(named=kind, **vars(trust.parse(given, folder)))
+            found = Contract(**vars(trust.parse(given, folder, kind)))
             if found.kind == "scene" and found.tables.get("scenes") is None:
                 raise BrokenError("recipe.scenes = None: expected the worlds of each split")
             found.recipe  # noqa: B018 (spelled out now, so that what is wrong with it is found here)
         except BrokenError as error:
             raise BrokenError(f"{manifest.NAME}: {error}") from None
-        _check_shards(found, ledger)
+        _check_shards(found, page)
         contract = found
     return contract
 
@@ -104,44 +87,38 @@ def _check_named(kind: str, there: Any) -> None:
         raise DatasetError(f"--kind: {error}") from None
 
 
-def _check_shards(contract: Contract, ledger: Ledger) -> None:
+def _check_shards(contract: Contract, page: Page) -> None:
     """Whether the shards listed are those that the counts ask for, in order, and no other lies in the folder."""
     where = manifest.NAME
-    ledger.expect("manifest", contract.complete, f"{where}: complete is false: give the command that made it again")
-    ledger.expect(
-        "manifest",
+    page.expect(contract.complete, f"{where}: complete is false: give the command that made it again")
+    page.expect(
         (contract.digest is not None) == contract.complete,
         f"{where}: digest = {contract.digest}: expected one exactly where complete is true",
     )
     order = [SPLITS.index(entry.split) for entry in contract.shards]
-    ledger.expect("manifest", order == sorted(order), f"{where}: shards are not in the order train, val, test")
+    page.expect(order == sorted(order), f"{where}: shards are not in the order train, val, test")
     for split in SPLITS:
         entries = [entry for entry in contract.shards if entry.split == split]
         total = sum(entry.samples for entry in entries)
         asked = contract.counts[split]
         whole = contract.complete
-        ledger.expect(
-            "manifest",
+        page.expect(
             total == asked if whole else total <= asked,
             f"{where}: counts.{split} = {asked}, but its shards hold {total} samples",
         )
         if contract.scenes is not None and entries and not contract.scenes.get(split):
             raise BrokenError(f"{where}: recipe.scenes names no world for {split}, which has samples")
         for number, entry in enumerate(entries):
-            _check_name(entry, number if whole else None, ledger)
+            _check_name(entry, number if whole else None, page)
             full = number == len(entries) - 1 or entry.samples % contract.viewpoints == 0
-            ledger.expect("manifest", full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut")
+            page.expect(full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut")
     listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
     files = {path.name for path in contract.folder.iterdir() if path.suffix in (".h5", ".zip")}
     others = printable(", ".join(sorted(files - listed)[:3]))
-    ledger.expect(
-        "manifest",
-        not others,
-        f"{others}: in the folder, but {where} does not list it",
-    )
+    page.expect(not others, f"{others}: in the folder, but {where} does not list it")
 
 
-def _check_name(entry: Entry, number: int | None, ledger: Ledger) -> None:
+def _check_name(entry: Entry, number: int | None, page: Page) -> None:
     """File names are plain, and number the shards. Raises BrokenError for one that leaves the folder."""
     match = re.fullmatch(rf"{entry.split}-(\d{{5}})", entry.file.removesuffix(".h5"))
     if not match or entry.file != f"{match[0]}.h5" or entry.worlds != f"{match[0]}.worlds.zip":
@@ -150,8 +127,7 @@ def _check_name(entry: Entry, number: int | None, ledger: Ledger) -> None:
             f"{entry.split}-00000.h5, {entry.split}-00000.worlds.zip and so on"
         )
     if number is not None:
-        ledger.expect(
-            "manifest",
+        page.expect(
             int(match[1]) == number,
             f"{manifest.NAME}: {entry.file} stands where {entry.split}-{number:05d}.h5 is expected",
         )

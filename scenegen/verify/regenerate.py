@@ -1,6 +1,7 @@
 """Samples made again from the seed, to be compared bit for bit."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,43 +11,29 @@ from scenegen.dataset.manifest import differences, software
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError, RecipeError, SceneError
 from scenegen.recipe import Recipe
-from scenegen.source import DrawnWorlds
+from scenegen.source import DrawnWorlds, SceneWorlds
 from scenegen.verify.archive import Archive
 from scenegen.verify.contract import Contract
 from scenegen.verify.report import BrokenError
 from scenegen.world import World, compile_world
 
 
-@dataclass(frozen=True, eq=False)
-class ArchivedWorlds:
-    """Worlds drawn by hand, as they lie in a dataset: a `scenegen.source.Source`."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ArchivedWorlds(SceneWorlds):
+    """Worlds drawn by hand, as they lie in a shard's archive; `scenes` only counts them."""
 
     archive: Archive
-    counts: dict[str, int]
-    """Worlds of each split."""
-
-    def number(self, split: str, unit: int) -> tuple[int, int]:
-        """See `Source.number`."""
-        turn, number = divmod(unit, self.counts[split])
-        return number, turn
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
         """See `Source.world`."""
         return compile_world(*self.archive.world(number))
 
-    def describe(self) -> dict[str, object]:
-        """See `Source.describe`."""
-        return {}
-
 
 def regenerate(contract: Contract, archive: Archive, split: str, unit: int) -> Unit:
-    """One flight of a dataset flown again. Raises BrokenError where nothing comes of it."""
+    """One flight of a dataset of an engine of ours, flown again. Raises BrokenError where nothing comes of it."""
     recipe: Recipe = contract.recipe
-    source: DrawnWorlds | ArchivedWorlds = DrawnWorlds(recipe)
-    if contract.scenes is not None:
-        source = ArchivedWorlds(archive, {name: len(worlds) for name, worlds in contract.scenes.items()})
-    if contract.engine not in ENGINES.known:
-        raise BrokenError(f"{split} flight {unit} cannot be made again: its engine is not imported")
+    scenes: Any = contract.scenes
+    source = DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, archive=archive)
     engine = ENGINES.find(contract.engine).of
     try:
         return draw_unit(source, recipe, seed=contract.seed, split=split, unit=unit, derived=True, engine=engine)

@@ -136,14 +136,6 @@ class Ledger:
         """The page of a check."""
         return self._pages.setdefault(check, Page())
 
-    def expect(self, check: str, holds: bool, line: str) -> bool:
-        """See `Page.expect`."""
-        return self.page(check).expect(holds, line)
-
-    def count(self, check: str, **counts: int) -> None:
-        """See `Page.count`."""
-        self.page(check).count(**counts)
-
     def add(self, other: "Ledger") -> None:
         """Take in another ledger's pages."""
         for name, theirs in other._pages.items():

@@ -1,9 +1,8 @@
 """Checks that splits share nothing: no world, and no map that looks nearly the same."""
 
-from contextlib import ExitStack
+import functools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
@@ -58,43 +57,28 @@ def _compare(contract: Contract, page: Page) -> None:
     pairs, complete = twins.candidates(np.array(signatures), np.array(folds), np.array(observed), splits)
     page.count(compared=len(pairs))
     found = 0
-    with _Maps(contract) as maps:
-        for one, other in ((places[a], places[b]) for a, b in pairs):
-            seen = twins.overlap(maps.of("observed", *one), maps.of("observed", *other))
-            if seen < twins.OBSERVED_IOU:
-                continue
-            truths = maps.of("occupancy", *one), maps.of("occupancy", *other)
-            occupied = twins.overlap(*truths)
-            if occupied >= twins.OCCUPIED_IOU and twins.standing_overlap(*truths) >= twins.STANDING_IOU:
-                found += 1
-                page.fault(
-                    f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
-                    f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU {occupied:.3f}, observed "
-                    f"{seen:.3f}), expected another world"
-                )
+
+    @functools.lru_cache(maxsize=MOST_OPEN)
+    def opened(number: int) -> ShardFile:
+        entry = contract.shards[number]
+        path = contract.folder / entry.file
+        return open_shard(open_file(path), path, entry.samples, contract.layout)
+
+    for one, other in ((places[a], places[b]) for a, b in pairs):
+        seen = twins.overlap(*(opened(number).value("observed", row) for number, row in (one, other)))
+        if seen < twins.OBSERVED_IOU:
+            continue
+        truths = [opened(number).value("occupancy", row) for number, row in (one, other)]
+        occupied = twins.overlap(*truths)
+        if occupied >= twins.OCCUPIED_IOU and twins.standing_overlap(*truths) >= twins.STANDING_IOU:
+            found += 1
+            page.fault(
+                f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
+                f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU {occupied:.3f}, observed "
+                f"{seen:.3f}), expected another world"
+            )
     if not complete and not found:
         page.skipped = f"too many maps are alike: {len(pairs)} pairs were compared, not all"
-
-
-class _Maps(ExitStack):
-    """Grids of any samples of a folder; its files stay open until the end of the context."""
-
-    def __init__(self, contract: Contract):
-        super().__init__()
-        self._contract = contract
-        self._shards: dict[int, ShardFile] = {}
-
-    def of(self, field: str, number: int, row: int) -> NDArray[np.bool_]:
-        """A grid of sample `row` of shard `number`. Raises BrokenError."""
-        if number not in self._shards:
-            if len(self._shards) >= MOST_OPEN:
-                self.close()
-                self._shards.clear()
-            entry = self._contract.shards[number]
-            path = self._contract.folder / entry.file
-            file = self.enter_context(open_file(path))
-            self._shards[number] = open_shard(file, path, entry.samples, self._contract.layout)
-        return self._shards[number].value(field, row)
 
 
 CHECKS = (

@@ -48,26 +48,10 @@ def _occupancy(sample: Sample, page: Page) -> None:
 
 
 CHECKS = (
+    Check(name="tudf", proves="Distances follow from `occupancy`, bit for bit.", field="tudf", sample=_tudf),
+    Check(name="voxels", proves="`observed` follows from `ranges`, pose and origin, bit for bit.", sample=_observed),
     Check(
-        name="tudf",
-        proves="Distances follow from `occupancy`, bit for bit.",
-        field="tudf",
-        sample=_tudf,
+        name="free", proves="`free` follows from `ranges`, pose and origin, bit for bit.", field="free", sample=_free
     ),
-    Check(
-        name="voxels",
-        proves="`observed` follows from `ranges`, pose and origin, bit for bit.",
-        sample=_observed,
-    ),
-    Check(
-        name="free",
-        proves="`free` follows from `ranges`, pose and origin, bit for bit.",
-        field="free",
-        sample=_free,
-    ),
-    Check(
-        name="occupancy",
-        proves="`occupancy` follows from the archived world, bit for bit.",
-        sample=_occupancy,
-    ),
+    Check(name="occupancy", proves="`occupancy` follows from the archived world, bit for bit.", sample=_occupancy),
 )

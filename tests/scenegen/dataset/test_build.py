@@ -18,7 +18,7 @@ import pytest
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import build as module
 from scenegen.dataset import manifest
-from scenegen.dataset.build import Plan, Summary, build, plan_dataset
+from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import read_report
 from scenegen.errors import DatasetError, GenerationError
@@ -331,6 +331,34 @@ def test_another_job_that_begins_meanwhile_loses_nothing(tmp_path: Path, monkeyp
     found = build(parts, shard_range=(0, 1))
     assert found.complete
     assert found.samples_written == parts.shards[0].samples
+
+
+def test_a_job_that_writes_its_manifest_while_another_looks_is_no_stranger(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts, original = plan(tmp_path / "d"), Path.iterdir
+    parts.folder.mkdir()
+
+    def begun_meanwhile(folder: Path) -> Any:
+        manifest.write(folder, manifest.assemble(parts.parameters, [], complete=False))
+        return original(folder)
+
+    monkeypatch.setattr(Path, "iterdir", begun_meanwhile)
+    check_folder(parts)
+
+
+def test_no_job_deletes_what_another_wrote_while_it_began(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts, original = plan(tmp_path / "d"), manifest.write
+
+    def overtaken(folder: Path, content: Any) -> None:
+        monkeypatch.setattr(manifest, "write", original)
+        original(folder, content)
+        module.write_shard(parts.shards[1])
+
+    monkeypatch.setattr(manifest, "write", overtaken)
+    found = build(parts, shard_range=(0, 1))
+    assert found.shards_missing == len(parts.shards) - 2
+    assert parts.shards[1].file.exists()
 
 
 def test_more_files_than_five_digits_number_are_refused(tmp_path: Path) -> None:
