@@ -3,7 +3,6 @@
 import functools
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -50,7 +49,7 @@ def draw_unit(
 ) -> Unit:
     """Samples of unit `unit` of `split`: they depend on the arguments alone, not on what was drawn before.
 
-    `engine` makes what casts the rays of a world, which a world drawn by hand shares among its flights.
+    `engine` makes what casts the rays of a world, which a world from an MJCF file shares among its flights.
     A draw that is rejected is made again under the same number. `derived` False leaves `tudf` out (an empty array
     stands in); `free` comes with `observed` anyway. Raises GenerationError after `recipe.accept.max_draws` draws.
     """
@@ -164,8 +163,8 @@ def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float
 def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> str:
     """Why no draw was kept, and what to change."""
     counted = ", ".join(f"{count} {name}" for name, count in rejected.worlds.items())
-    crowding: list[Any] = [] if recipe.world is None else list(recipe.world.crowding)
-    given = ", ".join(f"world.{name} = {getattr(recipe.world, name)}" for name in crowding)
+    crowded_by = () if recipe.world is None else recipe.world.crowded_by
+    given = ", ".join(f"world.{name} = {getattr(recipe.world, name)}" for name in crowded_by)
     advice = {
         "no_flight": f"no flight fits between the solids: lower {given or 'the clutter'}, or flight.robot_radius_m = "
         f"{recipe.flight.robot_radius_m}",

@@ -32,7 +32,7 @@ class Flight:
     robot_radius_m: float = number(0.3, above=0, below=CAP_M)
     """Clearance that every point of a flight keeps, metres."""
     altitude_m: tuple[float, float] = number((1.5, 5.0), least=-MOST_DRAWN_M, most=MOST_DRAWN_M, rising=True)
-    """Heights between which flights keep, metres; a world drawn by hand brings its own bounds."""
+    """Heights between which flights keep, metres; a world from an MJCF file brings its own bounds."""
     margin_m: float = number(8.0, least=0, most=MOST_DRAWN_M)
     """How far flights keep from a drawn world's lateral edges, metres: half a map, so that maps lie in the world."""
     min_distance_m: float = number(10.0, least=0, most=MOST_LENGTH_M)

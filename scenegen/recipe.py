@@ -59,9 +59,9 @@ class Recipe:
     """
 
     kind: str
-    """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds drawn by hand."""
+    """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds from MJCF files."""
     world: WorldKind | None = None
-    """How worlds are drawn; None for worlds drawn by hand."""
+    """How worlds are drawn; None for worlds from MJCF files."""
     flight: Flight = field(default_factory=Flight)
     accept: Acceptance = field(default_factory=Acceptance)
     lidar: Sensor = field(default_factory=Lidar)
@@ -103,7 +103,7 @@ class Recipe:
 
     @property
     def version(self) -> int:
-        """Of the kind's preset; 0 for worlds drawn by hand."""
+        """The version of the kind's preset; 0 for worlds from MJCF files."""
         return 0 if self.world is None else self.world.version
 
     def resolved(self) -> dict[str, Any]:

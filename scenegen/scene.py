@@ -1,4 +1,4 @@
-"""A world drawn by hand: an MJCF file of anybody's, read where it can do no harm, and made self-contained."""
+"""A world from an MJCF file of anybody's, read where it can do no harm, and made self-contained."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -61,7 +61,7 @@ def read_file(path: Path) -> Reading:
 
 
 def load_scene(path: Path) -> Scene:
-    """Read an MJCF file drawn by hand and make it self-contained: geoms alone, where MuJoCo puts them.
+    """Read an MJCF file and make it self-contained: geoms alone, where MuJoCo puts them.
 
     The document is compiled again, and its solids compared with those of the file. Raises SceneError. MuJoCo may read
     other files, run long and take memory: for files that nobody vouches for, call this in a process with limits.

@@ -1,4 +1,4 @@
-"""Where worlds come from: drawn anew by a recipe, or from MJCF files drawn by hand.
+"""Where worlds come from: drawn anew by a recipe, or read from MJCF files.
 
 A source answers one question: which world does unit u of a split fly through? A *unit* is one flight and its samples.
 """
@@ -68,7 +68,7 @@ class DrawnWorlds:
 
 @dataclass(frozen=True)
 class SceneWorlds:
-    """Worlds drawn by hand. The units of a split visit its worlds in turn, each time with another flight, so that any
+    """Worlds from MJCF files. The units of a split visit its worlds in turn, each time with another flight, so that any
     number of samples spreads evenly over them."""
 
     scenes: Mapping[str, Sequence[Scene]]

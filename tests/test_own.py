@@ -135,10 +135,10 @@ from dataclasses import dataclass
 from scenegen.recipes.kind import WorldKind
 class Other: pass
 class Loose:
-    version, crowding, add_to = 1, (), None
+    version, crowded_by, add_to = 1, (), None
 @dataclass(frozen=True, kw_only=True)
 class Empty(WorldKind):
-    version, crowding = 1, ()
+    version, crowded_by = 1, ()
 class Bare(Empty):
     def add_to(self, spec, *, rng): pass
 @dataclass(frozen=True, kw_only=True)

@@ -166,6 +166,6 @@ def _work(
 
 
 def _world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """The drawn world's box (2, 3) in the map frame, metres; None for worlds drawn by hand."""
+    """The drawn world's box (2, 3) in the map frame, metres; None for worlds from MJCF files."""
     world = dataset.manifest.tables.get("world")
     return None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - origin

@@ -26,7 +26,7 @@ NETWORK_EDGE = 8
 
 @click.command()
 @click.option("--kind", type=Named(KINDS), help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.")
-@click.option("--scene", type=click.Path(path_type=Path), help="An MJCF world drawn by hand, or a folder of them.")
+@click.option("--scene", type=click.Path(path_type=Path), help="An MJCF file of your own world, or a folder of them.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
 @click.option(
     "--sensor", type=Named(SENSORS), help="The recipe's [lidar] sensor: a name as there.  [default: the recipe's]"

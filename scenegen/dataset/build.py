@@ -4,7 +4,7 @@ import math
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,10 +100,18 @@ def _check_asked(option: str, value: int, least: int, most: int) -> None:
         raise DatasetError(f"{option} {short(value)}: expected a whole number from {least} to {most}")
 
 
+Execute = Callable[
+    [Callable[[ShardSpec], ShardReport], list[ShardSpec], Callable[[], None]], Generator[ShardReport, None, None]
+]
+"""Has a function's results over tasks made somewhere, and yields them as they come, in any order; it calls its third
+argument once the work has begun. What one task gives depends on the task alone."""
+
+
 def build(
     plan: Plan,
     *,
     workers: int = 1,
+    execute: Execute | None = None,
     shard_range: tuple[int, int] | None = None,
     force: bool = False,
     on_start: Callable[[], None] = lambda: None,
@@ -111,7 +119,7 @@ def build(
 ) -> Summary:
     """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
 
-    `workers` processes write; `force` replaces another dataset in the folder. `on_shard` is called for every
+    `workers` processes of this machine write the shards, or whatever `execute` has instead; `force` replaces another dataset in the folder. `on_shard` is called for every
     shard that is there already (False) and for every one that is written (True), `on_start` once the workers run. A run
     that ends in any way leaves whole shards, and the next one goes on from there. The manifest is signed complete by
     the run that finds every shard.
@@ -133,7 +141,8 @@ def build(
     written = 0
     with undone_if_stopped(lambda: remove_drafts(plan.folder)):
         try:
-            with closing(run(write_shard, missing, workers, on_start)) as results:
+            made = execute(write_shard, missing, on_start) if execute else run(write_shard, missing, workers, on_start)
+            with closing(made) as results:
                 for report in results:
                     state.reports[plan.folder / report.file] = report
                     written += report.samples

@@ -76,7 +76,7 @@ def croissant(it: Publication, sha256: Mapping[str, str]) -> str:
 def _responsible(it: Publication) -> dict[str, Any]:
     """How the data came about, what they are for, and what they are not."""
     engine, by_hand = it.manifest.engine, it.manifest.kind == "scene"
-    worlds = "Worlds were drawn by hand; from" if by_hand else "Random worlds are drawn from"
+    worlds = "Worlds were given as MJCF files; from" if by_hand else "Random worlds are drawn from"
     rejected = sum(sum(counts.values()) for counts in it.manifest.rejected.values())
     made = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
     return {

@@ -17,7 +17,7 @@ PAPER = (
 KINDS = {
     "pillar": "random forests of round, square and oblong pillars",
     "geometric": "random spheres, boxes, cylinders and walls, standing and floating",
-    "scene": "worlds drawn by hand",
+    "scene": "worlds from MJCF files",
 }
 
 

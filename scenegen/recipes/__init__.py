@@ -19,7 +19,7 @@ KINDS = Registry(
     {name: f"{__name__}.{name}:{name.capitalize()}" for name in _NAMES},
     needs={
         "version": "a whole number, raised whenever the same parameters would give other worlds",
-        "crowding": "a tuple of names: the parameters to lower when worlds are too crowded to fly through",
+        "crowded_by": "a tuple of names: the parameters to lower when worlds are too crowded to fly through",
         "add_to": "a method: (spec, *, rng), which draws one world and adds its solids to the MjSpec",
     },
 )

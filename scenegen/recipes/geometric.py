@@ -27,7 +27,7 @@ class Geometric(WorldKind):
     """
 
     version: ClassVar[int] = 2
-    crowding: ClassVar[tuple[str, ...]] = ("density", "wall_density", "clutter_density", "clutter_count")
+    crowded_by: ClassVar[tuple[str, ...]] = ("density", "wall_density", "clutter_density", "clutter_count")
     accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 2.0}
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 4.0)}
 

@@ -24,8 +24,8 @@ class WorldKind(ABC):
     """
 
     version: ClassVar[int]
-    """Of the preset: raised whenever the same parameters would give other worlds, or the defaults change."""
-    crowding: ClassVar[tuple[str, ...]]
+    """The version of the preset: raised whenever the same parameters would give other worlds, or the defaults change."""
+    crowded_by: ClassVar[tuple[str, ...]]
     """The parameters to lower when worlds are too crowded to fly through, or to raise when they are too empty."""
     flight_defaults: ClassVar[dict[str, object]] = {}
     """Fields of `scenegen.flight.Flight` in which this kind's preset differs from the general default."""
@@ -43,7 +43,7 @@ class WorldKind(ABC):
         check(self, _bounds_by_name)
         most = self.most_solids()
         if most > MOST_DRAWN_SOLIDS:
-            given = ", ".join(f"{name} = {shown(getattr(self, name))}" for name in self.crowding)
+            given = ", ".join(f"{name} = {shown(getattr(self, name))}" for name in self.crowded_by)
             raise ValueError(
                 f"{given}: up to {most:.4g} solids in a world of {list(self.size_m)} metres, expected "
                 f"{MOST_DRAWN_SOLIDS} at most; lower them or size_m"

@@ -21,7 +21,7 @@ class Pillar(WorldKind):
     """
 
     version: ClassVar[int] = 2
-    crowding: ClassVar[tuple[str, ...]] = ("density",)
+    crowded_by: ClassVar[tuple[str, ...]] = ("density",)
     accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 4.0}
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (3.0, 6.0)}
 

@@ -23,7 +23,7 @@ class Contract(Manifest):
 
     @property
     def scenes(self) -> Mapping[str, Sequence[Mapping[str, str]]] | None:
-        """Worlds drawn by hand, by split: {"file", "sha256"}; None where a recipe drew them."""
+        """Worlds from MJCF files, by split: {"file", "sha256"}; None where a recipe drew them."""
         return self.tables["scenes"] if self.kind == "scene" else None
 
     @property

@@ -20,7 +20,7 @@ from scenegen.world import World, compile_world
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArchivedWorlds(SceneWorlds):
-    """Worlds drawn by hand, as they lie in a shard's archive; `scenes` only counts them."""
+    """Worlds from MJCF files, as they lie in a shard's archive; `scenes` only counts them."""
 
     archive: Archive
 

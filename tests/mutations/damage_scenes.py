@@ -95,7 +95,7 @@ ADDED = {
 
 
 def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
-    """A world drawn by hand, damaged, alone or in a folder, and a sample made of it."""
+    """A world's MJCF file, damaged, alone or in a folder, and a sample made of it."""
     document, said, beside = hostile(random)
     (here / "scene.toml").write_text((valid.folder / "scene.toml").read_text())
     os.mkfifo(here / "pipe")

@@ -6,7 +6,8 @@ import json
 import os
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from scenegen.dataset import build as module
 from scenegen.dataset import manifest
 from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_dataset
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.shard import read_report
+from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA
@@ -57,6 +58,25 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def test_the_number_of_workers_changes_no_byte(tmp_path: Path) -> None:
     assert make(tmp_path / "one").digest == make(tmp_path / "two", workers=2).digest
     assert content(tmp_path / "one") == content(tmp_path / "two")
+
+
+def test_shards_may_be_written_anywhere_and_come_in_any_order(tmp_path: Path) -> None:
+    """An executor of one's own: here a thread that goes through the shards from the last to the first."""
+
+    def execute(
+        function: Callable[[ShardSpec], ShardReport], tasks: list[ShardSpec], on_start: Callable[[], None]
+    ) -> Generator[ShardReport, None, None]:
+        on_start()
+        with ThreadPoolExecutor(1) as pool:
+            yield from pool.map(function, reversed(tasks))
+
+    begun: list[bool] = []
+    several = plan(tmp_path / "elsewhere")
+    assert len(several.shards) > 2
+    done = build(several, execute=execute, on_start=lambda: begun.append(True))
+    assert begun == [True]
+    assert done.digest == make(tmp_path / "here").digest
+    assert content(tmp_path / "elsewhere") == content(tmp_path / "here")
 
 
 def test_shard_size_and_compactness_change_no_sample(tmp_path: Path) -> None:
