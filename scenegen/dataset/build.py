@@ -119,10 +119,10 @@ def build(
 ) -> Summary:
     """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
 
-    `workers` processes of this machine write the shards, or whatever `execute` has instead; `force` replaces another dataset in the folder. `on_shard` is called for every
-    shard that is there already (False) and for every one that is written (True), `on_start` once the workers run. A run
-    that ends in any way leaves whole shards, and the next one goes on from there. The manifest is signed complete by
-    the run that finds every shard.
+    `workers` processes of this machine write the shards, or what `execute` chooses instead. `force` replaces another
+    dataset in the folder. `on_start` is called once the work has begun, and `on_shard` for every shard that is there
+    already (False) and for every one that is written (True). A run that ends in any way leaves whole shards, and the
+    next one goes on from there. The run that finds every shard completes the manifest.
 
     Raises DatasetError for a folder that holds something else, and what writing shards raises.
     """

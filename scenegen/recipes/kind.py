@@ -24,7 +24,7 @@ class WorldKind(ABC):
     """
 
     version: ClassVar[int]
-    """The version of the preset: raised whenever the same parameters would give other worlds, or the defaults change."""
+    """The preset's version: raised whenever the same parameters would give other worlds, or the defaults change."""
     crowded_by: ClassVar[tuple[str, ...]]
     """The parameters to lower when worlds are too crowded to fly through, or to raise when they are too empty."""
     flight_defaults: ClassVar[dict[str, object]] = {}
