@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+import scenegen
 from lidarsim.jit import cache_folder, cache_trouble
 
 STAMP = "compiled-for-the-tests"
@@ -19,7 +20,7 @@ def share(worker: int, workers: int, meeting: Path) -> None:
     `meeting` is a folder that all workers of this run see. Does nothing where an earlier run compiled everything, or
     where nothing can be kept. A lock is free again when its worker has ended, however it did, so nobody waits for ever.
     """
-    package = "scenegen"
+    package = scenegen.__name__
     stamp = cache_folder(package) / STAMP
     if cache_trouble(package) or stamp.exists():
         return

@@ -53,12 +53,12 @@ def test_every_task_is_done_once_and_before_any_worker_goes_on(ran: list[tuple[s
         thread.join()
     assert Counter(name for what, name in ran if what == "begin") == {f"task{n}": 1 for n in range(7)}
     assert done_when_going_on == [7] * WORKERS
-    assert {name for _, name in ran[:WORKERS]} == {"task0", "task2", "task4"}, "each begins at its own part"
 
 
 def test_a_run_that_finds_all_compiled_does_nothing(ran: list[tuple[str, str]], tmp_path: Path) -> None:
-    kernels.share(0, 1, tmp_path / "meeting")
+    kernels.share(1, 2, tmp_path / "meeting")
     assert len(ran) == 14
+    assert ran[0] == ("begin", "task3"), "the second of two begins at the second half"
     (tmp_path / "next").mkdir()
     kernels.share(0, 1, tmp_path / "next")
     assert len(ran) == 14
