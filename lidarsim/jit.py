@@ -58,7 +58,7 @@ def _compiled(function: Callable[..., Any]) -> Any:
     kept = not cache_trouble(package)  # else compiled anew by every process: slower to start, but right
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder(package))
     try:
-        return numba.njit(cache=kept, nogil=True, error_model="numpy")(function)
+        return numba.njit(cache=kept, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     finally:
         numba.config.CACHE_DIR = previous
 

@@ -24,9 +24,24 @@ SMALL = {
 LONG = ("test_campaign.py", "test_crash.py", "test_silence.py", "test_export.py", "test_train.py")
 
 
+MANY = 300
+"""A run of this many tests needs most kernels."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files of long tests come first: what is left for the end divides evenly."""
     items.sort(key=lambda item: item.path.name not in LONG)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Kernels that no earlier run compiled: the workers of a long run share them, lest each compile all."""
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker and len(request.session.items) >= MANY:
+        from tests.kernels import share
+
+        workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+        share(int(worker.removeprefix("gw")), workers, tmp_path_factory.getbasetemp().parent)
 
 
 def small_recipe(kind: str = "pillar", **tables: dict) -> Recipe:

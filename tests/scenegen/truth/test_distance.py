@@ -20,14 +20,18 @@ VOXELS = (0.1, 0.2, 0.25)
 TRUNCATIONS = (1.0, 2.0, 3.4)
 
 
-def expected_field(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> NDArray[np.float32]:
-    """scipy's transform of the free voxels, from which the integer squared distance is recovered exactly.
+def squares(occupancy: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Squared distances in voxels, whole numbers, infinite in an empty map: by scipy's transform of the free voxels.
 
     ``distance_transform_edt`` computes sqrt(k) in float64 for an integer k; rounding its square returns k.
     """
     if not occupancy.any():
-        return np.full(occupancy.shape, truncation, np.float32)
-    k = np.rint(ndimage.distance_transform_edt(~occupancy) ** 2)
+        return np.full(occupancy.shape, np.inf)
+    return np.rint(ndimage.distance_transform_edt(~occupancy) ** 2)
+
+
+def expected_field(k: NDArray[np.float64], voxel: float, truncation: float) -> NDArray[np.float32]:
+    """The field of a map with the squared distances `k`."""
     return np.minimum(voxel * np.sqrt(k), truncation).astype(np.float32)
 
 
@@ -60,7 +64,8 @@ def test_the_field_is_scipys_to_the_last_bit(voxel: float, truncation: float, de
     rng = np.random.default_rng(31)
     for shape in ((23, 31, 17), (40, 9, 26), (5, 60, 40), (1, 33, 8), (12, 1, 1)):
         occupancy = rng.random(shape) < density
-        np.testing.assert_array_equal(field(occupancy, voxel, truncation), expected_field(occupancy, voxel, truncation))
+        expected = expected_field(squares(occupancy), voxel, truncation)
+        np.testing.assert_array_equal(field(occupancy, voxel, truncation), expected)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -79,11 +84,12 @@ def test_truncations_of_every_reach_are_exact(voxel: float) -> None:
     rng = np.random.default_rng(36)
     occupancy = rng.random((19, 26, 22)) < 0.0005
     occupancy[4, 20, 7] = True
+    k = squares(occupancy)
     lengths = [0.5, 1, 1.5, 2, 3, 7, 10, 11, 12, 15, 16, 17, 20, 25, 90, 127, 128, 180, 182, 300]
     for reach in [*lengths, *np.sqrt([2, 3, 5, 126, 127, 128, 129, 255, 256, 257]), *rng.uniform(0, 40, 20)]:
         for truncation in (reach * voxel, np.nextafter(reach * voxel, 0), np.nextafter(reach * voxel, 999)):
             answer = field(occupancy, voxel, float(truncation))
-            np.testing.assert_array_equal(answer, expected_field(occupancy, voxel, float(truncation)))
+            np.testing.assert_array_equal(answer, expected_field(k, voxel, float(truncation)))
 
 
 def test_the_map_at_the_size_of_use_is_exact() -> None:
@@ -93,7 +99,7 @@ def test_the_map_at_the_size_of_use_is_exact() -> None:
     walls[:, :, :3] = walls[0] = walls[:, 70:73, :20] = True
     for occupancy in (rng.random((80, 80, 40)) < 2e-4, walls):
         answer = field(occupancy, 0.2, 2.0)
-        np.testing.assert_array_equal(answer, expected_field(occupancy, 0.2, 2.0))
+        np.testing.assert_array_equal(answer, expected_field(squares(occupancy), 0.2, 2.0))
         assert (answer == np.float32(2.0)).any()
 
 
