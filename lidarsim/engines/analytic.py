@@ -129,7 +129,7 @@ class AnalyticEngine:
         planes = solids.shape == PLANE  # nothing bounds them: every ray is held against each, and the tree holds the rest
         count = len(solids.shape) + len(solids.triangles)
         self._solids = solids
-        self._planes = np.flatnonzero(planes)
+        self._planes = np.flatnonzero(planes).astype(np.uint64)
         self._bounded = np.concatenate([np.flatnonzero(~planes), np.arange(len(planes), count)])
         self._reach2 = _reach2(solids.shape, solids.size)
 

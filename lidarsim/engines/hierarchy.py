@@ -16,7 +16,7 @@ WIDTH = 4
 """The most children of a node."""
 IN_LEAF = 4
 """The most items of a group that is not cut."""
-BINS = 8
+BINS = 16
 """Places along an axis at which a group may be cut."""
 LEVELS = 40
 """Levels of the tree below which groups are halved by count, so that no tree is deeper than 32 more."""

@@ -51,10 +51,12 @@ def traverse(
             bx, by, bz = np.uint64(3) - ax, np.uint64(5) - ay, np.uint64(7) - az
             best, item = max_range_m, none
             for plane in planes:
-                g = np.uint64(plane)
-                t = _primitive(g, shape, size, position, rotation, reach2, ox, oy, oz, x, y, z)
-                if t < best or (t == best and g < item):
-                    best, item = t, g
+                ux, uy, uz = rotation[plane, 0, 2], rotation[plane, 1, 2], rotation[plane, 2, 2]
+                sx, sy, sz = ox - position[plane, 0], oy - position[plane, 1], oz - position[plane, 2]
+                above, rising = ux * sx + uy * sy + uz * sz, ux * x + uy * y + uz * z
+                t = -above / rising if above > 0.0 and rising < 0.0 else math.inf
+                if t < best or (t == best and plane < item):
+                    best, item = t, plane
             left = min(len(boxes), 1)
             waiting[0], closes[0], begins[0] = 0, 0, 0.0
             while left > 0:
@@ -65,10 +67,23 @@ def traverse(
                 if close > 0:
                     for q in range(node, close):
                         g = order[q]
-                        if g < plain:
-                            t = _primitive(g, shape, size, position, rotation, reach2, ox, oy, oz, x, y, z)
-                        else:
+                        if g >= plain:
                             t = meet_triangle(triangles, g - plain, ox, oy, oz, x, y, z)
+                        else:
+                            sx, sy, sz = ox - position[g, 0], oy - position[g, 1], oz - position[g, 2]
+                            along, apart2 = sx * x + sy * y + sz * z, sx * sx + sy * sy + sz * sz
+                            if apart2 - along * along > reach2[g] or (along > 0.0 and apart2 > reach2[g]):
+                                continue  # passes the ball around the solid, or leaves it behind
+                            if shape[g] == SPHERE:
+                                t = meet_ball(sx, sy, sz, x, y, z, size[g, 0])
+                            else:
+                                px = rotation[g, 0, 0] * sx + rotation[g, 1, 0] * sy + rotation[g, 2, 0] * sz
+                                py = rotation[g, 0, 1] * sx + rotation[g, 1, 1] * sy + rotation[g, 2, 1] * sz
+                                pz = rotation[g, 0, 2] * sx + rotation[g, 1, 2] * sy + rotation[g, 2, 2] * sz
+                                dx = rotation[g, 0, 0] * x + rotation[g, 1, 0] * y + rotation[g, 2, 0] * z
+                                dy = rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z
+                                dz = rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z
+                                t = meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
                         if t < best or (t == best and g < item):
                             best, item = t, g
                     continue
@@ -96,25 +111,6 @@ def traverse(
 def _inverse(d):
     """1 / d, or what is as good and finite where the ray runs along the slab."""
     return 1.0 / d if abs(d) > 1e-300 else 1e300
-
-
-@kernel
-def _primitive(g, shape, size, position, rotation, reach2, ox, oy, oz, x, y, z):
-    """Distance to primitive g; inf where it is not met."""
-    sx, sy, sz = ox - position[g, 0], oy - position[g, 1], oz - position[g, 2]
-    along, apart2 = sx * x + sy * y + sz * z, sx * sx + sy * sy + sz * sz
-    if apart2 - along * along > reach2[g] or (along > 0.0 and apart2 > reach2[g]):
-        return math.inf  # passes the ball around the solid, or leaves it behind
-    if shape[g] == SPHERE:
-        return meet_ball(sx, sy, sz, x, y, z, size[g, 0])
-    turn = rotation[g]
-    px = turn[0, 0] * sx + turn[1, 0] * sy + turn[2, 0] * sz
-    py = turn[0, 1] * sx + turn[1, 1] * sy + turn[2, 1] * sz
-    pz = turn[0, 2] * sx + turn[1, 2] * sy + turn[2, 2] * sz
-    dx = turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z
-    dy = turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z
-    dz = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z
-    return meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
 
 
 @kernel
