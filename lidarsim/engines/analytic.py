@@ -1,26 +1,54 @@
-"""Rays by closed forms, one kernel over all poses, with nothing of MuJoCo's ray caster in it."""
+"""Rays by closed forms, through a hierarchy of boxes, with nothing of MuJoCo's ray caster in it."""
 
-import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.engines.forms import ball_around
+from lidarsim.engines.hierarchy import Hierarchy
+from lidarsim.engines.traverse import normals_of, traverse
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
+from lidarsim.solids.shapes import PLANE, Solids
 
 if TYPE_CHECKING:
     import mujoco
 
-SPARE_M = 1.0
-"""How much farther than the range a solid's box may be before the solid is passed over."""
+RAYS_A_THREAD = 50_000
+"""So many rays and more are worth a thread: ten milliseconds of work or so."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What rays (P, *shape) met, all in the world frame."""
+
+    ranges: NDArray[np.float64]
+    """(P, *shape), metres; ``inf`` where nothing was met."""
+    geoms: NDArray[np.int64]
+    """(P, *shape): numbers of the model's geoms; -1 where nothing was met."""
+    points: NDArray[np.float64]
+    """(P, *shape, 3), metres; NaN where nothing was met."""
+    normals: NDArray[np.float64]
+    """(P, *shape, 3): unit normals, outward also where a ray comes from inside; NaN where nothing was met. A triangle's
+    is the side from which its corners turn left: outward for a closed mesh."""
 
 
 class AnalyticEngine:
-    """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields: an `Engine`."""
+    """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields: an `Engine`.
 
-    def __init__(self, solids: Solids):
-        self._solids = solids
+    A ray that starts inside a solid returns where it comes out, as MuJoCo's does. A ray whose direction is not of
+    length 1 to a millionth (no length, a NaN), or whose origin is not finite, meets nothing. With many poses at once,
+    `threads` share them, as many as there are processors unless a number is given; one pose stays on one thread.
+    """
+
+    def __init__(self, solids: Solids, *, threads: int | None = None):
+        self._threads = threads if threads is not None else len(os.sched_getaffinity(0))
+        self._take(solids)
+        self._hierarchy = Hierarchy.over(*self._boxes())
+        self._order = self._bounded.astype(np.uint64)[self._hierarchy.order]
 
     @classmethod
     def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
@@ -29,223 +57,112 @@ class AnalyticEngine:
 
         return cls(solids_of(model, data))
 
+    def move(self, solids: Solids) -> None:
+        """Take the same solids at other places: the hierarchy is refitted, which is quicker than a new engine.
+
+        Raises ValueError for other solids than those that the engine was made of.
+        """
+        same = ("geom", "shape", "mesh_start")
+        if not all(np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in same):
+            raise ValueError("other solids than the engine's, expected the same ones at other places; make a new engine")
+        self._take(solids)
+        self._hierarchy.refit(*self._boxes())
+
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
         """See `lidarsim.engines.Engine.cast`."""
-        # copies, for the kernel is compiled for arrays that can be written
-        starts = np.array(origins, dtype=np.float64, order="C")
-        vectors = np.array(directions, dtype=np.float64, order="C")
-        solids, poses = self._solids, len(starts)
-        ranges = np.full(vectors.shape[:-1], np.inf)
-        if ranges.size:
-            _cast(
-                starts,
-                vectors.reshape(poses, -1, 3),
+        starts, rays, shape = _laid_out(origins, directions)
+        return self._nearest(starts, rays, max_range_m)[0].reshape(shape)
+
+    def hits(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Hits:
+        """Ranges as `cast` gives them, and what was met: geom, point and normal of every ray.
+
+        Where several solids are met at the same distance, it is the first of them: primitives by their numbers, then
+        meshes and height fields by theirs.
+        """
+        starts, rays, shape = _laid_out(origins, directions)
+        ranges, items = self._nearest(starts, rays, max_range_m)
+        points = starts[:, None] + np.where(items >= 0, ranges, np.nan)[..., None] * rays
+        solids = self._solids
+        normals = normals_of(
+            items, points, solids.shape, solids.size, solids.position, solids.rotation, solids.triangles
+        )
+        geoms = np.append(self._owners, -1)[items]  # the last one is what -1 finds
+        return Hits(ranges.reshape(shape), geoms.reshape(shape), points.reshape(*shape, 3), normals.reshape(*shape, 3))
+
+    def _nearest(
+        self, starts: NDArray[np.float64], rays: NDArray[np.float64], max_range_m: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Ranges (P, n), and which item was met: a primitive's number, beyond those a triangle's, or -1."""
+        solids, tree = self._solids, self._hierarchy
+        ranges, items = np.full(rays.shape[:2], np.inf), np.full(rays.shape[:2], -1)
+
+        def share(poses: slice) -> None:
+            traverse(
+                starts[poses],
+                rays[poses],
                 float(max_range_m),
                 solids.shape,
                 solids.size,
                 solids.position,
                 solids.rotation,
-                solids.lower,
-                solids.upper,
+                self._reach2,
+                self._planes,
                 solids.triangles,
-                ranges.reshape(poses, -1),
+                tree.boxes,
+                tree.links,
+                tree.ends,
+                self._order,
+                ranges[poses],
+                items[poses],
             )
-        return ranges
+
+        shares = min(self._threads, len(rays), ranges.size // RAYS_A_THREAD)
+        if shares < 2:
+            share(slice(None))
+        else:
+            bounds = np.linspace(0, len(rays), shares + 1).astype(int)
+            with ThreadPoolExecutor(shares) as pool:  # the kernel lets go of the interpreter's lock
+                list(pool.map(share, map(slice, bounds[:-1], bounds[1:])))
+        return ranges, items
+
+    def _take(self, solids: Solids) -> None:
+        planes = solids.shape == PLANE  # nothing bounds them: every ray is held against each, and the tree holds the rest
+        count = len(solids.shape) + len(solids.triangles)
+        self._solids = solids
+        self._planes = np.flatnonzero(planes).astype(np.uint64)
+        self._bounded = np.concatenate([np.flatnonzero(~planes), np.arange(len(planes), count)])
+        self._reach2 = _reach2(solids.shape, solids.size)
+
+    @property
+    def _owners(self) -> NDArray[np.int64]:
+        """The geoms that items belong to, (n + T,)."""
+        plain = len(self._solids.shape)
+        meshes = np.repeat(self._solids.geom[plain:], np.diff(self._solids.mesh_start))
+        return np.concatenate([self._solids.geom[:plain], meshes])
+
+    def _boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Of what the hierarchy holds: least corners (k, 3) and greatest corners (k, 3)."""
+        solids, inside = self._solids, self._bounded
+        lower = np.concatenate([solids.lower, solids.triangles.min(axis=1)])
+        upper = np.concatenate([solids.upper, solids.triangles.max(axis=1)])
+        return lower[inside], upper[inside]
+
+
+def _laid_out(
+    origins: ArrayLike, directions: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, ...]]:
+    """Origins (P, 3), directions (P, n, 3) and the shape (P, *shape) of what is asked for."""
+    # copies, for the kernel is compiled for arrays that can be written
+    starts = np.array(origins, dtype=np.float64, order="C")
+    vectors = np.array(directions, dtype=np.float64, order="C")
+    shape = vectors.shape[:-1]
+    return starts, vectors.reshape(len(starts), int(np.prod(shape[1:])), 3), shape
 
 
 @kernel
-def _cast(origins, directions, max_range_m, shape, size, position, rotation, lower, upper, triangles, ranges):
-    """Ranges (P, n) of all poses."""
-    for p in range(len(origins)):
-        near = np.empty(len(shape), np.bool_)
-        for g in range(len(shape)):
-            near[g] = _apart2(origins[p], lower[g], upper[g]) <= (max_range_m + SPARE_M) ** 2
-        _cast_primitives(origins[p], directions[p], shape, size, position, rotation, near, ranges[p])
-        _cast_triangles(origins[p], directions[p], triangles, (max_range_m + SPARE_M) ** 2, ranges[p])
-        for n in range(ranges.shape[1]):
-            if not ranges[p, n] <= max_range_m:
-                ranges[p, n] = np.inf
-
-
-@kernel
-def _apart2(origin, lower, upper):
-    """Squared distance from the origin to a box."""
-    total = 0.0
-    for a in range(3):
-        gap = max(max(lower[a] - origin[a], origin[a] - upper[a]), 0.0)
-        total += gap * gap
-    return total
-
-
-@kernel
-def _cast_primitives(origin, directions, shape, size, position, rotation, near, distances):
-    """Lower `distances` (n,) to the nearest of the primitives that are `near` along each ray."""
+def _reach2(shape, size):
+    """Squared radii (n,) of balls around primitives."""
+    reach2 = np.empty(len(shape))
     for g in range(len(shape)):
-        if not near[g]:
-            continue
-        ox, oy, oz = origin[0] - position[g, 0], origin[1] - position[g, 1], origin[2] - position[g, 2]
-        turn = rotation[g]
-        reach = _radius(shape[g], size[g])
-        apart = ox * ox + oy * oy + oz * oz
-        px = turn[0, 0] * ox + turn[1, 0] * oy + turn[2, 0] * oz
-        py = turn[0, 1] * ox + turn[1, 1] * oy + turn[2, 1] * oz
-        pz = turn[0, 2] * ox + turn[1, 2] * oy + turn[2, 2] * oz
-        for n in range(len(directions)):
-            x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
-            towards = -(x * ox + y * oy + z * oz)
-            if apart - towards * towards > reach or (towards < 0.0 and apart > reach):
-                continue  # passes the ball around the solid, or leaves it behind
-            dx = turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z
-            dy = turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z
-            dz = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z
-            t = _meet(shape[g], size[g], px, py, pz, dx, dy, dz)
-            if t < distances[n]:
-                distances[n] = t
-
-
-@kernel
-def _radius(shape, size):
-    """Squared radius of a ball around the shape, a millionth larger than need be."""
-    if shape == SPHERE:
-        radius = size[0]
-    elif shape == CAPSULE:
-        radius = size[0] + size[1]
-    elif shape == CYLINDER:
-        radius = math.sqrt(size[0] * size[0] + size[1] * size[1])
-    elif shape == PLANE:
-        return math.inf
-    elif shape == ELLIPSOID:
-        radius = max(size[0], size[1], size[2])
-    else:
-        radius = math.sqrt(size[0] * size[0] + size[1] * size[1] + size[2] * size[2])
-    return (radius * (1.0 + 1e-6)) ** 2
-
-
-@kernel
-def _meet(shape, size, px, py, pz, dx, dy, dz):
-    """Distance from p along the unit vector d to the shape's surface, in its own frame; inf where it is not met.
-    From inside, that is where the ray comes out."""
-    if shape == PLANE:
-        return -pz / dz if pz > 0.0 and dz < 0.0 else math.inf
-    if shape == BOX:
-        return _meet_box(size, px, py, pz, dx, dy, dz)
-    if shape == SPHERE:
-        return _meet_ball(px, py, pz, dx, dy, dz, size[0])
-    if shape == ELLIPSOID:  # a unit ball, stretched; the direction then has another length
-        a, b, c = dx / size[0], dy / size[1], dz / size[2]
-        length = math.sqrt(a * a + b * b + c * c)
-        t = _meet_ball(px / size[0], py / size[1], pz / size[2], a / length, b / length, c / length, 1.0)
-        return t / length
-    radius, half = size[0], size[1]
-    best = _meet_side(radius, half, px, py, pz, dx, dy, dz)
-    for end in (-half, half):
-        if shape == CAPSULE:
-            best = min(best, _meet_end(radius, end, px, py, pz, dx, dy, dz))
-        elif shape == CYLINDER and dz != 0.0:
-            t = (end - pz) / dz
-            x, y = px + t * dx, py + t * dy
-            if t >= 0.0 and x * x + y * y <= radius * radius:
-                best = min(best, t)
-    return best
-
-
-@kernel
-def _meet_box(size, px, py, pz, dx, dy, dz):
-    """Slabs (Kay and Kajiya 1986)."""
-    enter, leave = -math.inf, math.inf
-    for axis in range(3):
-        p = px if axis == 0 else (py if axis == 1 else pz)
-        d = dx if axis == 0 else (dy if axis == 1 else dz)
-        if d == 0.0:
-            if abs(p) > size[axis]:
-                return math.inf
-            continue
-        one, other = (-size[axis] - p) / d, (size[axis] - p) / d
-        enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
-    if enter > leave or leave < 0.0:
-        return math.inf
-    return enter if enter >= 0.0 else leave
-
-
-@kernel
-def _meet_ball(px, py, pz, dx, dy, dz, radius):
-    """Roots about the point of closest approach, so that far balls lose no digits."""
-    b = px * dx + py * dy + pz * dz
-    cx, cy, cz = px - b * dx, py - b * dy, pz - b * dz
-    h = radius * radius - (cx * cx + cy * cy + cz * cz)
-    if h < 0.0:
-        return math.inf
-    h = math.sqrt(h)
-    if -b - h >= 0.0:
-        return -b - h
-    return -b + h if -b + h >= 0.0 else math.inf
-
-
-@kernel
-def _meet_side(radius, half, px, py, pz, dx, dy, dz):
-    """The round side of a cylinder about z, of half length `half`."""
-    a = dx * dx + dy * dy
-    if a == 0.0:
-        return math.inf
-    b = -(px * dx + py * dy) / a
-    cx, cy = px + b * dx, py + b * dy
-    h = (radius * radius - (cx * cx + cy * cy)) / a
-    if h < 0.0:
-        return math.inf
-    h = math.sqrt(h)
-    for t in (b - h, b + h):
-        if t >= 0.0 and abs(pz + t * dz) <= half:
-            return t
-    return math.inf
-
-
-@kernel
-def _meet_end(radius, end, px, py, pz, dx, dy, dz):
-    """The round end of a capsule at z = `end`: the half of its ball that lies beyond."""
-    q = pz - end
-    b = px * dx + py * dy + q * dz
-    cx, cy, cz = px - b * dx, py - b * dy, q - b * dz
-    h = radius * radius - (cx * cx + cy * cy + cz * cz)
-    if h < 0.0:
-        return math.inf
-    h = math.sqrt(h)
-    for t in (-b - h, -b + h):
-        z = q + t * dz
-        if t >= 0.0 and (z >= 0.0 if end >= 0.0 else z <= 0.0):
-            return t
-    return math.inf
-
-
-@kernel
-def _cast_triangles(origin, directions, triangles, reach2, distances):
-    """Lower `distances` (n,) to the nearest triangle of (T, 3, 3), seen from either side (Moller and Trumbore 1997)."""
-    for k in range(len(triangles)):
-        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-        apart2 = 0.0
-        for axis in range(3):
-            low, high = min(a[axis], b[axis], c[axis]), max(a[axis], b[axis], c[axis])
-            gap = max(max(low - origin[axis], origin[axis] - high), 0.0)
-            apart2 += gap * gap
-        if apart2 > reach2:
-            continue
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        sx, sy, sz = origin[0] - a[0], origin[1] - a[1], origin[2] - a[2]
-        qx, qy, qz = sy * uz - sz * uy, sz * ux - sx * uz, sx * uy - sy * ux
-        last = vx * qx + vy * qy + vz * qz
-        for n in range(len(directions)):
-            dx, dy, dz = directions[n, 0], directions[n, 1], directions[n, 2]
-            hx, hy, hz = dy * vz - dz * vy, dz * vx - dx * vz, dx * vy - dy * vx
-            det = ux * hx + uy * hy + uz * hz
-            if det == 0.0:
-                continue
-            share = 1.0 / det
-            u = share * (sx * hx + sy * hy + sz * hz)
-            if u < 0.0 or u > 1.0:
-                continue
-            v = share * (dx * qx + dy * qy + dz * qz)
-            if v < 0.0 or u + v > 1.0:
-                continue
-            t = share * last
-            if 0.0 <= t < distances[n]:
-                distances[n] = t
+        reach2[g] = ball_around(shape[g], size[g]) ** 2
+    return reach2

@@ -43,7 +43,16 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solid
         filled.append(closed)
     start = np.cumsum([len(soup) for soup in soups])
     return Solids(
-        shape, size, position, rotation, lower, upper, np.concatenate(soups), start, np.array(filled, dtype=np.bool_)
+        shape,
+        size,
+        position,
+        rotation,
+        lower,
+        upper,
+        np.concatenate(soups),
+        start,
+        np.array(filled, dtype=np.bool_),
+        np.concatenate([plain, np.flatnonzero(bent)]),
     )
 
 

@@ -38,6 +38,8 @@ class Solids:
     """(m + 1,): mesh q owns triangles mesh_start[q] to mesh_start[q + 1]."""
     mesh_filled: NDArray[np.bool_]
     """(m,): closed, so its inside is solid; otherwise it is a surface."""
+    geom: NDArray[np.int64]
+    """(n + m,): the numbers of primitives and meshes among the model's geoms."""
 
     @cached_property
     def boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

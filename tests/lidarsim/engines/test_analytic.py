@@ -1,10 +1,16 @@
-"""Closed forms, against arithmetic that needs none."""
+"""Closed forms, against arithmetic that needs none and against MuJoCo's function for one ray."""
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
 
 from lidarsim import AnalyticEngine
-from tests.lidarsim.engines.test_laws import model_of
+from lidarsim.engines import analytic
+from lidarsim.solids.model import solids_of
+from tests.lidarsim.engines.test_laws import DATA, SIZES, model_of, random_model, random_rays
 
 
 def test_hits_where_arithmetic_says() -> None:
@@ -26,3 +32,111 @@ def test_hits_where_arithmetic_says() -> None:
     ):
         found = AnalyticEngine.of(model_of(geom)).cast(np.zeros((1, 3)), ahead[None], 10.0)[0, 0]
         assert found == pytest.approx(distance, abs=1e-12), geom
+
+
+def from_mujoco(
+    model: mujoco.MjModel, origin: np.ndarray, rays: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ranges, geoms and normals by `mj_ray`, one ray at a time."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    ranges, geoms, normals = np.empty(len(rays)), np.empty(len(rays), int), np.empty(rays.shape)
+    for n, ray in enumerate(rays):
+        geom, normal = np.zeros(1, np.int32), np.zeros(3)
+        found = mujoco.mj_ray(model, data, origin, ray, None, True, -1, geom, normal)
+        ranges[n], geoms[n], normals[n] = (found if found >= 0 else np.inf), geom[0], normal
+    return ranges, geoms, normals
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hits_are_mujocos(seed: int) -> None:
+    """Geoms, points and normals, of every shape at any attitude."""
+    rng = np.random.default_rng(seed)
+    model = random_model(rng)
+    origins, rays = random_rays(rng, 2, 500)
+    hits = AnalyticEngine.of(model).hits(origins, rays, 1e4)
+    for p in range(2):
+        ranges, geoms, normals = from_mujoco(model, origins[p], rays[p])
+        np.testing.assert_array_equal(hits.geoms[p], geoms)
+        np.testing.assert_allclose(hits.ranges[p], ranges, rtol=0, atol=1e-6)
+        seen = np.isfinite(ranges)
+        assert 100 < seen.sum()
+        np.testing.assert_allclose(hits.points[p][seen], (origins[p] + ranges[:, None] * rays[p])[seen], atol=1e-6)
+        np.testing.assert_allclose(hits.normals[p][seen], normals[seen], rtol=0, atol=1e-5)
+        assert np.isnan(hits.points[p][~seen]).all()
+        assert np.isnan(hits.normals[p][~seen]).all()
+
+
+@pytest.mark.parametrize("shape", [*SIZES, *DATA])
+def test_a_ray_from_inside_returns_where_it_comes_out_as_mujocos_does(shape: str) -> None:
+    given = DATA.get(shape) or f'size="{SIZES[shape]}"'
+    model = model_of(f'type="{shape}" {given}')
+    rays = random_rays(np.random.default_rng(5), 1, 200)[1][0]
+    inside = [0.1, 0.05, 0.1 if shape == "mesh" else -0.15]
+    ranges, geoms, _ = from_mujoco(model, np.array(inside), rays)
+    hits = AnalyticEngine.of(model).hits([inside], rays[None], 1e4)
+    np.testing.assert_array_equal(hits.geoms[0], geoms)
+    np.testing.assert_allclose(hits.ranges[0], ranges, rtol=0, atol=1e-6)
+    assert np.isfinite(ranges).sum() == (0 if shape == "plane" else 200)
+
+
+@pytest.mark.parametrize("ray", [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0], [2, 0, 0], [1e-200, 0, 0], [1e200, 0, 0]])
+def test_what_is_no_direction_meets_nothing(ray: list[float]) -> None:
+    engine = AnalyticEngine.of(model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"'))
+    good = [1.0, 0.0, 0.0]
+    found = engine.hits([[0.0, 0.0, 0.0]], [[good, ray, good]], 10.0)
+    np.testing.assert_array_equal(found.ranges, [[1.0, np.inf, 1.0]])
+    np.testing.assert_array_equal(found.geoms, [[0, -1, 0]])
+    assert np.isinf(engine.cast([[np.nan, 0.0, 0.0]], [[good]], 10.0)).all()
+
+
+def test_an_empty_world_and_a_crowded_one() -> None:
+    ray = [[[1.0, 0.0, 0.0]]]
+    nothing = AnalyticEngine.of(mujoco.MjModel.from_xml_string("<mujoco/>"))
+    assert nothing.cast([[0.0, 0.0, 0.0]], ray, 10.0) == np.inf
+    assert nothing.hits([[0.0, 0.0, 0.0]], ray, 10.0).geoms == -1
+    one = solids_of(model_of('type="sphere" size="1" pos="5 0 0"'))
+    many = 1_000_000
+    fields = ("shape", "size", "position", "rotation", "lower", "upper")
+    crowd = replace(one, **{name: np.repeat(getattr(one, name), many, axis=0) for name in fields}, geom=np.arange(many))
+    hits = AnalyticEngine(crowd).hits([[0.0, 0.0, 0.0]], ray, 10.0)
+    assert hits.ranges == 4.0
+    assert hits.geoms == 0  # the first of those that are as near
+
+
+def test_moved_solids_are_seen_where_they_are() -> None:
+    rng = np.random.default_rng(6)
+    origins, rays = random_rays(rng, 4, 500)
+    first, second = (solids_of(random_model(np.random.default_rng(seed))) for seed in (7, 8))
+    at = {int(shape): np.flatnonzero(second.shape == shape) for shape in second.shape}
+    order = np.concatenate([at[shape][k : k + 1] for shape, k in counted(first.shape)])
+    moved = replace(
+        first, **{name: getattr(second, name)[order] for name in ("size", "position", "rotation", "lower", "upper")}
+    )
+    engine = AnalyticEngine(first)
+    before = engine.cast(origins, rays, 12.0)
+    engine.move(moved)
+    after, anew = engine.hits(origins, rays, 12.0), AnalyticEngine(moved).hits(origins, rays, 12.0)
+    assert (before != after.ranges).sum() > 30
+    np.testing.assert_array_equal(after.ranges, anew.ranges)
+    np.testing.assert_array_equal(after.geoms, anew.geoms)
+    with pytest.raises(ValueError, match="other solids than the engine's"):
+        engine.move(solids_of(model_of('type="sphere" size="1"')))
+
+
+def counted(shapes: np.ndarray) -> list[tuple[int, int]]:
+    """Each shape, and how many of it came before."""
+    return [(int(shape), int((shapes[:n] == shape).sum())) for n, shape in enumerate(shapes)]
+
+
+def test_threads_share_poses_and_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(9)
+    solids = solids_of(random_model(rng))
+    origins, rays = random_rays(rng, 7, 300)
+    alone = AnalyticEngine(solids, threads=1).cast(origins, rays, 12.0)
+    monkeypatch.setattr(analytic, "RAYS_A_THREAD", 100)
+    pools = []
+    monkeypatch.setattr(analytic, "ThreadPoolExecutor", lambda n: pools.append(n) or ThreadPoolExecutor(n))
+    np.testing.assert_array_equal(AnalyticEngine(solids, threads=3).cast(origins, rays, 12.0), alone)
+    AnalyticEngine(solids, threads=3).cast(origins[:1], rays[:1], 12.0)
+    assert pools == [3]  # none for one pose

@@ -1,0 +1,180 @@
+"""A hierarchy of bounding boxes: what a ray passes by is left out, group by group.
+
+Groups are cut where the surface area heuristic (Goldsmith and Salmon 1987), in bins (Wald 2007), expects the least work.
+Every node has up to four children (Dammertz et al. 2008), so that a ray visits fewer nodes than in a binary tree.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.jit import kernel
+
+WIDTH = 4
+"""The most children of a node."""
+IN_LEAF = 4
+"""The most items of a group that is not cut."""
+BINS = 16
+"""Places along an axis at which a group may be cut."""
+LEVELS = 40
+"""Levels of the tree below which groups are halved by count, so that no tree is deeper than 32 more."""
+WAITING = (WIDTH - 1) * (LEVELS + 32) + WIDTH
+"""The most groups that wait for their turn while a tree of fewer than 2³² items is walked, nearest child first."""
+SPARE = 1e-9
+"""How much larger than their items boxes are, in shares of one metre and a coordinate, so that rounding loses none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hierarchy:
+    """A tree over n items, with m nodes; node 0 is the root, and children have greater numbers than their parents."""
+
+    boxes: NDArray[np.float64]
+    """(m, 6, 4): least and greatest corner of every child's box, metres. A child that is not there has no inside."""
+    links: NDArray[np.uint64]
+    """(m, 4): a child's own node, or where the items of a leaf begin in `order`."""
+    ends: NDArray[np.uint64]
+    """(m, 4): where the items of a leaf end in `order`; 0 for a child that is a node."""
+    order: NDArray[np.uint64]
+    """(n,): the items, leaf by leaf."""
+
+    @classmethod
+    def over(cls, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> Self:
+        """The tree over items with least corners `lower` (n, 3) and greatest corners `upper` (n, 3), all finite."""
+        return cls(*_build(lower, upper))
+
+    def refit(self, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> None:
+        """Take the boxes of items that have moved: quicker than a new tree, and as good while neighbours stay such."""
+        _refit(lower, upper, self.boxes, self.links, self.ends, self.order)
+
+
+@kernel
+def _build(lower, upper):
+    """Boxes, links, ends and order, from the root down."""
+    n = len(lower)
+    order = np.arange(n)
+    centre = 0.5 * (lower + upper)
+    most = n // 3 + 1  # a node has four children, or leaves alone
+    boxes = np.empty((most, 6, WIDTH))
+    links, ends = np.zeros((most, WIDTH), np.uint64), np.zeros((most, WIDTH), np.uint64)
+    waiting = np.empty((WAITING, 4), np.int64)  # begin and end in `order`, the node, its level
+    waiting[0] = np.array([0, n, 0, 0])
+    left, nodes = min(n, 1), min(n, 1)
+    part = np.empty(WIDTH + 1, np.int64)  # where the node's parts begin, and the last one ends
+    while left > 0:
+        left -= 1
+        node, level, parts = waiting[left, 2], waiting[left, 3], 1
+        part[0], part[1] = waiting[left, 0], waiting[left, 1]
+        boxes[node, :3], boxes[node, 3:] = np.inf, -np.inf
+        _hull(lower, upper, order, part[0], part[1], boxes[node, :, 0])
+        while parts < WIDTH:
+            chosen, widest = -1, -1.0
+            for k in range(parts):
+                surface = _surface(boxes[node, :, k])
+                if part[k + 1] - part[k] > IN_LEAF and surface > widest:
+                    chosen, widest = k, surface
+            if chosen < 0:
+                break
+            begin, end = part[chosen], part[chosen + 1]
+            middle = (begin + end) // 2
+            if level < LEVELS:
+                middle = _cut(lower, upper, centre, order, begin, end, middle)
+            for k in range(parts, chosen, -1):
+                part[k + 1] = part[k]
+                boxes[node, :, k] = boxes[node, :, k - 1]
+            part[chosen + 1] = middle
+            _hull(lower, upper, order, begin, middle, boxes[node, :, chosen])
+            _hull(lower, upper, order, middle, end, boxes[node, :, chosen + 1])
+            parts += 1
+        for k in range(parts):
+            if part[k + 1] - part[k] <= IN_LEAF:
+                links[node, k], ends[node, k] = part[k], part[k + 1]
+                continue
+            links[node, k] = nodes
+            waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3] = part[k], part[k + 1], nodes, level + 1
+            left, nodes = left + 1, nodes + 1
+    return boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order.astype(np.uint64)
+
+
+@kernel
+def _hull(lower, upper, order, begin, end, box):
+    """Make `box` (6,) hold the items order[begin:end], with room for rounding."""
+    for a in range(3):
+        low, high = np.inf, -np.inf
+        for q in range(begin, end):
+            low, high = min(low, lower[order[q], a]), max(high, upper[order[q], a])
+        box[a], box[3 + a] = low - SPARE * (1.0 + abs(low)), high + SPARE * (1.0 + abs(high))
+
+
+@kernel
+def _cut(lower, upper, centre, order, begin, end, middle):
+    """Sort order[begin:end] into two parts; where the second begins. `middle` if all centres are one."""
+    axis, first, width = 0, 0.0, 0.0
+    for a in range(3):
+        low, high = np.inf, -np.inf
+        for q in range(begin, end):
+            low, high = min(low, centre[order[q], a]), max(high, centre[order[q], a])
+        if high - low > width:
+            axis, first, width = a, low, high - low
+    scale = BINS / width if width > 0.0 else np.inf
+    if not scale < np.inf:
+        return middle
+    bins = np.empty((BINS, 6))
+    held = np.zeros(BINS, np.int64)
+    bins[:, :3], bins[:, 3:] = np.inf, -np.inf
+    for q in range(begin, end):
+        g = order[q]
+        b = min(int((centre[g, axis] - first) * scale), BINS - 1)
+        held[b] += 1
+        for a in range(3):
+            bins[b, a], bins[b, 3 + a] = min(bins[b, a], lower[g, a]), max(bins[b, 3 + a], upper[g, a])
+    beyond = np.zeros(BINS)  # the cost of what lies from this bin on
+    box, count = np.empty(6), 0
+    box[:3], box[3:] = np.inf, -np.inf
+    for b in range(BINS - 1, 0, -1):
+        count += held[b]
+        beyond[b] = _grown(box, bins[b]) * count
+    box[:3], box[3:] = np.inf, -np.inf
+    least, last, count = np.inf, 0, 0  # the first bin holds the item of least centre, the last that of the greatest
+    for b in range(BINS - 1):
+        count += held[b]
+        cost = _grown(box, bins[b]) * count + beyond[b + 1]
+        if cost < least:
+            least, last = cost, b
+    i, j = begin, end - 1
+    while i <= j:
+        if min(int((centre[order[i], axis] - first) * scale), BINS - 1) <= last:
+            i += 1
+        else:
+            order[i], order[j] = order[j], order[i]
+            j -= 1
+    return i
+
+
+@kernel
+def _grown(box, other):
+    """Half the surface of `box` after it has grown around `other`; 0 while it holds nothing."""
+    for a in range(3):
+        box[a], box[3 + a] = min(box[a], other[a]), max(box[3 + a], other[3 + a])
+    return _surface(box)
+
+
+@kernel
+def _surface(box):
+    """Half a box's surface; 0 if it has no inside."""
+    x, y, z = box[3] - box[0], box[4] - box[1], box[5] - box[2]
+    return x * y + y * z + z * x if x >= 0.0 else 0.0
+
+
+@kernel
+def _refit(lower, upper, boxes, links, ends, order):
+    """From the last node to the first, so that children come before their parents."""
+    for node in range(len(boxes) - 1, -1, -1):
+        for k in range(WIDTH):
+            link, end = links[node, k], ends[node, k]
+            if end > 0:
+                _hull(lower, upper, order, link, end, boxes[node, :, k])
+            elif link > 0:  # else there is no such child: none is the root
+                for a in range(3):
+                    boxes[node, a, k], boxes[node, 3 + a, k] = boxes[link, a].min(), boxes[link, 3 + a].max()
