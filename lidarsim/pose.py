@@ -59,8 +59,9 @@ class Pose:
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
     """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
-    given = np.array(vectors, dtype=np.float64, order="C")  # copies can be written to: the kernel is compiled once
-    turned = np.empty_like(given)
+    given = np.ascontiguousarray(vectors, dtype=np.float64).view()
+    given.setflags(write=False)  # the kernel is compiled once, for what may be written to and for what may not
+    turned = np.empty(given.shape)
     _rotate(np.array(quaternion, dtype=np.float64), given.reshape(-1, 3), turned.reshape(-1, 3))
     return turned
 
