@@ -59,17 +59,19 @@ class Pose:
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
     """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
-    turned = np.array(vectors, dtype=np.float64, order="C")
-    _rotate(np.array(quaternion, dtype=np.float64), turned.reshape(-1, 3))  # copies: a kernel is compiled for each kind
+    given = np.ascontiguousarray(vectors, dtype=np.float64).view()
+    given.setflags(write=False)  # the kernel is compiled once, for what may be written to and for what may not
+    turned = np.empty(given.shape)
+    _rotate(np.array(quaternion, dtype=np.float64), given.reshape(-1, 3), turned.reshape(-1, 3))
     return turned
 
 
 @kernel
-def _rotate(quaternion, vectors):
-    """In place, and written out term by term, so that the result does not depend on which BLAS is installed."""
+def _rotate(quaternion, vectors, turned):
+    """Written out term by term, so that the result does not depend on which BLAS is installed."""
     w, x, y, z = quaternion
     for n in range(len(vectors)):
         a, b, c = vectors[n]
-        vectors[n, 0] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
-        vectors[n, 1] = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
-        vectors[n, 2] = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
+        turned[n, 0] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
+        turned[n, 1] = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
+        turned[n, 2] = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c

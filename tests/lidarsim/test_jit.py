@@ -214,7 +214,7 @@ def arguments_of(function: Callable) -> Iterator[tuple]:
     for n in range(200):
         if function is pose._rotate:
             quaternion = rng.normal(size=4)
-            yield quaternion / np.linalg.norm(quaternion), rng.normal(size=(5, 3))
+            yield quaternion / np.linalg.norm(quaternion), rng.normal(size=(5, 3)), np.empty((5, 3))
         elif function is shapes.distance:
             yield int((2, 3, 4, 5, 6, 0)[n % 6]), rng.uniform(0.2, 1.0, 3), *rng.uniform(-1.5, 1.5, 3)
         elif function is triangles.crossing:
