@@ -64,7 +64,9 @@ class AnalyticEngine:
         """
         same = ("geom", "shape", "mesh_start")
         if not all(np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in same):
-            raise ValueError("other solids than the engine's, expected the same ones at other places; make a new engine")
+            raise ValueError(
+                "other solids than the engine's, expected the same ones at other places; make a new engine"
+            )
         self._take(solids)
         self._hierarchy.refit(*self._boxes())
 
@@ -126,7 +128,9 @@ class AnalyticEngine:
         return ranges, items
 
     def _take(self, solids: Solids) -> None:
-        planes = solids.shape == PLANE  # nothing bounds them: every ray is held against each, and the tree holds the rest
+        planes = (
+            solids.shape == PLANE
+        )  # nothing bounds them: every ray is held against each, and the tree holds the rest
         count = len(solids.shape) + len(solids.triangles)
         self._solids = solids
         self._planes = np.flatnonzero(planes).astype(np.uint64)

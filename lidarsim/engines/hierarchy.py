@@ -92,7 +92,12 @@ def _build(lower, upper):
                 links[node, k], ends[node, k] = part[k], part[k + 1]
                 continue
             links[node, k] = nodes
-            waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3] = part[k], part[k + 1], nodes, level + 1
+            waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3] = (
+                part[k],
+                part[k + 1],
+                nodes,
+                level + 1,
+            )
             left, nodes = left + 1, nodes + 1
     return boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order.astype(np.uint64)
 

@@ -60,7 +60,7 @@ def test_hits_are_mujocos(seed: int) -> None:
         np.testing.assert_array_equal(hits.geoms[p], geoms)
         np.testing.assert_allclose(hits.ranges[p], ranges, rtol=0, atol=1e-6)
         seen = np.isfinite(ranges)
-        assert 100 < seen.sum()
+        assert seen.sum() > 100
         np.testing.assert_allclose(hits.points[p][seen], (origins[p] + ranges[:, None] * rays[p])[seen], atol=1e-6)
         np.testing.assert_allclose(hits.normals[p][seen], normals[seen], rtol=0, atol=1e-5)
         assert np.isnan(hits.points[p][~seen]).all()
