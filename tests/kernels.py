@@ -97,8 +97,7 @@ def _twins() -> None:
 
 
 def _plans() -> None:
-    from scenegen.model.evaluation.planning.config import PlanConfig
-
+    from scenegen.model.evaluation.config import PlanConfig
     from scenegen.model.evaluation.planning.measure import run_trial
 
     grid = _grid(shape=(12, 12, 12))
