@@ -39,8 +39,9 @@ class Hits:
 class AnalyticEngine:
     """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields: an `Engine`.
 
-    A ray that starts inside a solid returns where it comes out, as MuJoCo's does. A ray whose direction is not of
-    length 1 to a millionth (no length, a NaN), or whose origin is not finite, meets nothing. With many poses at once,
+    A ray that starts inside a solid returns where it comes out, as MuJoCo's does (but for height fields: in MuJoCo's, rays
+    from within also stop at height 0, where no surface is). A ray whose direction is not of length 1 to a millionth (no
+    length, a NaN), or whose origin is not finite, meets nothing. With many poses at once,
     `threads` share them, as many as there are processors unless a number is given; one pose stays on one thread.
     """
 
@@ -64,7 +65,9 @@ class AnalyticEngine:
         """
         same = ("geom", "shape", "mesh_start")
         if not all(np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in same):
-            raise ValueError("other solids than the engine's, expected the same ones at other places; make a new engine")
+            raise ValueError(
+                "other solids than the engine's, expected the same ones at other places; make a new engine"
+            )
         self._take(solids)
         self._hierarchy.refit(*self._boxes())
 
@@ -126,7 +129,9 @@ class AnalyticEngine:
         return ranges, items
 
     def _take(self, solids: Solids) -> None:
-        planes = solids.shape == PLANE  # nothing bounds them: every ray is held against each, and the tree holds the rest
+        planes = (
+            solids.shape == PLANE
+        )  # nothing bounds them: every ray is held against each, and the tree holds the rest
         count = len(solids.shape) + len(solids.triangles)
         self._solids = solids
         self._planes = np.flatnonzero(planes).astype(np.uint64)

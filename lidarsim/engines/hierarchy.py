@@ -1,6 +1,6 @@
 """A hierarchy of bounding boxes: what a ray passes by is left out, group by group.
 
-Groups are cut where the surface area heuristic (Goldsmith and Salmon 1987), in bins (Wald 2007), expects the least work.
+Groups are cut where the surface area heuristic (Goldsmith and Salmon 1987) expects the least work, in bins (Wald 2007).
 Every node has up to four children (Dammertz et al. 2008), so that a ray visits fewer nodes than in a binary tree.
 """
 
@@ -92,7 +92,12 @@ def _build(lower, upper):
                 links[node, k], ends[node, k] = part[k], part[k + 1]
                 continue
             links[node, k] = nodes
-            waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3] = part[k], part[k + 1], nodes, level + 1
+            waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3] = (
+                part[k],
+                part[k + 1],
+                nodes,
+                level + 1,
+            )
             left, nodes = left + 1, nodes + 1
     return boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order.astype(np.uint64)
 

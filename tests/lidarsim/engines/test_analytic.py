@@ -54,20 +54,20 @@ def test_hits_are_mujocos(seed: int) -> None:
     rng = np.random.default_rng(seed)
     model = random_model(rng)
     origins, rays = random_rays(rng, 2, 500)
-    hits = AnalyticEngine.of(model).hits(origins, rays, 1e4)
+    hits = AnalyticEngine.of(model).hits(origins, rays, 1e7)
     for p in range(2):
         ranges, geoms, normals = from_mujoco(model, origins[p], rays[p])
         np.testing.assert_array_equal(hits.geoms[p], geoms)
         np.testing.assert_allclose(hits.ranges[p], ranges, rtol=0, atol=1e-6)
         seen = np.isfinite(ranges)
-        assert 100 < seen.sum()
+        assert seen.sum() > 100
         np.testing.assert_allclose(hits.points[p][seen], (origins[p] + ranges[:, None] * rays[p])[seen], atol=1e-6)
         np.testing.assert_allclose(hits.normals[p][seen], normals[seen], rtol=0, atol=1e-5)
         assert np.isnan(hits.points[p][~seen]).all()
         assert np.isnan(hits.normals[p][~seen]).all()
 
 
-@pytest.mark.parametrize("shape", [*SIZES, *DATA])
+@pytest.mark.parametrize("shape", [*SIZES, "mesh"])
 def test_a_ray_from_inside_returns_where_it_comes_out_as_mujocos_does(shape: str) -> None:
     given = DATA.get(shape) or f'size="{SIZES[shape]}"'
     model = model_of(f'type="{shape}" {given}')
