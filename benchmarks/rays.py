@@ -11,6 +11,7 @@ With `--json`, one line: milliseconds a scan by count of solids and by engine.
 """
 
 import argparse
+import importlib
 import importlib.util
 import json
 import time
@@ -79,7 +80,7 @@ def peers(solids: Solids) -> dict[str, Callable[[Rays, Rays], Any]]:
     """Embree's wrappers, where they are installed, each on the same meshes."""
     found: dict[str, Callable[[Rays, Rays], Any]] = {}
     if importlib.util.find_spec("open3d"):
-        import open3d
+        open3d = importlib.import_module("open3d")
 
         scene, mesh = open3d.t.geometry.RaycastingScene(nthreads=1), meshed(solids)
         scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))

@@ -1,6 +1,6 @@
 """A hierarchy of bounding boxes: what a ray passes by is left out, group by group.
 
-Groups are cut where the surface area heuristic (Goldsmith and Salmon 1987), in bins (Wald 2007), expects the least work.
+Groups are cut where the surface area heuristic (Goldsmith and Salmon 1987) expects the least work, in bins (Wald 2007).
 Every node has up to four children (Dammertz et al. 2008), so that a ray visits fewer nodes than in a binary tree.
 """
 

@@ -47,11 +47,9 @@ def traverse(
                 continue
             ix, iy, iz = _inverse(x), _inverse(y), _inverse(z)
             # the rows of a node's boxes where the ray comes in, and where it goes out
-            ax, ay, az = (
-                np.uint64(0 if ix > 0.0 else 3),
-                np.uint64(1 if iy > 0.0 else 4),
-                np.uint64(2 if iz > 0.0 else 5),
-            )
+            ax = np.uint64(0 if ix > 0.0 else 3)
+            ay = np.uint64(1 if iy > 0.0 else 4)
+            az = np.uint64(2 if iz > 0.0 else 5)
             bx, by, bz = np.uint64(3) - ax, np.uint64(5) - ay, np.uint64(7) - az
             best, item = max_range_m, none
             for plane in planes:

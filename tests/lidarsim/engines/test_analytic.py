@@ -54,7 +54,7 @@ def test_hits_are_mujocos(seed: int) -> None:
     rng = np.random.default_rng(seed)
     model = random_model(rng)
     origins, rays = random_rays(rng, 2, 500)
-    hits = AnalyticEngine.of(model).hits(origins, rays, 1e4)
+    hits = AnalyticEngine.of(model).hits(origins, rays, 1e7)
     for p in range(2):
         ranges, geoms, normals = from_mujoco(model, origins[p], rays[p])
         np.testing.assert_array_equal(hits.geoms[p], geoms)
@@ -67,7 +67,7 @@ def test_hits_are_mujocos(seed: int) -> None:
         assert np.isnan(hits.normals[p][~seen]).all()
 
 
-@pytest.mark.parametrize("shape", [*SIZES, *DATA])
+@pytest.mark.parametrize("shape", [*SIZES, "mesh"])
 def test_a_ray_from_inside_returns_where_it_comes_out_as_mujocos_does(shape: str) -> None:
     given = DATA.get(shape) or f'size="{SIZES[shape]}"'
     model = model_of(f'type="{shape}" {given}')
