@@ -1,22 +1,23 @@
 """Engines: what a ray meets in a world, and how far away. One file an engine; each fills `Engine`."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol, Self
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from lidarsim.registry import Registry
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the command line asks for the names, and must not load NumPy for that
     import mujoco
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
 
 class Engine(Protocol):
     """Anything that knows one world and can intersect rays with it. An engine serves one thread at a time."""
 
     @classmethod
-    def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
         """The engine of a compiled world, in its reference configuration, or in that of `data`, which MuJoCo has
         forwarded. Geoms whose material, or whose own colour without one, has alpha 0 are not there. Neither argument is
         changed."""
