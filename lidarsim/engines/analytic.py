@@ -39,10 +39,10 @@ class Hits:
 class AnalyticEngine:
     """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields: an `Engine`.
 
-    A ray that starts inside a solid returns where it comes out, as MuJoCo's does; only in a height field MuJoCo's rays also
-    stop at height 0, where no surface is. A ray whose direction is not of length 1 to a millionth (no length, a NaN), or
-    whose origin is not finite, meets nothing. With many poses at once, `threads` share them, as many as there are
-    processors unless a number is given; one pose stays on one thread.
+    A ray that starts inside a solid returns where it comes out, as MuJoCo's does. (Height fields differ: in MuJoCo's,
+    rays from within also stop at height 0, where no surface is.) A ray whose direction is not of length 1 to a
+    millionth (no length, a NaN), or whose origin is not finite, meets nothing. With many poses at once, `threads` share
+    them, as many as there are processors unless a number is given; one pose stays on one thread.
     """
 
     def __init__(self, solids: Solids, *, threads: int | None = None):
