@@ -1,6 +1,6 @@
 """Things by name: those that come with the toolkit, and a user's own as ``module:Object``.
 
-SENSORS = Registry("sensor", {"raster": "lidarsim.sensors.raster:Raster"}, needs={"shape": "a tuple of counts"})
+SENSORS = Registry("sensor", {"raster": "lidarsim.sensors.raster:Lidar"}, needs={"shape": "a tuple of counts"})
 SENSORS.find("raster")  # imported now, and not before
 SENSORS.find("my_sensors:Rosette")  # from a file my_sensors.py where the user stands, or from an installed package
 """

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 def verify(
     dataset: Path | str, quick: bool, seed: int, kind: str | None, workers: int, as_json: bool, quiet: bool
 ) -> None:
-    """Prove a dataset against the format: files, digests, truth, rays, splits; end with 1 where a check fails."""
+    """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a check fails."""
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
