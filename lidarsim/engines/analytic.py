@@ -129,9 +129,7 @@ class AnalyticEngine:
         return ranges, items
 
     def _take(self, solids: Solids) -> None:
-        planes = (
-            solids.shape == PLANE
-        )  # nothing bounds them: every ray is held against each, and the tree holds the rest
+        planes = solids.shape == PLANE  # nothing bounds them: the tree holds the rest, and every ray meets each of them
         count = len(solids.shape) + len(solids.triangles)
         self._solids = solids
         self._planes = np.flatnonzero(planes).astype(np.uint64)
@@ -146,7 +144,7 @@ class AnalyticEngine:
         return np.concatenate([self._solids.geom[:plain], meshes])
 
     def _boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Of what the hierarchy holds: least corners (k, 3) and greatest corners (k, 3)."""
+        """Boxes of what the hierarchy holds: least corners (k, 3) and greatest corners (k, 3)."""
         solids, inside = self._solids, self._bounded
         lower = np.concatenate([solids.lower, solids.triangles.min(axis=1)])
         upper = np.concatenate([solids.upper, solids.triangles.max(axis=1)])

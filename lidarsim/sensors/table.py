@@ -17,11 +17,11 @@ from lidarsim.parameters import check, number, shown
 from lidarsim.sensors import Sensor
 
 MOST_AXES = 4
-"""Of a sensor's shape."""
+"""The most axes of a sensor's shape."""
 MOST_MADE_BY = 300
 """Characters that say what made a table."""
 MOST_HEADER_BYTES = 4096
-"""Of an .npy file's header, more than any of ours takes."""
+"""The most bytes of an .npy file's header: more than any of ours takes."""
 UNIT = 1e-9
 """How far from 1 the length of a direction may be."""
 
@@ -100,7 +100,7 @@ class BeamTable:
 
     @property
     def sha256(self) -> str:
-        """Of `npy`, in hexadecimal."""
+        """The SHA-256 of `npy`, in hexadecimal."""
         return hashlib.sha256(self.npy).hexdigest()
 
     def __eq__(self, other: object) -> bool:
@@ -128,7 +128,7 @@ class BeamFile:
     max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
     """Farthest return, metres."""
     sha256: str = ""
-    """Of the file, in hexadecimal; nothing where any file will do."""
+    """The SHA-256 of the file, in hexadecimal; empty where any file will do."""
     made_by: str = ""
     """What the table was made by, for people to read."""
 

@@ -54,7 +54,7 @@ class Column:
     name: str
     dtype: np.dtype
     shape: tuple[int, ...]
-    """Of one sample."""
+    """The shape of one sample."""
     filters: tuple[int, ...]
     """In the order of writing."""
     places: NDArray[np.int64]
@@ -63,7 +63,7 @@ class Column:
 
     @property
     def bytes(self) -> int:
-        """Of one sample, unpacked."""
+        """The bytes of one sample, unpacked."""
         return int(self.dtype.itemsize * math.prod(self.shape))
 
 

@@ -26,7 +26,7 @@ from scenegen.sample import SCHEMA, Sample, shape_of, stored_fields
 from scenegen.source import Source
 
 _LEVEL = 1
-"""Of compression: the next one saves a hundredth, the one after takes four times as long (docs/log.md)."""
+"""The level of compression: the next one saves a hundredth, the one after takes four times as long (docs/log.md)."""
 
 
 def find_engine(name: str) -> EngineFactory:

@@ -53,7 +53,7 @@ class State:
     def __init__(self, plan: Plan, *, force: bool = False):
         self.plan = plan
         self.reports: dict[Path, ShardReport] = {}
-        """Of the shards that are there."""
+        """What is known of every shard that is there, by its file."""
         self._force = force
         self._listed = self._read()
 

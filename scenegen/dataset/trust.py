@@ -106,7 +106,7 @@ class Manifest:
     rejected: Mapping[str, Mapping[str, int]] = ruled(TABLE)
     """Rejections by reason, of `worlds` and of `viewpoints`."""
     digest: str | None = ruled(optional(DIGEST))
-    """Of all samples; None as long as shards are missing."""
+    """The digest of all samples; None as long as shards are missing."""
     named: str | None = field(default=None, compare=False)
     """A kind of a user's own that the user named, so that its module may be imported."""
 

@@ -33,3 +33,10 @@ def test_the_recipes_page_lists_every_table_of_a_recipe() -> None:
 def test_no_table_has_more_than_four_columns(page: Path) -> None:
     rules = re.findall(r"^\|(?::?-+:?\|)+$", page.read_text(), re.M)
     assert [rule for rule in rules if rule.count("|") - 1 > MOST_COLUMNS] == []
+
+
+def test_no_docstring_begins_with_of() -> None:
+    """Such a fragment leaves its subject to the reader."""
+    files = [path for part in ("lidarsim", "scenegen", "model", "benchmarks") for path in (ROOT / part).rglob("*.py")]
+    assert len(files) > 100
+    assert [str(path) for path in files if re.search(r'^\s*"""Of ', path.read_text(), re.M)] == []
