@@ -78,7 +78,7 @@ def test_rounds_see_the_passes_one_after_the_other(interval: int | None) -> None
 def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
     folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With losses that never fall after the second round, and patience 2, the rate falls from round 5 on, over as many rounds as there were."""
+    """Losses that never fall after round 2, and patience 2: the rate falls from round 5 on, over as many rounds."""
     losses = iter([3.0, 2.0, *[2.5] * 20])
     found = scenegen.model.training.loop.validate
 
