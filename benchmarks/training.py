@@ -40,7 +40,7 @@ def main() -> None:
             cells = []
             for precision in (torch.float32, torch.bfloat16):
                 config = TrainConfig(network=NetworkConfig(variant=variant, stem_stride=stride), batch=options.batch)
-                network = Network(config.network).to(device, memory_format=torch.channels_last_3d)
+                network = Network(config.network).placed(device)
                 optimizer = torch.optim.AdamW(network.parameters())
                 learn = Step(network, optimizer, config, maps.grid, device, precision, Group(device))
                 cells.append(f"{str(precision).removeprefix('torch.')} {step_ms(learn, batch):6.1f} ms a map")

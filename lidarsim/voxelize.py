@@ -42,6 +42,20 @@ def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = No
     return ObservedGrid(observed, free, origin)
 
 
+def crossed(
+    sensor: NDArray[np.float64], points: NDArray[np.float64], grid: GridSpec, origin: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """The free voxels (*shape) of rays known by their returns alone: from `sensor` (3,) to `points` (N, 3), finite, in
+    the frame of `origin`, metres. As `ObservedGrid.free`; a point at the sensor clears nothing."""
+    rays = np.asarray(points, dtype=np.float64) - sensor
+    ranges = np.sqrt((rays * rays).sum(axis=1))
+    observed, free = np.zeros((2, *grid.shape), dtype=np.bool_)
+    there = ranges > 0
+    directions = rays[there] / ranges[there, None]
+    _walk(np.asarray(sensor, np.float64), directions, ranges[there], 0.0, origin, grid.voxel_m, observed, free)
+    return free
+
+
 @kernel
 def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, free):
     """Mark `free` along every ray and `observed` at its end."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lidarsim.parameters import check, number
 from scenegen.errors import short
-from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_MAPS, MOST_SEED, MOST_WIDTH
+from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_HEIGHT, MOST_MAPS, MOST_SEED, MOST_WIDTH
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
@@ -29,6 +29,8 @@ class Variant:
     """Its decoders: one for each task, or `SHARED`."""
     coupled: bool = False
     """Whether its two decoders inform each other after every stage."""
+    columns: tuple[int, ...] = ()
+    """Channels, level by level, of a flat U-Net over whole columns beside its 3-D one; () for none."""
     meaning: str
     """What it is, for docs/network.md."""
 
@@ -39,6 +41,9 @@ VARIANTS = {
     "tudf": Variant(tasks=("tudf",), decoders=("tudf",), meaning="the paper's TUDF-only"),
     "dual": Variant(tasks=TASKS, decoders=TASKS, meaning="what is left of `proposed` without CrossFusion"),
     "shared": Variant(tasks=TASKS, decoders=SHARED, meaning="the cheapest network with both outputs"),
+    "columns": Variant(
+        tasks=TASKS, decoders=SHARED, columns=(64, 96, 128), meaning="`shared`, and a flat U-Net over whole columns"
+    ),
 }
 """Every variant by its name; `scenegen.model.network` builds what is said here."""
 if TYPE_CHECKING:
@@ -63,6 +68,8 @@ class NetworkConfig:
     resolution (ours)."""
     heads: int = number(4, least=1)
     """Heads of the self-attention (ours)."""
+    height: int = number(40, least=2**LEVELS, most=MOST_HEIGHT)
+    """Voxels of a map from bottom to top, for variants that see columns whole; `train` takes it from the data."""
 
     def __post_init__(self) -> None:
         from scenegen.model.inputs import INPUTS  # which computes them, with what that takes
@@ -93,6 +100,8 @@ class NetworkConfig:
                 f"maps of {shape} voxels; the network halves them three times, so every edge must be a multiple of "
                 f"{self.stride}"
             )
+        if VARIANTS[self.variant].columns and shape[2] != self.height:
+            raise ValueError(f"maps of {shape} voxels; this network sees columns of {self.height} voxels, no others")
         if math.prod(shape) * self.width > MOST_FEATURES:
             raise ValueError(
                 f"maps of {shape} voxels at width {self.width}: expected {MOST_FEATURES // self.width} voxels at most; "

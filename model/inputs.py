@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.limits import MOST_LENGTH_M
+from lidarsim.voxelize import crossed
 from scenegen.sample import Sample
 
 SYMMETRIES = 8
@@ -63,10 +64,16 @@ def _observed(scan: PointScan) -> NDArray[np.bool_]:
     return observed
 
 
+def _free(scan: PointScan) -> NDArray[np.bool_]:
+    """Of rays that returned something, alone: points say nothing of the others."""
+    return crossed(scan.sensor, scan.points, scan.grid, scan.origin) & ~_observed(scan)
+
+
 INPUTS = {
     "observed": Input(of_sample=lambda sample, grid, sensor: sample.observed, of_scan=_observed),
+    "free": Input(of_sample=lambda sample, grid, sensor: sample.free, of_scan=_free),
 }
-"""Every input by its name. `observed`: the voxels that hold a return."""
+"""Every input by its name. `observed`: the voxels that hold a return. `free`: those that a ray crossed, less these."""
 
 
 def of_sample(names: Sequence[str], sample: Sample, grid: GridSpec, sensor: Any) -> dict[str, NDArray[Any]]:

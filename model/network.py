@@ -18,6 +18,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
 
+from scenegen.model.columns import Columns
 from scenegen.model.config import LEVELS, TASKS, VARIANTS, NetworkConfig
 
 
@@ -47,15 +48,28 @@ class Network(nn.Module):
         variant = VARIANTS[config.variant]
         self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in variant.decoders})
         self.fusion = nn.ModuleList(CrossFusion(width) for width in widths) if variant.coupled else None
-        self.head = nn.ModuleDict({task: FinalUp(widths[0]) for task in config.tasks})
+        heights = [config.height // 2 ** (level + 1) for level in range(LEVELS)]
+        flat = list(zip(widths, heights, strict=True)), variant.columns
+        self.columns = Columns(len(config.inputs), config.height, *flat) if variant.columns else None
+        features = 2 * widths[0] if variant.columns else widths[0]
+        self.head = nn.ModuleDict({task: FinalUp(features, widths[0]) for task in config.tasks})
+
+    def placed(self, device: torch.device | str) -> "Network":
+        """The network itself, on `device`, its filters laid out in memory with channels last, which is faster."""
+        self.to(device)
+        for parameter in self.parameters():
+            if layout := {4: torch.channels_last, 5: torch.channels_last_3d}.get(parameter.ndim):
+                parameter.data = parameter.data.contiguous(memory_format=layout)
+        return self
 
     def forward(self, batch: Mapping[str, Tensor]) -> Output:
         """See the class."""
-        x = self.preprocess(torch.stack([batch[name].float() for name in self.config.inputs], dim=1))
-        skips = []
+        given = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
+        x, skips = self.preprocess(given), []
         for encode in self.encoder:
             x = encode(x)
             skips.append(x)
+        columns = None if self.columns is None else self.columns(given, skips)
         shared = self.attention(x)  # F_s
         features = dict.fromkeys(self.decoder, shared)
         for level in reversed(range(LEVELS)):
@@ -66,6 +80,11 @@ class Network(nn.Module):
             if self.fusion is not None:
                 t, o = self.fusion[level](features["tudf"], features["occupancy"])  # eq. 5
                 features = {"tudf": t, "occupancy": o}
+            if columns is not None:
+                features = {
+                    branch: torch.cat((values, columns[0]), dim=1) if level == 0 else values + columns[level]
+                    for branch, values in features.items()
+                }
         found = {task: head(features.get(task, features.get("shared"))) for task, head in self.head.items()}  # eq. 6
         return Output(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
 
@@ -145,15 +164,15 @@ class CrossFusion(nn.Module):
 
 
 class FinalUp(nn.Module):
-    """(B, width, X/2, Y/2, Z/2) → (B, X, Y, Z): eight values a cell, one for each voxel in it.
+    """(B, below, X/2, Y/2, Z/2) → (B, X, Y, Z): eight values a cell, one for each voxel in it.
 
     The slope below zero is not flat: with a ReLU here, channels that die leave the bias alone as an upper bound of the
     logit, and no probability ever passes the threshold.
     """
 
-    def __init__(self, width: int):
+    def __init__(self, below: int, width: int):
         super().__init__()
-        self.refine = nn.Sequential(*_convolution(width, width)[:-1], nn.LeakyReLU(0.1, inplace=True))
+        self.refine = nn.Sequential(*_convolution(below, width)[:-1], nn.LeakyReLU(0.1, inplace=True))
         self.split = nn.Conv3d(width, 8, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:

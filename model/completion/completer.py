@@ -70,7 +70,7 @@ class Completer:
             run, found = load_onnx(path, threads=threads)
             return cls(run, found.grid, name=title, inputs=found.config.inputs, about=found.about, batch=batch)
         network, grid, about = load_network(path)
-        network.to(device, memory_format=torch.channels_last_3d)
+        network.placed(device)
 
         def forward(maps: Mapping[str, Tensor]) -> Output:
             return Output(*network({name: values.to(device) for name, values in maps.items()}))

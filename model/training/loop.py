@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -78,10 +78,11 @@ def train(
     with group, closing(RunFolder(out)) as folder:
         maps = Maps(training, "train", config.network.inputs)
         checks = Maps(checking, "val", config.network.inputs)
+        config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
         check_maps(maps, checks, config, group.size)
         precision = resolve_precision(config.precision, where)
         torch.manual_seed(config.seed)
-        network = Network(config.network).to(where, memory_format=torch.channels_last_3d)
+        network = Network(config.network).placed(where)
         optimizer = optimizer_of(network, config)
         settings = describe(maps, config, precision)
         versions = software() | {"python": platform.python_version()} | {name: installed(name) for name in PACKAGES}

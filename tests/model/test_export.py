@@ -31,9 +31,9 @@ def seen(batch: int) -> dict[str, torch.Tensor]:
 
 
 def export(folder: Path) -> None:
-    """A network of two inputs, of which one is not the toolkit's: as a checkpoint, and as ONNX."""
+    """A network of two inputs, which sees columns whole: as a checkpoint, and as ONNX."""
     torch.manual_seed(0)
-    network = Network(NetworkConfig(width=4, inputs=("observed", "free")))
+    network = Network(NetworkConfig(variant="columns", width=4, inputs=("observed", "free"), height=GRID.shape[2]))
     for _ in range(3):  # statistics that are not those of a fresh network
         network.train()(seen(4))
     save_network(folder / "net.safetensors", network, GRID, {})
@@ -41,7 +41,7 @@ def export(folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def exported(free: None, once: Once) -> tuple[Path, Network]:
+def exported(once: Once) -> tuple[Path, Network]:
     """Such an ONNX file, and its network."""
     folder = once("onnx", export)
     return folder / "net.onnx", load_network(folder / "net.safetensors")[0]

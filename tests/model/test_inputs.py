@@ -1,4 +1,4 @@
-"""A channel that the toolkit does not have takes one entry to be trained on, completed from and exported."""
+"""What a network is shown: trained on, completed from and exported by name; a new channel takes one entry."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from scenegen.model.config import NetworkConfig, Thresholds, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, Metric
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.pretrained import Pretrained
-from scenegen.model.inputs import INPUTS, Input
+from scenegen.model.inputs import INPUTS, Input, PointScan, of_scan
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.loop import train
@@ -26,8 +26,8 @@ GRID = GridSpec(shape=(16, 24, 8))
 BOTH = ("observed", "free")
 
 
-def test_a_new_channel_and_a_new_metric_go_all_the_way(
-    free: None, folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_free_space_and_a_new_metric_go_all_the_way(
+    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two steps of training, validation, card, then a split, a row of the bench and a scan."""
     alarms = Metric(title="alarms", of=lambda s: s.share(s.alarms, s.voxels), needs="occupancy", better="lower")
@@ -69,6 +69,24 @@ def test_a_new_channel_and_a_new_metric_go_all_the_way(
         held = {name: file[name][:] for name in (*BOTH, "tudf")}
     assert held["free"].any()
     np.testing.assert_allclose(completer(held).tudf, held["tudf"], atol=1e-5)
+
+
+def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders: list[Path]) -> None:
+    """Against steps of a hundredth of a voxel, which pass over corners alone; and of rays without a return it knows
+    nothing."""
+    sample = Dataset(folders[0]).split("test")[0]
+    centre, rng = sample.position, np.random.default_rng(0)
+    points = centre + rng.normal(size=(50, 3)) * [2.0, 3.0, 0.7]
+    scan = PointScan(points=np.vstack([points, centre]), sensor=centre, grid=GRID)
+    found = of_scan(BOTH, scan)
+    stepped = np.zeros(GRID.shape, bool)
+    for share in np.linspace(0.0, 1.0, 8000):
+        index = GRID.index(centre + share * (points - centre), scan.origin)
+        stepped[tuple(index[((index >= 0) & (index < GRID.shape)).all(axis=1)].T)] = True
+    stepped &= ~found["observed"]
+    assert not (stepped & ~found["free"]).any()
+    assert (found["free"] & ~stepped).sum() < 0.02 * stepped.sum()
+    assert not (found["free"] & found["observed"]).any()
 
 
 def test_channels_turn_with_their_map_unless_they_are_tied_to_its_axes(

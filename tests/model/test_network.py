@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from scenegen.model.columns import Columns
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import CrossFusion, FinalUp, Network
 from scenegen.model.summary import cost
@@ -15,7 +16,7 @@ SHAPE = (16, 24, 8)
 
 def network(**config: object) -> Network:
     torch.manual_seed(0)
-    return Network(NetworkConfig(**config)).eval()
+    return Network(NetworkConfig(height=SHAPE[2], **config)).eval()
 
 
 def seen(batch: int) -> dict[str, Tensor]:
@@ -71,7 +72,7 @@ def test_crossfusion_is_equation_5() -> None:
 
 
 def test_the_head_puts_every_value_in_its_voxel() -> None:
-    head = FinalUp(1).eval()
+    head = FinalUp(1, 1).eval()
     cells = torch.rand(1, 1, 2, 3, 4)
     head.refine = nn.Identity()
     with torch.no_grad():
@@ -85,7 +86,7 @@ def test_the_head_puts_every_value_in_its_voxel() -> None:
 
 
 def test_a_dead_channel_does_not_cap_the_logits() -> None:
-    head = FinalUp(8).eval()
+    head = FinalUp(8, 8).eval()
     with torch.no_grad():
         head.refine[1].bias.fill_(-5.0)  # what a ReLU would cut off everywhere
     assert head(torch.randn(1, 8, 4, 4, 4)).std() > 0
@@ -97,6 +98,28 @@ def test_attention_looks_everywhere() -> None:
     net.attention(cells)[0, :, 0, 0, 0].sum().backward()
     assert cells.grad is not None
     assert (cells.grad.abs().sum(dim=1) > 0).all()
+
+
+def test_columns_and_voxels_inform_each_other_at_every_level() -> None:
+    """A flat level depends on the 3-D skip of its level, both predictions on every flat level; and a value of a cell
+    comes from its own height."""
+    net = network(variant="columns")
+    net(seen(1)).logits.sum().backward()
+    for part in (*net.columns.take, *net.columns.give):
+        assert part.weight.grad.abs().sum() > 0
+    columns = Columns(1, 8, [(2, 4)], [3]).eval()
+    give = columns.give[0]
+    with torch.no_grad():
+        give.weight.zero_()
+        give.bias.copy_(torch.arange(8.0))
+    (found,) = columns(torch.rand(1, 1, 6, 4, 8), [torch.rand(1, 2, 3, 2, 4)])
+    assert found.shape == (1, 2, 3, 2, 4)
+    assert torch.equal(found[0, :, 1, 1], torch.arange(8.0).reshape(2, 4))
+
+
+def test_a_network_of_columns_takes_maps_of_its_height_alone() -> None:
+    with pytest.raises(ValueError, match=r"sees columns of 40 voxels, no others"):
+        NetworkConfig(variant="columns").check_map((80, 80, 48))
 
 
 def test_maps_of_a_batch_do_not_touch() -> None:

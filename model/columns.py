@@ -1,0 +1,65 @@
+"""Columns of a map as channels: a flat U-Net that sees every column whole, beside the levels of a 3-D one.
+
+Small 3-D convolutions learn solids that lie anywhere, and see little of a column at a time; flat convolutions with z as
+channels learn what stands upright from a few voxels of it (Roldão, de Charette, Verroust-Blondet 2020: LMSCNet). Here
+each level of either hands the other what it has: c channels of h cells in height are c·h flat channels, and back.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+
+class Columns(nn.Module):
+    """(B, inputs, X, Y, Z) and the 3-D skips, (B, c_l, X_l, Y_l, Z_l), finest first → features of the same shapes.
+
+    `height` is Z, `levels` are pairs (c_l, Z_l), and `widths` are the flat net's channels, level by level.
+    """
+
+    def __init__(self, inputs: int, height: int, levels: Sequence[tuple[int, int]], widths: Sequence[int]):
+        super().__init__()
+        self._levels = tuple(levels)
+        cells = [channels * z for channels, z in levels]
+        below = [widths[0], *widths]
+        self.stem = _convolution(inputs * height, widths[0], stride=2)
+        self.down = nn.ModuleList(_convolution(below[n], width, stride=2 if n else 1) for n, width in enumerate(widths))
+        self.take = nn.ModuleList(nn.Conv2d(count, width, 1) for count, width in zip(cells, widths, strict=True))
+        self.mix = nn.ModuleList(_convolution(width, width) for width in widths)
+        self.up = nn.ModuleList(
+            nn.ConvTranspose2d(above, width, kernel_size=2, stride=2) for width, above in itertools.pairwise(widths)
+        )
+        self.refine = nn.ModuleList(
+            nn.Sequential(_convolution(2 * width, width), _convolution(width, width)) for width in widths[:-1]
+        )
+        self.give = nn.ModuleList(nn.Conv2d(width, count, 1) for count, width in zip(cells, widths, strict=True))
+
+    def forward(self, x: Tensor, skips: Sequence[Tensor]) -> list[Tensor]:
+        """See the class."""
+        flat, seen = self.stem(_flat(x)), []
+        for down, take, mix, skip in zip(self.down, self.take, self.mix, skips, strict=True):
+            flat = mix(down(flat) + take(_flat(skip)))
+            seen.append(flat)
+        found = [flat]
+        for up, refine, skip in reversed(list(zip(self.up, self.refine, seen, strict=False))):
+            flat = refine(torch.cat((up(flat), skip), dim=1))
+            found.insert(0, flat)
+        return [
+            give(flat).unflatten(1, level).permute(0, 1, 3, 4, 2)
+            for give, flat, level in zip(self.give, found, self._levels, strict=True)
+        ]
+
+
+def _flat(x: Tensor) -> Tensor:
+    """(B, C, X, Y, Z) → (B, C·Z, X, Y)."""
+    return x.permute(0, 1, 4, 2, 3).flatten(1, 2)
+
+
+def _convolution(below: int, width: int, stride: int = 1) -> nn.Sequential:
+    """A 3 x 3 convolution, normalised, with its activation."""
+    return nn.Sequential(
+        nn.Conv2d(below, width, 3, stride=stride, padding=1, bias=False),
+        nn.BatchNorm2d(width),
+        nn.ReLU(inplace=True),
+    )
