@@ -1,0 +1,177 @@
+"""What the paper claims, and what a bench says of it.
+
+Every bold cell of the paper's tables is a claim: this method is better than each other one, by this metric, on this
+kind of worlds. A claim is judged seed by seed, by the difference between two methods on the same maps, with a 95 %
+interval from a bootstrap over worlds.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen.model.evaluation import paper
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.evaluation.run import DatasetResult
+from scenegen.model.evaluation.statistics import DRAWS
+
+Verdict = Literal["confirmed", "refuted", "undecided"]
+QUESTIONS = {
+    "Q1": "Does learning occupancy and TUDF jointly improve reconstruction over single-task baselines?",
+    "Q2": "Does the better reconstruction benefit planning in unknown environments?",
+    "Q3": "Does a better reconstructed field give better trajectories?",
+}
+"""The paper's questions, in our words."""
+ROWS = {"TUDF": "tudf", "OCC": "occ", "Proposed": "proposed"}
+"""The paper's methods and the study's."""
+ABOUT = {
+    "Q1": ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1"),
+    "Q2": ("success",),
+    "Q3": ("min_clearance", "avg_clearance", "length"),
+}
+"""The metrics by which a question is answered; other cells are judged, and answer none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """`best` is better than `other` by `metric` on worlds of `kind`: rows of the study, without their seeds."""
+
+    kind: str
+    metric: str
+    best: str
+    other: str
+
+    @property
+    def question(self) -> str | None:
+        """The question that it helps to answer: one of `QUESTIONS`, for claims that `proposed` is best."""
+        asked = [question for question, metrics in ABOUT.items() if self.metric in metrics]
+        return asked[0] if asked and self.best == "proposed" else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contrast:
+    """How much better `best` is than `other` by one seed's networks; positive where the claim holds."""
+
+    seed: int
+    difference: float
+    low: float | None
+    """Lower end of the 95 % interval; None where there is one world."""
+    high: float | None
+
+    @property
+    def sign(self) -> int:
+        """1 where the interval lies above 0, -1 where it lies below, 0 where it holds 0."""
+        if self.low is None or self.high is None:
+            return 0
+        return int(self.low > 0) - int(self.high < 0)
+
+
+def claims() -> tuple[Claim, ...]:
+    """The claims of all bold cells, but where the paper's figures are equal."""
+    return tuple(
+        Claim(kind=kind, metric=metric, best=ROWS[best], other=ROWS[other])
+        for tables, metrics in ((paper.RECONSTRUCTION, METRICS), (paper.PLANNING, PLAN_METRICS))
+        for kind, rows in tables.items()
+        for metric in metrics
+        for losses in [{name: _loss(metric, row[metric][0]) for name, row in rows.items()}]
+        for best in [min(losses, key=lambda name: losses[name])]
+        for other in rows
+        if losses[other] > losses[best]
+    )
+
+
+def judge(claim: Claim, result: DatasetResult, *, seeds: Sequence[int], seed: int) -> list[Contrast]:
+    """The claim's contrast for every one of `seeds` whose networks `result` holds, as rows named ``occ-s0``; `seed` is
+    the bootstrap's."""
+    found = []
+    for number in seeds:
+        rows = [result.methods.get(f"{name}-s{number}") for name in (claim.best, claim.other)]
+        if None in rows:
+            continue
+        if claim.metric in METRICS:
+            column, worlds = list(METRICS).index(claim.metric), result.worlds
+            pair = [row.reconstruction[:, 0, column] for row in rows if row is not None]
+        else:
+            of, worlds = PLAN_METRICS[claim.metric].of, result.trial_worlds
+            pair = [np.array([of(trial) for trial in row.trials], np.float64) for row in rows if row is not None]
+        found.append(_contrast(claim.metric, number, pair, worlds, np.random.default_rng(seed)))
+    return found
+
+
+def verdict(contrasts: Sequence[Contrast]) -> Verdict:
+    """Confirmed where every seed's interval lies on the claim's side of 0, refuted where every one lies on the other
+    side; undecided otherwise, and where there are fewer than two seeds."""
+    signs = {contrast.sign for contrast in contrasts}
+    if len(contrasts) < 2 or signs not in ({1}, {-1}):
+        return "undecided"
+    return "confirmed" if signs == {1} else "refuted"
+
+
+def answer(verdicts: Mapping[Claim, Verdict], question: str) -> Verdict:
+    """What a question's claims say together: confirmed or refuted where none of them says otherwise."""
+    found = {said for claim, said in verdicts.items() if claim.question == question}
+    return found.pop() if len(found) == 1 else "undecided"
+
+
+def judged(results: Mapping[str, DatasetResult], *, seeds: Sequence[int], seed: int = 0) -> dict[str, Any]:
+    """All verdicts, as JSON: ``questions`` and ``claims``, from one result a kind."""
+    contrasts = {
+        claim: judge(claim, results[claim.kind], seeds=seeds, seed=seed) for claim in claims() if claim.kind in results
+    }
+    verdicts = {claim: verdict(found) for claim, found in contrasts.items()}
+    return {
+        "questions": {
+            question: {
+                "asks": text,
+                "verdict": answer(verdicts, question),
+                "claims": {
+                    said: sum(verdicts[claim] == said for claim in verdicts if claim.question == question)
+                    for said in ("confirmed", "refuted", "undecided")
+                },
+            }
+            for question, text in QUESTIONS.items()
+        },
+        "claims": [
+            {
+                **vars(claim),
+                "question": claim.question,
+                "verdict": verdicts[claim],
+                "seeds": [vars(contrast) for contrast in found],
+            }
+            for claim, found in contrasts.items()
+        ],
+    }
+
+
+def _loss(metric: str, value: Any) -> Any:
+    """What is the smaller the better."""
+    better = (METRICS | PLAN_METRICS)[metric].better
+    return -value if better == "higher" else value if better == "lower" else np.abs(value)
+
+
+def _contrast(
+    metric: str,
+    number: int,
+    pair: Sequence[NDArray[np.float64]],
+    worlds: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> Contrast:
+    """Each method's mean is over its own values, as in the tables; worlds are drawn with replacement for both alike."""
+    names, member = np.unique(worlds, return_inverse=True)
+    weights = np.vstack([np.ones(len(names)), rng.multinomial(len(names), np.full(len(names), 1 / len(names)), DRAWS)])
+    losses = []
+    for values in pair:
+        held = np.isfinite(values)
+        sums, counts = (
+            np.bincount(member[held], weights=part[held], minlength=len(names))
+            for part in (values, np.ones(len(values)))
+        )
+        with np.errstate(invalid="ignore"):  # a draw of worlds without a path says nothing
+            losses.append(_loss(metric, (weights @ sums) / (weights @ counts)))
+    gains = losses[1] - losses[0]
+    if len(names) < 2 or not np.isfinite(gains[1:]).any():
+        return Contrast(seed=number, difference=float(gains[0]), low=None, high=None)
+    low, high = np.nanpercentile(gains[1:], [2.5, 97.5])
+    return Contrast(seed=number, difference=float(gains[0]), low=float(low), high=float(high))
