@@ -5,6 +5,7 @@ kind of worlds. A claim is judged seed by seed, by the difference between two me
 interval from a bootstrap over worlds.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -109,40 +110,26 @@ def verdict(contrasts: Sequence[Contrast]) -> Verdict:
     return "confirmed" if signs == {1} else "refuted"
 
 
-def answer(verdicts: Mapping[Claim, Verdict], question: str) -> Verdict:
-    """What a question's claims say together: confirmed or refuted where none of them says otherwise."""
-    found = {said for claim, said in verdicts.items() if claim.question == question}
-    return found.pop() if len(found) == 1 else "undecided"
+def judged(result: DatasetResult, *, seeds: Sequence[int], seed: int = 0) -> list[dict[str, Any]]:
+    """Every claim about `result`'s kind, as JSON: what it says, its question, its verdict, and each seed's contrast."""
+    found = []
+    for claim in claims():
+        if claim.kind == result.kind:
+            contrasts = judge(claim, result, seeds=seeds, seed=seed)
+            said = {"question": claim.question, "verdict": verdict(contrasts)}
+            found.append(vars(claim) | said | {"seeds": [vars(contrast) for contrast in contrasts]})
+    return found
 
 
-def judged(results: Mapping[str, DatasetResult], *, seeds: Sequence[int], seed: int = 0) -> dict[str, Any]:
-    """All verdicts, as JSON: ``questions`` and ``claims``, from one result a kind."""
-    contrasts = {
-        claim: judge(claim, results[claim.kind], seeds=seeds, seed=seed) for claim in claims() if claim.kind in results
-    }
-    verdicts = {claim: verdict(found) for claim, found in contrasts.items()}
-    return {
-        "questions": {
-            question: {
-                "asks": text,
-                "verdict": answer(verdicts, question),
-                "claims": {
-                    said: sum(verdicts[claim] == said for claim in verdicts if claim.question == question)
-                    for said in ("confirmed", "refuted", "undecided")
-                },
-            }
-            for question, text in QUESTIONS.items()
-        },
-        "claims": [
-            {
-                **vars(claim),
-                "question": claim.question,
-                "verdict": verdicts[claim],
-                "seeds": [vars(contrast) for contrast in found],
-            }
-            for claim, found in contrasts.items()
-        ],
-    }
+def answers(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """What `judged` claims, of all kinds, say to each question: how many are confirmed, refuted and undecided, and the
+    verdict on which all of them agree, or else "undecided"."""
+    answered = {}
+    for question, text in QUESTIONS.items():
+        said = Counter(claim["verdict"] for claim in found if claim["question"] == question)
+        agreed = next(iter(said)) if len(said) == 1 else "undecided"
+        answered[question] = {"asks": text, "verdict": agreed, "claims": dict(said)}
+    return answered
 
 
 def _loss(metric: str, value: Any) -> Any:

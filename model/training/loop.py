@@ -18,7 +18,7 @@ from lidarsim import GridSpec
 from scenegen.checkout import commit
 from scenegen.dataset.manifest import installed, software
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
-from scenegen.model.config import TrainConfig
+from scenegen.model.config import VARIANTS, TrainConfig
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
 from scenegen.model.training.course import Course
@@ -78,7 +78,8 @@ def train(
     with group, closing(RunFolder(out)) as folder:
         maps = Maps(training, "train", config.network.inputs)
         checks = Maps(checking, "val", config.network.inputs)
-        config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
+        if VARIANTS[config.network.variant].columns:
+            config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
         check_maps(maps, checks, config, group.size)
         precision = resolve_precision(config.precision, where)
         torch.manual_seed(config.seed)

@@ -145,8 +145,9 @@ class RunFolder:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
             settings = dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
-            if isinstance(network := settings.get("network"), dict):  # runs of earlier commits name no inputs
+            if isinstance(network := settings.get("network"), dict):  # runs of earlier commits name neither
                 network.setdefault("inputs", list(NetworkConfig().inputs))
+                network.setdefault("height", NetworkConfig().height)
             return EARLIER | settings
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(

@@ -10,7 +10,7 @@ import pytest
 
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.reproduce.claims import Claim, Contrast, claims, judge, judged, verdict
+from scenegen.model.reproduce.claims import Claim, Contrast, answers, claims, judge, judged, verdict
 
 WORLDS = np.repeat(np.arange(40), 5)
 
@@ -22,9 +22,9 @@ def row(values: np.ndarray, metric: str = "iou") -> Any:
     return type("Row", (), {"reconstruction": found, "trials": ()})()
 
 
-def result(**rows: Any) -> Any:
+def result(kind: str = "pillar", **rows: Any) -> Any:
     named = {name.replace("_", "-"): one for name, one in rows.items()}
-    return type("Result", (), {"worlds": WORLDS, "trial_worlds": WORLDS, "methods": named})()
+    return type("Result", (), {"kind": kind, "worlds": WORLDS, "trial_worlds": WORLDS, "methods": named})()
 
 
 def test_claims_are_the_bold_cells_against_each_other_row() -> None:
@@ -104,10 +104,25 @@ def test_planning_is_judged_by_trials_and_paths_by_those_that_have_one() -> None
 
 
 def test_verdicts_are_plain_json_and_questions_count_them() -> None:
-    found = judged({"pillar": result(), "geometric": result()}, seeds=(0, 1))
+    rng = np.random.default_rng(0)
+    rows = {
+        f"{name}_s{seed}": row(rng.normal(at, 0.05, 200))
+        for name, at in (("occ", 0.5), ("proposed", 0.6))
+        for seed in (0, 1)
+    }
+    for one in rows.values():
+        one.trials = (
+            type("Trial", (), dict.fromkeys(("success", "length_m", "min_clearance_m", "mean_clearance_m"), 1.0))(),
+        ) * 200
+    found = [claim for kind in ("pillar", "geometric") for claim in judged(result(kind, **rows), seeds=(0, 1))]
     assert json.loads(json.dumps(found, allow_nan=False)) == found
-    assert {one["verdict"] for one in found["claims"]} == {"undecided"}
-    counted = Counter(one["question"] for one in found["claims"])
-    for question, said in found["questions"].items():
+    assert len(found) == len(claims())
+    held = {claim["verdict"] for claim in found if (claim["metric"], claim["other"]) == ("iou", "occ")}
+    assert held == {"confirmed"}
+    answered = answers(found)
+    counted = Counter(one["question"] for one in found)
+    for question, said in answered.items():
         assert sum(said["claims"].values()) == counted[question] > 0
         assert said["verdict"] == "undecided"
+    agreeing = [claim | {"verdict": "refuted"} for claim in found]
+    assert {one["verdict"] for one in answers(agreeing).values()} == {"refuted"}

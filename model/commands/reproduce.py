@@ -1,0 +1,74 @@
+"""`scenegen reproduce`: the study of the paper's claims, from a seed to its report."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import rich_click as click
+
+from scenegen.model.reproduce.config import ReproduceConfig
+from scenegen.terminal import stops
+from scenegen.terminal.options import (
+    device_option,
+    json_option,
+    options_of,
+    out_option,
+    quiet_option,
+    taken,
+    workers_option,
+)
+from scenegen.terminal.progress import Progress, announce_compilation
+from scenegen.terminal.show import say, show_table
+
+
+@click.command()
+@options_of(
+    ReproduceConfig,
+    scale="Share of all samples, maps and trials; 0.02 takes some ten minutes on two cores.",
+    maps="Maps that every network sees, at scale 1.",
+    seed="Decides datasets, goals and intervals.",
+)
+@click.option("--only", multiple=True, metavar="RUN", help="A run to train, several times for several.  [default: all]")
+@device_option
+@out_option("Folder of the study.", Path("study"))
+@click.option("--dry-run", is_flag=True, help="Say what it would take, and do nothing.")
+@workers_option
+@json_option
+@quiet_option
+def reproduce(device: str, out: Path, workers: int, dry_run: bool, as_json: bool, quiet: bool, **options: Any) -> None:
+    """Repeat the study of the paper's claims: datasets, networks, bench, verdicts.
+
+    Given again after a stop, it goes on where it was.
+    """
+    from scenegen.model.reproduce.estimate import estimate
+    from scenegen.model.reproduce.stages import STUDY, TEXT, begin, runs
+    from scenegen.model.reproduce.stages import reproduce as make
+
+    talk = not (quiet or as_json)
+    config = ReproduceConfig(**taken(ReproduceConfig, options))
+    chosen = runs(config)
+    if not dry_run:
+        begin(out, config)
+    found = estimate(config, chosen, device=device, workers=workers)
+    if talk:
+        show_table(found.words())
+    if dry_run:
+        if as_json:
+            print(json.dumps(vars(found)))
+        return
+    if talk:
+        announce_compilation()
+    with stops.noted() as stop:
+        study = make(
+            out,
+            config,
+            device=device,
+            workers=workers,
+            progress=lambda label: Progress(label, shown=talk),
+            stop=stop,
+        )
+    if as_json:
+        print(json.dumps({"folder": str(out), "verdicts": study["verdicts"]}))
+    elif talk:
+        show_table({name: said["verdict"] for name, said in study["verdicts"].items()})
+        say(f"written: {out / TEXT}, {out / STUDY}")
