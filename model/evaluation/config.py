@@ -31,6 +31,8 @@ class PlanConfig:
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
     """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone (ours)."""
+    free_start: bool = False
+    """Whether the start's own voxel is free whatever the map says, since a hovering robot is there (ours)."""
     safety_m: float = number(1.0, least=0)
     """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without a value; ours)."""
     clearance_weight: float = number(1.0, least=0)

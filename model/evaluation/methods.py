@@ -1,11 +1,11 @@
 """What the bench compares: completers, and the truth itself. `predicted` and `pretrained` hold other rows."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from lidarsim import GridSpec
+from scenegen.dataset.read import Split
 from scenegen.errors import printable
 from scenegen.model.completion.protocol import MapCompleter, Prediction, PredictionError, check_prediction
 from scenegen.sample import Sample
@@ -19,8 +19,8 @@ class Method(Protocol):
         """How the method is called in tables."""
         ...
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
-        """What the method says about a sample's map, on `grid`, as seen by the sensor `lidar`."""
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """What the method says about the map of `sample`, which is one of `split`'s."""
         ...
 
 
@@ -43,10 +43,10 @@ class Completed:
         """The completer's, in one line: a network's comes from its file's name."""
         return printable(self.completer.name)
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+    def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises PredictionError where the completer gives what is no prediction."""
-        found = self.completer.complete(sample.observed, sample.free, grid=grid)
-        return check_prediction(found, grid.shape, self.name)
+        found = self.completer.complete(sample.observed, sample.free, grid=split.dataset.grid)
+        return check_prediction(found, split.dataset.grid.shape, self.name)
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,6 @@ class Truth:
 
     name: str = "truth"
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+    def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`."""
         return Prediction(occupancy_probability=sample.occupancy.astype(np.float32), tudf=sample.tudf)
