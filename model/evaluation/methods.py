@@ -19,6 +19,11 @@ class Method(Protocol):
         """How the method is called in tables."""
         ...
 
+    @property
+    def learned(self) -> bool:
+        """Whether the method was trained, or may have been; not one that is only there to be compared with."""
+        ...
+
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """What the method says about the map of `sample`, which is one of `split`'s."""
         ...
@@ -43,6 +48,11 @@ class Completed:
         """The completer's, in one line: a network's comes from its file's name."""
         return printable(self.completer.name)
 
+    @property
+    def learned(self) -> bool:
+        """Whatever the completer says of itself; one that says nothing may be."""
+        return bool(getattr(self.completer, "learned", True))
+
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises PredictionError where the completer gives what is no prediction."""
         found = self.completer.complete(sample.observed, sample.free, grid=split.dataset.grid)
@@ -54,6 +64,7 @@ class Truth:
     """The truth as if it had been predicted: the ceiling, and what the planner itself loses."""
 
     name: str = "truth"
+    learned: bool = False
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`."""

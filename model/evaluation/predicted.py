@@ -29,6 +29,7 @@ class Predicted:
 
     path: Path
     name: str = field(default="predicted")
+    learned: bool = True
 
     def check(self, dataset: Dataset, split: str) -> None:
         """Raise DatasetError unless the file predicts every sample of `split` of `dataset` once, on its grid, in

@@ -20,6 +20,8 @@ class Pretrained:
     CheckpointError where there is no such network.
     """
 
+    learned = True
+
     def __init__(self, weights: str):
         self._path = locate(weights)
         if self._path.suffix == ".onnx":  # the workers must not start processes of their own
