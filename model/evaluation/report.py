@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -14,7 +14,8 @@ from scenegen.model.evaluation.difficulty import DESCRIPTORS
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import figure, holm, paired_p, summarize
-from scenegen.model.evaluation.study.report import study_of
+from scenegen.model.evaluation.study.report import study_lines, study_of
+from scenegen.model.evaluation.tables import cell, head, interval, line, spread
 from scenegen.model.evaluation.visibility import CLASSES
 
 REGIONS = ("map", "unobserved")
@@ -136,52 +137,30 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             "",
             "### Difficulty",
             "",
-            *_head(DESCRIPTORS),
-            _line("truth", map(_cell, about["difficulty"].values())),
+            *head(DESCRIPTORS),
+            line("truth", map(cell, about["difficulty"].values())),
         ]
         for title, table, reference, metrics in (
             ("Reconstruction", report["reconstruction"][kind], paper.RECONSTRUCTION.get(kind, {}), METRICS),
             ("Planning", report["planning"][kind], paper.PLANNING.get(kind, {}), PLAN_METRICS),
         ):
-            lines += ["", f"### {title}", "", *_head(metrics)]
-            lines += [_line(name, (_cell(row[m]) for m in metrics)) for name, row in table.items()]
+            lines += ["", f"### {title}", "", *head(metrics)]
+            lines += [line(name, (cell(row[m]) for m in metrics)) for name, row in table.items()]
             for name, row in reference.items():
-                cells = (f"*{_spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items())
-                lines.append(_line(f"*{name}*", cells))
+                cells = (f"*{spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items())
+                lines.append(line(f"*{name}*", cells))
         lines += ["", "### Failures", ""]
         for name, row in report["planning"][kind].items():
             counted = ", ".join(f"{cause} {count}" for cause, count in sorted(row["failures"].items()))
             lines.append(f"- {name}: {counted or 'none'}")
-        lines += ["", "### IoU by what was seen", "", *_head(CLASSES)]
+        lines += study_lines(report.get("study", {}).get(kind, {}))
+        lines += ["", "### IoU by what was seen", "", *head(CLASSES)]
         for name, row in report["reconstruction"][kind].items():
-            lines.append(_line(name, (_cell(row["by_class"][c]["iou"]) for c in CLASSES)))
-        lines += ["", "### Paired tests, by world, Holm-corrected", "", *_head(("metric", "difference", "p"))]
+            lines.append(line(name, (cell(row["by_class"][c]["iou"]) for c in CLASSES)))
+        lines += ["", "### Paired tests, by world, Holm-corrected", "", *head(("metric", "difference", "p"))]
         for test in report["tests"][kind]:
             pair, found = f"{test['first']} − {test['second']}", "–"
             if test["difference"] is not None:
-                found = f"{test['difference']:+.3f} {_interval(test, '+.3f')}"
-            lines.append(_line(pair, (test["metric"], found, f"{test['p_holm']:.4f}")))
+                found = f"{test['difference']:+.3f} {interval(test, '+.3f')}"
+            lines.append(line(pair, (test["metric"], found, f"{test['p_holm']:.4f}")))
     return "\n".join(lines) + "\n"
-
-
-def _head(names: Collection[str]) -> list[str]:
-    return [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-
-
-def _line(name: str, cells: Iterable[str]) -> str:
-    return f"| {name} | {' | '.join(cells)} |"
-
-
-def _cell(figure: Mapping[str, float]) -> str:
-    if not figure["n"]:
-        return "–"
-    return f"{_spread(figure['mean'], figure['std'])} {_interval(figure, '.3f')}"
-
-
-def _interval(figure: Mapping[str, Any], form: str) -> str:
-    """[low, high], or a dash where one world gives none."""
-    return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
-
-
-def _spread(mean: float, std: float | None) -> str:
-    return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

@@ -15,7 +15,7 @@ from scenegen.errors import BrokenError, DatasetError, SceneError
 from scenegen.model.completion.protocol import Prediction
 from scenegen.sample import Sample
 from scenegen.screen import screen
-from scenegen.truth import distance_field, rasterize
+from scenegen.truth import rasterize
 from scenegen.world import compile_world
 
 
@@ -28,9 +28,7 @@ class Seen:
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises DatasetError where the sample's world cannot be compiled."""
-        occupied = seen_occupancy(sample, split)
-        grid = split.dataset.grid
-        return Prediction(occupancy_probability=occupied.astype(np.float32), tudf=distance_field(occupied, grid))
+        return Prediction(occupancy_probability=seen_occupancy(sample, split).astype(np.float32))
 
 
 def seen_occupancy(sample: Sample, split: Split) -> NDArray[np.bool_]:

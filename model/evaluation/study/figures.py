@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from scenegen.model.evaluation.study.planning import FATES
+from scenegen.model.evaluation.study.report import at
 
 LINES = {"edt": "-", "tudf": "--", "min": ":"}
 """How the fields are told apart."""
@@ -18,8 +19,8 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
     if "study" not in report:
         raise ValueError("the report holds no study; run bench with --study")
     panels: dict[str, tuple[str, str, Draw]] = {
-        "success-by-weight.png": ("λ_c", "success", _curve("clearance_weight", "safety_m")),
-        "success-by-safety.png": ("d_s, m", "success", _curve("safety_m", "clearance_weight")),
+        "success-by-weight.png": ("λ_c", "success", _curve("clearance_weight")),
+        "success-by-safety.png": ("d_s, m", "success", _curve("safety_m")),
         "success-by-clearance.png": ("least clearance in the truth, m", "success", _clearance),
         "iou-by-range.png": ("from the sensor, m", "IoU", _range("iou")),
         "near-mae-by-range.png": ("from the sensor, m", "Near-MAE, m", _range("near_mae")),
@@ -57,15 +58,13 @@ def _line(axes: Any, points: Iterable[tuple[float, Mapping[str, Any]]], **style:
         axes.fill_between([x for x, _ in shown], low, high, alpha=0.08, color=style.get("color"), linewidth=0)
 
 
-def _curve(varied: str, kept: str) -> Draw:
+def _curve(varied: str) -> Draw:
     """Success over the values of one choice, where the other is as usual; nodes alone, as the paper has it."""
 
     def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
-        usual = study["planning"][0][kept]
+        rows = at(study["planning"], study["planning"][0], varied)
         for field, dashes in LINES.items():
-            rows = [row for row in study["planning"] if (row["search"], row["field"]) == ("nodes", field)]
-            points = [(row[varied], row["success"]) for row in rows if row[kept] == usual]
-            if points:
+            if points := [(row[varied], row["success"]) for row in rows if row["field"] == field]:
                 _line(axes, points, color=colour, linestyle=dashes, label=f"{name}, {field}")
         axes.set_xscale("log" if varied == "clearance_weight" else "linear")
 
@@ -103,10 +102,7 @@ def _reliability(axes: Any, name: str, study: Any, colour: str) -> None:
 
 def _fates(axes: Any, name: str, study: Any, colour: str) -> None:
     """Why trials fail under the paper's protocol, with the method's own distances where it has some: a stacked bar."""
-    usual = study["planning"][0]
-    settings = ("search", "clearance_weight", "safety_m")
-    rows = [row for row in study["planning"] if all(row[one] == usual[one] for one in settings)]
-    counts = {row["field"]: row["fates"] for row in rows}
+    counts = {row["field"]: row["fates"] for row in at(study["planning"], study["planning"][0])}
     fates = counts.get("tudf", counts["edt"])
     left, first = 0.0, not axes.patches
     for n, fate in enumerate(FATES[1:]):

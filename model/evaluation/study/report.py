@@ -1,6 +1,7 @@
-"""The study's figures as JSON."""
+"""The study's figures as JSON, and as Markdown."""
 
 import dataclasses
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -8,13 +9,16 @@ import numpy as np
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.statistics import figure
-from scenegen.model.evaluation.study.calibration import reliability
+from scenegen.model.evaluation.study.calibration import READINGS, REGIONS, reliability
 from scenegen.model.evaluation.study.maps import Study, ranges
-from scenegen.model.evaluation.study.planning import COLUMNS, FATES, Variant, variants
+from scenegen.model.evaluation.study.planning import COLUMNS, FATES, SEARCHES, Variant, variants
+from scenegen.model.evaluation.tables import head, interval, line
 
 if TYPE_CHECKING:
     from scenegen.model.evaluation.run import DatasetResult, MethodResult
 
+VARIED = {"search": "what A* asks", "clearance_weight": "λ_c", "safety_m": "d_s, metres"}
+"""The choices of a row of ``planning`` besides its field: names and titles."""
 SUCCESS, FATE = COLUMNS.index("success"), COLUMNS.index("fate")
 
 
@@ -76,3 +80,40 @@ def _by_clearance(found: "MethodResult", result: "DatasetResult", rng: np.random
         }
         for b in range(bins.max(initial=-1) + 1)
     ]
+
+
+def study_lines(study: Mapping[str, Any]) -> list[str]:
+    """What `study_of` gave of planning and calibration, as Markdown for people; nothing where nothing was studied."""
+    if not study:
+        return []
+    usual = next(iter(study.values()))["planning"][0]
+    lines = []
+    for varied, title in VARIED.items():
+        rows = [(name, row) for name, found in study.items() for row in at(found["planning"], usual, varied)]
+        values = list(SEARCHES) if varied == "search" else sorted({row[varied] for _, row in rows})
+        cells = {(f"{name}, {row['field']}", row[varied]): brief(row["success"]) for name, row in rows}
+        lines += ["", f"### Success by {title}", "", *head([str(value) for value in values])]
+        lines += [
+            line(name, (cells[name, value] for value in values)) for name in dict.fromkeys(name for name, _ in cells)
+        ]
+    lines += ["", "### What became of trials", "", *head(FATES)]
+    for name, found in study.items():
+        for row in at(found["planning"], usual):
+            lines.append(line(f"{name}, {row['field']}", (str(row["fates"][fate]) for fate in FATES)))
+    kinds = [(region, reading) for region in REGIONS for reading in READINGS]
+    lines += ["", "### Expected calibration error", "", *head([f"{region}, {reading}" for region, reading in kinds])]
+    for name, found in study.items():
+        if (held := found["reliability"]) is not None:
+            errors = (held[region][reading] for region, reading in kinds)
+            lines.append(line(name, (f"{one['ece']:.4f} {interval(one, '.4f')}" for one in errors)))
+    return lines
+
+
+def at(rows: Iterable[Mapping[str, Any]], usual: Mapping[str, Any], varied: str = "") -> list[Mapping[str, Any]]:
+    """Those rows of ``planning`` that are as `usual` in all choices but the field and the one that is `varied`."""
+    return [row for row in rows if all(row[name] == usual[name] for name in VARIED if name != varied)]
+
+
+def brief(figure: Mapping[str, Any]) -> str:
+    """A mean and its interval; a dash where nothing was measured."""
+    return f"{figure['mean']:.3f} {interval(figure, '.3f')}" if figure["n"] else "–"
