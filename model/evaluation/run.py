@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
@@ -20,10 +20,10 @@ from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.measure import Measurement, run_trial
 from scenegen.model.evaluation.planning.trials import draw_trials
 from scenegen.model.evaluation.reconstruction import measure
-from scenegen.model.evaluation.seen import seen_occupancy
 from scenegen.model.evaluation.study.maps import Study, stack, study_map
 from scenegen.model.evaluation.tuning import spread, tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify
+from scenegen.sample import Sample
 from scenegen.workers import run as run_workers
 
 CHUNK = 10
@@ -156,7 +156,7 @@ def _work(
         bounds = _world_bounds(dataset, sample.origin)
         drawn = draw_trials(sample.occupancy, grid, config.plan, count=trials_each, rng=rng, bounds=bounds)
         trial = partial(run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan)
-        seen = seen_occupancy(sample, split) if config.study else None
+        seen = _seen(sample, split) if config.study else None
         one = _Found(
             index=index,
             world=int(sample.world),
@@ -199,6 +199,13 @@ def _work(
                 one.studies.append(studied)
         found.append(one)
     return found
+
+
+def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
+    """See `seen_occupancy`, which compiles worlds, and so is imported only then."""
+    from scenegen.model.evaluation.seen import seen_occupancy
+
+    return seen_occupancy(sample, split)
 
 
 def _world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:
