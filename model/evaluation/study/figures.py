@@ -66,7 +66,8 @@ def _curve(varied: str) -> Draw:
         for field, dashes in LINES.items():
             if points := [(row[varied], row["success"]) for row in rows if row["field"] == field]:
                 _line(axes, points, color=colour, linestyle=dashes, label=f"{name}, {field}")
-        axes.set_xscale("log" if varied == "clearance_weight" else "linear")
+        if varied == "clearance_weight":
+            axes.set_xscale("symlog", linthresh=0.1)  # which has room for 0
 
     return draw_method
 

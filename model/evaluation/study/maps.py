@@ -63,10 +63,11 @@ def study_map(
 def stack(parts: Sequence[Study], turns: Sequence[tuple[int, int]]) -> Study:
     """The studies of all maps as one, with those trials that `turns` name, each (trial, map)."""
     counted = [part.reliability for part in parts]
+    trials = np.array([parts[n].trials[turn] for turn, n in turns])
     return Study(
         by_range=np.array([part.by_range for part in parts]),
         reliability=np.array(counted) if all(one is not None for one in counted) else None,
-        trials=np.array([parts[n].trials[turn] for turn, n in turns]),
+        trials=trials.reshape(-1, *parts[0].trials.shape[1:]),
     )
 
 

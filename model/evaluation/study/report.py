@@ -56,7 +56,7 @@ def _planning(
     rows = []
     for v, variant in enumerate(chosen):
         trials = study.trials[:, v]
-        if np.isnan(trials[:, FATE]).all():
+        if len(trials) and np.isnan(trials[:, FATE]).all():
             continue
         row = dataclasses.asdict(variant)
         row |= {name: figure(trials[:, c], worlds, rng=rng) for c, name in enumerate(PLAN_METRICS)}

@@ -15,11 +15,11 @@ from scenegen.model.commands.bench import METHODS, choose_methods, run_bench
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig, StudyConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.predicted import Predicted
-from scenegen.model.evaluation.report import build_report
+from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.study.figures import draw
 from scenegen.model.evaluation.tuning import tune
@@ -163,7 +163,8 @@ def strictly(path: Path) -> dict:
 def test_a_study_stands_beside_tables_that_it_does_not_change(dataset: Dataset, tmp_path: Path) -> None:
     rows = ("truth", "seen", "returns")
     plain = report_of(dataset, tmp_path / "plain", names=rows)
-    report = report_of(dataset, tmp_path / "study", names=rows, study=True)
+    few = StudyConfig(clearance_weights=(0.0, 10.0), safeties_m=(1.0,), range_step_m=2.0)
+    report = report_of(dataset, tmp_path / "study", names=rows, study=True, variants=few)
     assert {name: value for name, value in report.items() if name != "study"} == plain
     assert "study" not in plain
     assert report == strictly(tmp_path / "study" / "report.json")
@@ -188,10 +189,21 @@ def test_a_study_stands_beside_tables_that_it_does_not_change(dataset: Dataset, 
     text = (tmp_path / "study" / "report.md").read_text()
     assert "### What became of trials" in text
     assert "### What became of trials" not in (tmp_path / "plain" / "report.md").read_text()
-    pictures = {path.name for path in (tmp_path / "study").glob("*.png")}
-    assert pictures == set(draw(report))
+    assert len(list((tmp_path / "study").glob("*.png"))) == 8
     with pytest.raises(ValueError, match="no study; run bench with --study"):
         draw(plain)
+
+
+def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
+    few = StudyConfig(clearance_weights=(), safeties_m=(), range_step_m=9.0)
+    lonely = PlanConfig(step_voxels=100)  # a lattice of one node, so no goal
+    config = BenchConfig(samples=2, study=True, plan=lonely, variants=few)
+    report = build_report([bench(dataset, [Truth()], config)], seed=0, about={})
+    rows = report["study"]["pillar"]["truth"]["planning"]
+    assert rows
+    assert all(row["success"]["n"] == sum(row["fates"].values()) == 0 for row in rows)
+    assert "| truth, edt | – |" in to_markdown(report)
+    assert all(draw(report).values())
 
 
 def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset: Dataset) -> None:
