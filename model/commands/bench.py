@@ -5,6 +5,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,6 +94,8 @@ def bench(
     elif talk:
         show_tables(report)
         say(f"\nwritten: {out / 'report.md'}, {out / 'report.json'}")
+        if options["study"] and not find_spec("matplotlib"):
+            say(f"no pictures of the study: {needs('matplotlib', 'train')}")
 
 
 def run_bench(
@@ -187,7 +190,7 @@ def _method(name: str) -> "Method":
         made = found()
     except TypeError as error:
         raise ScenegenError(f"--method {name}: cannot be made by calling it without arguments: {error}") from None
-    if hasattr(made, "completion"):  # a row itself, not a completer
+    if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
         return made
     row = Completed(made)
     try:
