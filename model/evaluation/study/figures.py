@@ -25,7 +25,7 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
         "iou-by-range.png": ("from the sensor, m", "IoU", _range("iou")),
         "near-mae-by-range.png": ("from the sensor, m", "Near-MAE, m", _range("near_mae")),
         "near-mae-by-visibility.png": ("", "Near-MAE, m", _visibility),
-        "reliability.png": ("said, class weight inverted", "occupied", _reliability),
+        "reliability.png": ("said (dotted), class weight inverted (solid)", "occupied", _reliability),
         "fates.png": ("share of trials", "", _fates),
     }
     return {name: _picture(report, *panel) for name, panel in panels.items()}
