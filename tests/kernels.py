@@ -108,11 +108,13 @@ def _plans() -> None:
 def _maps() -> None:
     from scenegen.model.completion.unlearned import Extrude
     from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
+    from scenegen.model.evaluation.study.calibration import count
 
     grid = _grid()
     free, far = np.zeros(grid.shape, np.bool_), np.full(grid.shape, 2.0, np.float32)
     Extrude().complete(free, free, grid=grid)
     measure(free, far, free, far, classes=free.view(np.uint8), class_count=1, config=ReconstructionConfig())
+    count(far, free, free, 5.0)
 
 
 def _reference() -> None:

@@ -5,6 +5,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,9 +38,12 @@ METHODS = Registry(
         "conservative": "scenegen.model.completion.unlearned:Conservative",
         "extrude": "scenegen.model.completion.unlearned:Extrude",
         "truth": "scenegen.model.evaluation.methods:Truth",
+        "seen": "scenegen.model.evaluation.seen:Seen",
     },
 )
-"""Classes of completers, made without arguments, and the truth; a user's own as ``module:Class``."""
+"""Classes of completers and of rows, made without arguments; a user's own completer as ``module:Class``."""
+USUAL = tuple(name for name in METHODS.known if name != "seen")
+"""The rows without any named: `seen` compiles every world, and is measured when it is asked for."""
 QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 """What `--quick` measures of every dataset."""
 
@@ -62,7 +66,11 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 @out_option("Folder of the report.", Path("bench"))
 @options_of(BenchConfig, split="The split that is measured; calibrate on val alone.")
 @click.option("--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most.")
-@options_of(BenchConfig, seed="Decides the goals and the intervals.")
+@options_of(
+    BenchConfig,
+    study="Study planning and errors besides, with pictures: slower. See docs/bench.md.",
+    seed="Decides the goals and the intervals.",
+)
 @workers_option
 @json_option
 @quiet_option
@@ -86,6 +94,8 @@ def bench(
     elif talk:
         show_tables(report)
         say(f"\nwritten: {out / 'report.md'}, {out / 'report.json'}")
+        if options["study"] and not find_spec("matplotlib"):
+            say(f"no pictures of the study: {needs('matplotlib', 'train')}")
 
 
 def run_bench(
@@ -144,19 +154,33 @@ def run_bench(
         raise DatasetError(f"{out}: cannot be made: {error.strerror}; choose another folder with --out") from None
     write_whole(out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
     write_whole(out / "report.md", to_markdown(report).encode())
+    if config.study:
+        for name, picture in draw_study(report).items():
+            write_whole(out / name, picture)
     return report
 
 
+def draw_study(report: dict[str, Any]) -> dict[str, bytes]:
+    """The pictures of a report's study by their files' names; none without matplotlib, with which a study can still be
+    drawn later: ``python docs/figures.py bench/report.json``."""
+    from scenegen.model.evaluation.study.figures import draw
+
+    try:
+        return draw(report)
+    except ImportError:
+        return {}
+
+
 def choose_methods(names: Sequence[str]) -> "list[Method]":
-    """Rows by name: those that need no learning, `truth`, or ``module:Class`` of a completer; the known ones for none.
+    """Rows by name: a known one, or ``module:Class`` of a completer; the usual ones for none.
 
     Raises ScenegenError for a name that leads to none, and for a completer that does not keep the protocol.
     """
-    return [_method(name) for name in names or METHODS.known]
+    return [_method(name) for name in names or USUAL]
 
 
 def _method(name: str) -> "Method":
-    from scenegen.model.evaluation.methods import Completed, Truth
+    from scenegen.model.evaluation.methods import Completed
 
     try:
         found = METHODS.find(name)
@@ -166,7 +190,7 @@ def _method(name: str) -> "Method":
         made = found()
     except TypeError as error:
         raise ScenegenError(f"--method {name}: cannot be made by calling it without arguments: {error}") from None
-    if isinstance(made, Truth):
+    if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
         return made
     row = Completed(made)
     try:

@@ -32,9 +32,10 @@ class Prediction:
             raise ValueError("a completion needs a probability of occupancy, a distance, or both")
 
     def occupied(self, thresholds: Thresholds) -> NDArray[np.bool_]:
-        """The binary map, (*shape)."""
+        """The binary map, (*shape): where the probability is greater than its threshold ("greater than" in the paper's
+        section "Implementation Details"), or, without one, the distance less than its own."""
         if self.occupancy_probability is not None:
-            return self.occupancy_probability >= np.float32(thresholds.probability)
+            return self.occupancy_probability > np.float32(thresholds.probability)
         assert self.tudf is not None
         return self.tudf < np.float32(thresholds.distance_m)
 

@@ -12,6 +12,7 @@ class Returns:
     """Occupied where something returned, free elsewhere: what a robot does that trusts its map as it is."""
 
     name = "returns"
+    learned = False
 
     def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""
@@ -22,6 +23,7 @@ class Conservative:
     """Whatever no ray crossed is occupied: what a robot does that trusts nothing unseen."""
 
     name = "conservative"
+    learned = False
 
     def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""
@@ -33,6 +35,7 @@ class Extrude:
     has to beat."""
 
     name = "extrude"
+    learned = False
 
     def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""

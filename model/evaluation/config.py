@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from lidarsim.parameters import check, number
-from scenegen.model.config import Thresholds
+from scenegen.model.config import LossConfig, Thresholds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +31,8 @@ class PlanConfig:
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
     """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone (ours)."""
+    free_start: bool = False
+    """Whether the start's own voxel is free whatever the map says, since a hovering robot is there (ours)."""
     safety_m: float = number(1.0, least=0)
     """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without a value; ours)."""
     clearance_weight: float = number(1.0, least=0)
@@ -56,6 +58,25 @@ class PlanConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StudyConfig:
+    """What a study varies, and how it bins. All of it is ours."""
+
+    clearance_weights: tuple[float, ...] = number((0.1, 0.3, 1.0, 3.0, 10.0, 30.0), least=0)
+    """Values of lambda_c."""
+    safeties_m: tuple[float, ...] = number((0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0), least=0)
+    """Values of d_s, metres."""
+    class_weight: float = number(LossConfig().occupied_weight, above=0)
+    """The weight of occupied voxels in the loss by which networks were trained, which is inverted for calibration."""
+    range_step_m: float = number(1.0, above=0)
+    """Width of the bins of distance from the sensor, metres."""
+    clearance_step_m: float = number(0.25, above=0)
+    """Width of the bins of a trial's clearance in the truth, metres."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
 class BenchConfig:
     """What is measured, and how much of it."""
 
@@ -67,9 +88,12 @@ class BenchConfig:
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
     seed: int = number(0, least=0)
     """Seed of goals, bootstraps and permutations."""
+    study: bool = False
+    """Whether the report has a study beside its tables: see `scenegen.model.evaluation.study`."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     reconstruction: ReconstructionConfig = field(default_factory=ReconstructionConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)
+    variants: StudyConfig = field(default_factory=StudyConfig)
 
     def __post_init__(self) -> None:
         check(self)

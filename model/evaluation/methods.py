@@ -1,11 +1,11 @@
 """What the bench compares: completers, and the truth itself. `predicted` and `pretrained` hold other rows."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from lidarsim import GridSpec
+from scenegen.dataset.read import Split
 from scenegen.errors import printable
 from scenegen.model.completion.protocol import MapCompleter, Prediction, PredictionError, check_prediction
 from scenegen.sample import Sample
@@ -19,8 +19,13 @@ class Method(Protocol):
         """How the method is called in tables."""
         ...
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
-        """What the method says about a sample's map, on `grid`, as seen by the sensor `lidar`."""
+    @property
+    def learned(self) -> bool:
+        """Whether the method was trained, or may have been; not one that is only there to be compared with."""
+        ...
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """What the method says about the map of `sample`, which is one of `split`'s."""
         ...
 
 
@@ -43,10 +48,15 @@ class Completed:
         """The completer's, in one line: a network's comes from its file's name."""
         return printable(self.completer.name)
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+    @property
+    def learned(self) -> bool:
+        """Whatever the completer says of itself; one that says nothing may be."""
+        return bool(getattr(self.completer, "learned", True))
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises PredictionError where the completer gives what is no prediction."""
-        found = self.completer.complete(sample.observed, sample.free, grid=grid)
-        return check_prediction(found, grid.shape, self.name)
+        found = self.completer.complete(sample.observed, sample.free, grid=split.dataset.grid)
+        return check_prediction(found, split.dataset.grid.shape, self.name)
 
 
 @dataclass(frozen=True)
@@ -54,7 +64,8 @@ class Truth:
     """The truth as if it had been predicted: the ceiling, and what the planner itself loses."""
 
     name: str = "truth"
+    learned: bool = False
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+    def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`."""
-        return Prediction(occupancy_probability=sample.occupancy.astype(np.float32), tudf=sample.tudf)
+        return Prediction(occupancy_probability=sample.occupancy.astype(np.float32))  # whose transform is the distance

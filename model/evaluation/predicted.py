@@ -4,15 +4,13 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import h5py
 import isal.isal_zlib
 import numpy as np
 
-from lidarsim import GridSpec
 from scenegen.dataset.layout import FILTERS, Column, unpack
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, GuardError, printable, short
 from scenegen.files import open_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
@@ -31,6 +29,7 @@ class Predicted:
 
     path: Path
     name: str = field(default="predicted")
+    learned: bool = True
 
     def check(self, dataset: Dataset, split: str) -> None:
         """Raise DatasetError unless the file predicts every sample of `split` of `dataset` once, on its grid, in
@@ -57,9 +56,9 @@ class Predicted:
         with h5py.File(self.path, "r") as file:
             return {(str(file.attrs["split"]), *pair): row for row, pair in enumerate(_pairs(file))}
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+    def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises KeyError for a sample that the file does not predict."""
-        row = self._rows[split, int(sample.world), int(sample.viewpoint)]
+        row = self._rows[split.name, int(sample.world), int(sample.viewpoint)]
         with h5py.File(self.path, "r") as file:
             return _prediction(file, row)
 

@@ -1,11 +1,10 @@
 """A network as a row of the bench: it travels to worker processes by name, and each opens it once."""
 
 from functools import cache
-from typing import Any
 
 import torch
 
-from lidarsim import GridSpec
+from scenegen.dataset.read import Split
 from scenegen.errors import DatasetError, printable
 from scenegen.model.completion.completer import Completer, called, locate
 from scenegen.model.completion.protocol import Prediction
@@ -21,6 +20,8 @@ class Pretrained:
     CheckpointError where there is no such network.
     """
 
+    learned = True
+
     def __init__(self, weights: str):
         self._path = locate(weights)
         if self._path.suffix == ".onnx":  # the workers must not start processes of their own
@@ -28,13 +29,13 @@ class Pretrained:
         self.name = printable(called(weights, self._path))
         """How the network is called in tables, in one line."""
 
-    def completion(self, sample: Sample, *, split: str, grid: GridSpec, lidar: Any) -> Prediction:
+    def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises DatasetError for another grid."""
         torch.set_num_threads(1)
         completer = _opened(str(self._path))
         try:
-            completer.check_grid(grid)
-            return completer(of_sample(completer.inputs, sample, grid, lidar))
+            completer.check_grid(split.dataset.grid)
+            return completer(of_sample(completer.inputs, sample, split.dataset.grid, split.dataset.lidar))
         except ValueError as error:
             raise DatasetError(str(error)) from None
 

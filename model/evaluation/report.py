@@ -1,8 +1,9 @@
 """The report: both tables, with the paper's figures beside ours, as JSON for machines and Markdown for people."""
 
 import dataclasses
+import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -12,7 +13,9 @@ from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.difficulty import DESCRIPTORS
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
-from scenegen.model.evaluation.statistics import holm, paired_p, summarize
+from scenegen.model.evaluation.statistics import figure, holm, paired_p, summarize
+from scenegen.model.evaluation.study.report import study_lines, study_of
+from scenegen.model.evaluation.tables import cell, head, interval, line, spread
 from scenegen.model.evaluation.visibility import CLASSES
 
 REGIONS = ("map", "unobserved")
@@ -22,7 +25,8 @@ REGIONS = ("map", "unobserved")
 def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any]) -> dict[str, Any]:
     """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``, each {mean, std,
     low, high, n}, at the paper's thresholds; variants under their own keys beside them; `about` as it is. Where there
-    is one world, low and high are None; where nothing was measured, mean and std are, too."""
+    is one world, low and high are None; where nothing was measured, mean and std are, too. No number is NaN or
+    infinite, which JSON has no words for: those are None."""
     report: dict[str, Any] = {**about, "reconstruction": {}, "planning": {}, "tests": {}, "datasets": {}}
     for result in results:
         rng = np.random.default_rng(seed)
@@ -34,22 +38,29 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
             "difficulty": {
-                name: _figure(result.difficulty[:, n], result.worlds, rng) for n, name in enumerate(DESCRIPTORS)
+                name: figure(result.difficulty[:, n], result.worlds, rng=rng) for n, name in enumerate(DESCRIPTORS)
             },
         }
         report["reconstruction"][result.kind] = {name: _reconstruction(found, result, rng) for name, found in methods}
         report["planning"][result.kind] = {name: _planning(found, result, rng) for name, found in methods}
         report["tests"][result.kind] = _tests(result, rng)
-    return report
+        if result.config.study:
+            report.setdefault("study", {})[result.kind] = study_of(result, np.random.default_rng(seed))
+    return _finite(report)
 
 
-def _figure(values: np.ndarray, worlds: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
-    return dataclasses.asdict(summarize(values, worlds, rng=rng))
+def _finite(value: Any) -> Any:
+    """`value`, a tree of dicts and lists, with None for every number that is NaN or infinite."""
+    if isinstance(value, Mapping):
+        return {name: _finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _reconstruction(found: MethodResult, result: DatasetResult, rng: np.random.Generator) -> dict[str, Any]:
     def figures(values: np.ndarray) -> dict[str, Any]:
-        return {name: _figure(values[:, m], result.worlds, rng) for m, name in enumerate(METRICS)}
+        return {name: figure(values[:, m], result.worlds, rng=rng) for m, name in enumerate(METRICS)}
 
     return {
         **figures(found.reconstruction[:, 0]),
@@ -66,9 +77,11 @@ def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generat
     succeeded = np.array([trial.success for trial in found.trials], dtype=bool)
 
     def figures(names: Sequence[str], chosen: np.ndarray) -> dict[str, Any]:
-        return {name: _figure(np.where(chosen, columns[name], np.nan), result.trial_worlds, rng) for name in names}
+        rows = {name: np.where(chosen, columns[name], np.nan) for name in names}
+        return {name: figure(values, result.trial_worlds, rng=rng) for name, values in rows.items()}
 
-    everywhere = np.all([[trial.success for trial in other.trials] for other in result.methods.values()], axis=0)
+    learned = [other for other in result.methods.values() if other.learned] or list(result.methods.values())
+    everywhere = np.all([[trial.success for trial in other.trials] for other in learned], axis=0)
     return {
         **figures(tuple(columns), np.ones(len(succeeded), dtype=bool)),
         "successes": figures(on_paths, succeeded),
@@ -124,52 +137,30 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             "",
             "### Difficulty",
             "",
-            *_head(DESCRIPTORS),
-            _line("truth", map(_cell, about["difficulty"].values())),
+            *head(DESCRIPTORS),
+            line("truth", map(cell, about["difficulty"].values())),
         ]
         for title, table, reference, metrics in (
             ("Reconstruction", report["reconstruction"][kind], paper.RECONSTRUCTION.get(kind, {}), METRICS),
             ("Planning", report["planning"][kind], paper.PLANNING.get(kind, {}), PLAN_METRICS),
         ):
-            lines += ["", f"### {title}", "", *_head(metrics)]
-            lines += [_line(name, (_cell(row[m]) for m in metrics)) for name, row in table.items()]
+            lines += ["", f"### {title}", "", *head(metrics)]
+            lines += [line(name, (cell(row[m]) for m in metrics)) for name, row in table.items()]
             for name, row in reference.items():
-                cells = (f"*{_spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items())
-                lines.append(_line(f"*{name}*", cells))
+                cells = (f"*{spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items())
+                lines.append(line(f"*{name}*", cells))
         lines += ["", "### Failures", ""]
         for name, row in report["planning"][kind].items():
             counted = ", ".join(f"{cause} {count}" for cause, count in sorted(row["failures"].items()))
             lines.append(f"- {name}: {counted or 'none'}")
-        lines += ["", "### IoU by what was seen", "", *_head(CLASSES)]
+        lines += study_lines(report.get("study", {}).get(kind, {}))
+        lines += ["", "### IoU by what was seen", "", *head(CLASSES)]
         for name, row in report["reconstruction"][kind].items():
-            lines.append(_line(name, (_cell(row["by_class"][c]["iou"]) for c in CLASSES)))
-        lines += ["", "### Paired tests, by world, Holm-corrected", "", *_head(("metric", "difference", "p"))]
+            lines.append(line(name, (cell(row["by_class"][c]["iou"]) for c in CLASSES)))
+        lines += ["", "### Paired tests, by world, Holm-corrected", "", *head(("metric", "difference", "p"))]
         for test in report["tests"][kind]:
             pair, found = f"{test['first']} − {test['second']}", "–"
             if test["difference"] is not None:
-                found = f"{test['difference']:+.3f} {_interval(test, '+.3f')}"
-            lines.append(_line(pair, (test["metric"], found, f"{test['p_holm']:.4f}")))
+                found = f"{test['difference']:+.3f} {interval(test, '+.3f')}"
+            lines.append(line(pair, (test["metric"], found, f"{test['p_holm']:.4f}")))
     return "\n".join(lines) + "\n"
-
-
-def _head(names: Collection[str]) -> list[str]:
-    return [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-
-
-def _line(name: str, cells: Iterable[str]) -> str:
-    return f"| {name} | {' | '.join(cells)} |"
-
-
-def _cell(figure: Mapping[str, float]) -> str:
-    if not figure["n"]:
-        return "–"
-    return f"{_spread(figure['mean'], figure['std'])} {_interval(figure, '.3f')}"
-
-
-def _interval(figure: Mapping[str, Any], form: str) -> str:
-    """[low, high], or a dash where one world gives none."""
-    return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
-
-
-def _spread(mean: float, std: float | None) -> str:
-    return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

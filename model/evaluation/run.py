@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.dataset.read import Dataset
+from lidarsim import GridSpec
+from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
@@ -19,8 +20,10 @@ from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.measure import Measurement, run_trial
 from scenegen.model.evaluation.planning.trials import draw_trials
 from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.study.maps import Study, stack, study_map
 from scenegen.model.evaluation.tuning import spread, tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify
+from scenegen.sample import Sample
 from scenegen.workers import run as run_workers
 
 CHUNK = 10
@@ -38,6 +41,10 @@ class MethodResult:
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
+    learned: bool
+    """Whether the method was trained, or may have been: see `Method.learned`."""
+    study: Study | None
+    """None unless it was asked for."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,10 +53,14 @@ class DatasetResult:
 
     kind: str
     digest: str
+    grid: GridSpec
+    config: BenchConfig
     worlds: NDArray[np.int64]
     """(N,): the samples' worlds."""
     trial_worlds: NDArray[np.int64]
     """(trials,): the trials' worlds."""
+    trial_clearance: NDArray[np.float64]
+    """(trials,): the least clearance of the path that the planner finds on the truth, metres; NaN without a study."""
     excluded: Counter[str]
     """Drawn trials that are not valid, by reason."""
     difficulty: NDArray[np.float64]
@@ -59,15 +70,19 @@ class DatasetResult:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Found:
-    """What one sample gave; the last three by method."""
+    """What one sample gave; the last four by method."""
 
     index: int
     world: int
     difficulty: NDArray[np.float64]
     excluded: Counter[str]
+    clearance: list[float]
+    """By trial."""
     reconstruction: list[NDArray[np.float64]]
     tuned: list[NDArray[np.float64]]
     trials: list[list[Measurement]]
+    studies: list[Study]
+    """Empty unless asked for."""
 
 
 def bench(
@@ -101,8 +116,11 @@ def bench(
     return DatasetResult(
         kind=dataset.manifest.kind,
         digest=str(dataset.manifest.digest),
+        grid=dataset.grid,
+        config=config,
         worlds=np.array([one.world for one in found]),
         trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
+        trial_clearance=np.array([found[n].clearance[turn] for turn, n in turns], dtype=np.float64),
         difficulty=np.array([one.difficulty for one in found]),
         excluded=sum((one.excluded for one in found), start=Counter()),
         methods={
@@ -111,6 +129,8 @@ def bench(
                 tuned=np.array([one.tuned[m] for one in found]),
                 thresholds=tuned[m],
                 trials=tuple(found[n].trials[m][turn] for turn, n in turns),
+                learned=method.learned,
+                study=stack([one.studies[m] for one in found], turns) if config.study else None,
             )
             for m, method in enumerate(methods)
         },
@@ -135,17 +155,21 @@ def _work(
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
         bounds = _world_bounds(dataset, sample.origin)
         drawn = draw_trials(sample.occupancy, grid, config.plan, count=trials_each, rng=rng, bounds=bounds)
+        trial = partial(run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan)
+        seen = _seen(sample, split) if config.study else None
         one = _Found(
             index=index,
             world=int(sample.world),
             difficulty=describe(sample, grid=grid, config=config.plan),
             excluded=Counter(drawn.excluded),
+            clearance=[math.nan if seen is None else trial(*truth, goal=goal).min_clearance_m for goal in drawn.goals],
             reconstruction=[],
             tuned=[],
             trials=[],
+            studies=[],
         )
         for method, best in zip(methods, tuned, strict=True):
-            said = method.completion(sample, split=config.split, grid=grid, lidar=dataset.lidar)
+            said = method.completion(sample, split)
             maps = {at: (said.occupied(at), said.distance(at, grid)) for at in {usual, best}}
             figures = {
                 at: measure(
@@ -160,9 +184,28 @@ def _work(
             }
             one.reconstruction.append(figures[usual])
             one.tuned.append(figures[best][0])
-            one.trials.append([run_trial(*maps[usual], *truth, goal, grid, config.plan) for goal in drawn.goals])
+            one.trials.append([trial(*maps[usual], goal=goal) for goal in drawn.goals])
+            if seen is not None:
+                studied = study_map(
+                    said,
+                    *maps[usual],
+                    sample,
+                    classes=classes,
+                    seen=seen,
+                    goals=drawn.goals,
+                    grid=grid,
+                    config=config,
+                )
+                one.studies.append(studied)
         found.append(one)
     return found
+
+
+def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
+    """See `seen_occupancy`, which compiles worlds, and so is imported only then."""
+    from scenegen.model.evaluation.seen import seen_occupancy
+
+    return seen_occupancy(sample, split)
 
 
 def _world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:

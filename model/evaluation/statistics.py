@@ -1,6 +1,9 @@
 """Figures with their uncertainty. Samples of one world are not independent, so worlds are what is drawn again."""
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,7 +40,7 @@ def summarize(values: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator)
     if not held.any():
         return Figure(mean=None, std=None, low=None, high=None, n=0)
     sums, counts = _by_world(values[held], np.asarray(worlds)[held])
-    weights = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), DRAWS)
+    weights = _draw(len(sums), rng)
     low, high = np.percentile((weights @ sums) / np.maximum(weights @ counts, 1), [2.5, 97.5])
     several = len(sums) > 1
     return Figure(
@@ -47,6 +50,31 @@ def summarize(values: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator)
         high=float(high) if several else None,
         n=int(held.sum()),
     )
+
+
+def figure(values: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator) -> dict[str, Any]:
+    """What `summarize` gives, as JSON holds it."""
+    return dataclasses.asdict(summarize(values, worlds, rng=rng))
+
+
+def interval(
+    sums: ArrayLike,
+    worlds: ArrayLike,
+    of: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    *,
+    rng: np.random.Generator,
+) -> tuple[float | None, float | None]:
+    """The 95 % interval, by the same bootstrap, of what `of` makes of sums (draws, k) over all samples, as (draws,).
+
+    `sums` (N, k) are those of each sample, of `worlds` (N,). Both ends are None where there is one world or none.
+    """
+    names, member = np.unique(worlds, return_inverse=True)
+    if len(names) < 2:
+        return None, None
+    totals = np.zeros((len(names), np.shape(sums)[1]))
+    np.add.at(totals, member, np.asarray(sums, dtype=np.float64))
+    low, high = np.percentile(of(_draw(len(names), rng) @ totals), [2.5, 97.5])
+    return float(low), float(high)
 
 
 def paired_p(first: ArrayLike, second: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator) -> float:
@@ -73,6 +101,11 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
     corrected = np.empty_like(given)
     corrected[order] = np.minimum(stepped, 1.0)
     return corrected
+
+
+def _draw(worlds: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """How often each world stands in each bootstrap resample, (DRAWS, worlds)."""
+    return rng.multinomial(worlds, np.full(worlds, 1 / worlds), DRAWS)
 
 
 def _by_world(

@@ -30,7 +30,7 @@ def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds)
     for index in spread(len(split), most):
         sample = split[index]
         try:
-            completion = method.completion(sample, split="val", grid=dataset.grid, lidar=dataset.lidar)
+            completion = method.completion(sample, split)
         except KeyError:  # a file that predicts the test split alone
             return thresholds
         if completion.occupancy_probability is None:

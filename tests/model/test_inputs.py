@@ -51,11 +51,10 @@ def test_free_space_and_a_new_metric_go_all_the_way(
         blind = network({**maps, "free": torch.zeros(1, *grid.shape)}).logits.sigmoid()[0].numpy()
     assert not np.allclose(expected, blind, atol=1e-4), "the second channel counts"
 
-    at = {"split": "test", "grid": grid, "lidar": dataset.lidar}
     predict_split(completer, folders[1], "test", tmp_path / "p.h5", batch=2)
     for found in (
-        Predicted(tmp_path / "p.h5").completion(sample, **at),
-        Pretrained(str(tmp_path / "run")).completion(sample, **at),
+        Predicted(tmp_path / "p.h5").completion(sample, dataset.split("test")),
+        Pretrained(str(tmp_path / "run")).completion(sample, dataset.split("test")),
         completer.complete(sample.observed, sample.free, grid=grid),
     ):
         np.testing.assert_allclose(found.occupancy_probability, expected, atol=1e-5)

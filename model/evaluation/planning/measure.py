@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
 from scenegen.model.evaluation.config import PlanConfig
-from scenegen.model.evaluation.planning.astar import Blocked, checked, plan_path
+from scenegen.model.evaluation.planning.astar import Blocked, Plan, checked, plan_path
 from scenegen.model.evaluation.planning.refine import field_at, refine
 
 Cause = Blocked | Literal["initial_collides", "refined_into_obstacle"]
@@ -34,6 +34,8 @@ class Measurement:
     cause: Cause | None = None
     """Why the trial failed; None for a success. `start_blocked`, `goal_blocked` and `no_path` are the predicted map's;
     `initial_collides`: A*'s path, too, meets an occupied voxel of the truth; `refined_into_obstacle`: it does not."""
+    hit: int | None = None
+    """The first occupied voxel of the truth that the refined path meets, counted in C order; None for none."""
 
 
 def run_trial(
@@ -47,25 +49,39 @@ def run_trial(
 ) -> Measurement:
     """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps (*grid.shape); judge in
     the truth (*grid.shape). Distances are metres. The paper's section "Planning with Predicted Distance Fields"."""
-    initial, reason = plan_path(occupied_pred, goal, grid, config)
+    plan = plan_path(occupied_pred, goal, grid, config)
+    return follow(plan, tudf_pred, occupancy_truth, tudf_truth, grid, config)
+
+
+def follow(
+    plan: Plan,
+    tudf_pred: NDArray[np.floating],
+    occupancy_truth: NDArray[np.bool_],
+    tudf_truth: NDArray[np.floating],
+    grid: GridSpec,
+    config: PlanConfig,
+) -> Measurement:
+    """Refine what `plan_path` gave on the predicted distances, and judge it in the truth; see `run_trial`."""
+    initial, reason = plan
     if initial is None:
         return Measurement(success=False, waypoints_clear=False, cause=reason)
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
     refined = refine(initial, tudf_pred, grid, config)
     gap, smooth = config.sample_m, config.clearance == "trilinear"
-    clear, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m, gap, smooth)
+    hit, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m, gap, smooth)
     cause: Cause | None = None
-    if not clear:
-        initial_clear = _walk(initial, truth, distance, grid.voxel_m, gap, smooth)[0]
-        cause = "refined_into_obstacle" if initial_clear else "initial_collides"
+    if hit >= 0:
+        initial_hit = _walk(initial, truth, distance, grid.voxel_m, gap, smooth)[0]
+        cause = "refined_into_obstacle" if initial_hit < 0 else "initial_collides"
     return Measurement(
-        success=clear,
+        success=hit < 0,
         waypoints_clear=_waypoints_clear(refined, truth, grid.voxel_m),
         length_m=length_m,
         min_clearance_m=min_m,
         mean_clearance_m=mean_m,
         cause=cause,
+        hit=None if hit < 0 else hit,
     )
 
 
@@ -73,9 +89,10 @@ def run_trial(
 def _walk(path, occupancy, tudf, voxel_m, sample_m, smooth):
     """Judge `path` (n, 3) at its waypoints and, between two, at equally spaced points at most `sample_m` apart.
 
-    Returns whether none lies in an occupied voxel; the path's length; the least and the mean of `tudf` along it.
+    Returns the number of the first occupied voxel that holds one, -1 for none; the path's length; the least and the
+    mean of `tudf` along it.
     """
-    clear = not _voxel(occupancy, path[0], voxel_m)
+    hit = _hit(occupancy, path[0], voxel_m)
     before = _distance(tudf, path[0], voxel_m, smooth)
     length, least, total = 0.0, before, 0.0
     point = np.empty(3)
@@ -86,19 +103,20 @@ def _walk(path, occupancy, tudf, voxel_m, sample_m, smooth):
         for piece in range(1, pieces + 1):
             for axis in range(3):
                 point[axis] = path[n, axis] + leg[axis] * (piece / pieces)
-            clear = clear and not _voxel(occupancy, point, voxel_m)
+            if hit < 0:
+                hit = _hit(occupancy, point, voxel_m)
             here = _distance(tudf, point, voxel_m, smooth)
             least = min(least, here)
             total += 0.5 * (before + here) * reach / pieces
             before = here
         length += reach
-    return clear, length, least, total / length if length > 0.0 else before
+    return hit, length, least, total / length if length > 0.0 else before
 
 
 @kernel
 def _waypoints_clear(path, occupancy, voxel_m):
     for n in range(len(path)):  # noqa: SIM110 (numba knows no all() of a generator)
-        if _voxel(occupancy, path[n], voxel_m):
+        if _hit(occupancy, path[n], voxel_m) >= 0:
             return False
     return True
 
@@ -108,14 +126,20 @@ def _distance(tudf, point, voxel_m, smooth):
     """The field at a point: between voxel centres if `smooth`, or the value of the voxel that holds it."""
     if smooth:
         return field_at(tudf, point[0], point[1], point[2], voxel_m)[0]
-    return np.float64(_voxel(tudf, point, voxel_m))
+    return np.float64(tudf[_voxel(tudf.shape, point, voxel_m)])
 
 
 @kernel
-def _voxel(grid, point, voxel_m):
-    """The value of the voxel that holds a point of the map; the map's last faces belong to its last voxels."""
-    nx, ny, nz = grid.shape
-    i = min(max(math.floor(point[0] / voxel_m), 0), nx - 1)
-    j = min(max(math.floor(point[1] / voxel_m), 0), ny - 1)
-    k = min(max(math.floor(point[2] / voxel_m), 0), nz - 1)
-    return grid[i, j, k]
+def _hit(occupancy, point, voxel_m):
+    """The number of the voxel that holds a point, in C order, where it is occupied; -1 where it is not."""
+    i, j, k = _voxel(occupancy.shape, point, voxel_m)
+    return (i * occupancy.shape[1] + j) * occupancy.shape[2] + k if occupancy[i, j, k] else -1
+
+
+@kernel
+def _voxel(shape, point, voxel_m):
+    """The voxel that holds a point of the map; the map's last faces belong to its last voxels."""
+    i = min(max(math.floor(point[0] / voxel_m), 0), shape[0] - 1)
+    j = min(max(math.floor(point[1] / voxel_m), 0), shape[1] - 1)
+    k = min(max(math.floor(point[2] / voxel_m), 0), shape[2] - 1)
+    return int(i), int(j), int(k)

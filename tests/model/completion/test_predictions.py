@@ -37,7 +37,7 @@ def test_a_predictions_file_is_what_the_bench_takes(folders: list[Path], tmp_pat
     method.check(dataset, "test")
     for sample in dataset.split("test"):
         read, direct = (
-            method.completion(sample, split="test", grid=dataset.grid, lidar=dataset.lidar),
+            method.completion(sample, dataset.split("test")),
             net(sample.observed),
         )
         np.testing.assert_allclose(read.tudf, direct.tudf, atol=1e-5)

@@ -11,15 +11,17 @@ import pytest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.commands.bench import choose_methods, run_bench
+from scenegen.model.commands.bench import METHODS, choose_methods, run_bench
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig, StudyConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.study.figures import draw
 from scenegen.model.evaluation.tuning import tune
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
@@ -81,7 +83,7 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset:
         np.testing.assert_array_equal(perfect.reconstruction[:, 0, :6], 0)
         np.testing.assert_array_equal(perfect.reconstruction[:, 0, 6:], 1)
     assert truth.trials == from_file.trials
-    assert copied.thresholds.probability == pytest.approx(0.35)
+    assert copied.thresholds.probability == pytest.approx(0.3), "free voxels have just that, and are not above it"
     assert copied.reconstruction[:, 0, list(METRICS).index("iou")].max() == 0, "0.6 is below the paper's threshold"
     np.testing.assert_array_equal(copied.tuned[:, list(METRICS).index("iou")], 1)
 
@@ -151,6 +153,84 @@ def test_the_report_holds_every_figure_in_its_place(dataset: Dataset, tmp_path: 
     text = (tmp_path / "bench" / "report.md").read_text()
     assert "*Proposed*" in text
     assert "0.559 ± 0.058" in text
+
+
+def strictly(path: Path) -> dict:
+    """JSON without the words NaN and Infinity, which are none."""
+    return json.loads(path.read_text(), parse_constant=pytest.fail)
+
+
+def test_a_study_stands_beside_tables_that_it_does_not_change(dataset: Dataset, tmp_path: Path) -> None:
+    rows = ("truth", "seen", "returns")
+    plain = report_of(dataset, tmp_path / "plain", names=rows)
+    few = StudyConfig(clearance_weights=(0.0, 10.0), safeties_m=(1.0,), range_step_m=2.0)
+    report = report_of(dataset, tmp_path / "study", names=rows, study=True, variants=few)
+    assert {name: value for name, value in report.items() if name != "study"} == plain
+    assert "study" not in plain
+    assert report == strictly(tmp_path / "study" / "report.json")
+    study = report["study"]["pillar"]
+    assert list(study) == list(rows)
+    trials = report["datasets"]["pillar"]["trials"]
+    for name, found in study.items():
+        assert found["planning"][0]["success"]["mean"] == plain["planning"]["pillar"][name]["success"]["mean"]
+        for row in found["planning"]:
+            assert sum(row["fates"].values()) == trials
+            assert row["fates"]["reached"] == round(row["success"]["mean"] * trials)
+            assert not (name == "truth" and (row["fates"]["missed"] or row["fates"]["unseen"]))
+            assert not (name == "seen" and row["fates"]["missed"]), "what it knows of obstacles, it knows whole"
+        by_range = [(row["from_m"], row["to_m"], row["mae"]["n"]) for row in found["by_range"]]
+        assert by_range[0][0] == 0.0
+        assert all(count > 0 for *_, count in by_range)
+        assert sum(row["success"]["n"] for row in found["success_by_clearance"]) == trials
+    assert study["truth"]["reliability"]["map"]["said"]["ece"] == 0.0
+    assert study["returns"]["reliability"]["map"]["said"]["ece"] > 0.0
+    edges = [row["success"]["mean"] for row in study["truth"]["planning"] if row["search"] == "edges"]
+    assert edges[0] >= study["truth"]["planning"][0]["success"]["mean"]
+    text = (tmp_path / "study" / "report.md").read_text()
+    assert "### What became of trials" in text
+    assert "### What became of trials" not in (tmp_path / "plain" / "report.md").read_text()
+    assert len(list((tmp_path / "study").glob("*.png"))) == 8
+    with pytest.raises(ValueError, match="no study; run bench with --study"):
+        draw(plain)
+
+
+def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
+    few = StudyConfig(clearance_weights=(), safeties_m=(), range_step_m=9.0)
+    lonely = PlanConfig(step_voxels=100)  # a lattice of one node, so no goal
+    config = BenchConfig(samples=2, study=True, plan=lonely, variants=few)
+    report = build_report([bench(dataset, [Truth()], config)], seed=0, about={})
+    rows = report["study"]["pillar"]["truth"]["planning"]
+    assert rows
+    assert all(row["success"]["n"] == sum(row["fates"].values()) == 0 for row in rows)
+    assert "| truth, edt | – |" in to_markdown(report)
+    assert all(draw(report).values())
+
+
+def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset: Dataset) -> None:
+    """A row that only stands beside them takes none away; where there are only such rows, all count."""
+    learned, beside = Completed(Nothing()), Truth()
+    both, alone, reference = (
+        build_report([bench(dataset, rows, CONFIG)], seed=0, about={})["planning"]["pillar"]
+        for rows in ([learned, beside], [learned], [beside])
+    )
+    assert both["truth"]["all_succeed"]["length"]["n"] == alone["nothing"]["successes"]["length"]["n"]
+    rows = [reference["truth"][chosen]["length"] for chosen in ("all_succeed", "successes")]
+    assert rows[0]["n"] == rows[1]["n"] > 0
+    assert [choose_methods([name])[0].learned for name in METHODS.known] == [False] * len(METHODS.known)
+
+
+def test_no_report_holds_a_number_that_json_lacks(dataset: Dataset) -> None:
+    found = bench(dataset, [Truth()], CONFIG)
+    about = {"a": float("nan"), "b": [float("inf"), {"c": np.float64("nan")}], "d": 1.5, "e": "nan"}
+    report = build_report([found], seed=0, about=about)
+    assert [report[name] for name in "abde"] == [None, [None, {"c": None}], 1.5, "nan"]
+    json.dumps(report, allow_nan=False)
+
+
+def test_at_the_threshold_itself_nothing_is_occupied() -> None:
+    """ "Greater than" 0.85, as the paper has it."""
+    values = np.array([np.nextafter(np.float32(0.85), np.float32(0)), 0.85, 0.8500001], np.float32)
+    assert Prediction(occupancy_probability=values).occupied(Thresholds()).tolist() == [False, False, True]
 
 
 class Nameless:

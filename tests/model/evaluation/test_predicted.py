@@ -138,5 +138,5 @@ def test_predictions_of_one_split_say_nothing_of_another(dataset: Dataset, tmp_p
     """Worlds are numbered from 0 in every split, so a row must go by its split, too."""
     predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
     with pytest.raises(KeyError):
-        predicted.completion(dataset.split("val")[0], split="val", grid=dataset.grid, lidar=dataset.lidar)
+        predicted.completion(dataset.split("val")[0], dataset.split("val"))
     assert tune(predicted, dataset, most=4, thresholds=Thresholds()) == Thresholds()

@@ -1,0 +1,82 @@
+"""One method studied on one map."""
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.study import calibration
+from scenegen.model.evaluation.study.planning import fields_of, run_variants, variants
+from scenegen.model.evaluation.visibility import UNOBSERVED
+from scenegen.sample import Sample
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Study:
+    """What was found out about one method, of one map, or of all N maps of a dataset, stacked."""
+
+    by_range: NDArray[np.float64]
+    """([N,] bins, metrics): the reconstruction by distance from the sensor."""
+    reliability: NDArray[np.float64] | None
+    """([N,] ...): see `calibration.count`; None where no probability is predicted."""
+    trials: NDArray[np.float64]
+    """(trials, variants, columns): see `run_variants`."""
+
+
+def study_map(
+    said: Prediction,
+    occupied: NDArray[np.bool_],
+    distance: NDArray[np.float32],
+    sample: Sample,
+    *,
+    classes: NDArray[np.uint8],
+    seen: NDArray[np.bool_],
+    goals: NDArray[np.float64],
+    grid: GridSpec,
+    config: BenchConfig,
+) -> Study:
+    """Study what a method `said` of a sample's map, whose two maps by the paper's thresholds are `occupied` and
+    `distance`; `classes` tells how each voxel was seen (`classify`), `seen` what returned (`seen_occupancy`)."""
+    truth = sample.occupancy, sample.tudf
+    bins, edges = ranges(grid, config.variants.range_step_m)
+    reliability = None
+    if said.occupancy_probability is not None:
+        unknown, weight = np.isin(classes, UNOBSERVED), config.variants.class_weight
+        reliability = calibration.count(said.occupancy_probability, sample.occupancy, unknown, weight)
+    chosen, fields = variants(config.plan, config.variants), fields_of(said, occupied, grid)
+    return Study(
+        by_range=measure(
+            occupied, distance, *truth, classes=bins, class_count=len(edges) - 1, config=config.reconstruction
+        )[2:],
+        reliability=reliability,
+        trials=run_variants(chosen, occupied, fields, truth, seen, goals, grid, config.plan),
+    )
+
+
+def stack(parts: Sequence[Study], turns: Sequence[tuple[int, int]]) -> Study:
+    """The studies of all maps as one, with those trials that `turns` name, each (trial, map)."""
+    counted = [part.reliability for part in parts]
+    trials = np.array([parts[n].trials[turn] for turn, n in turns])
+    return Study(
+        by_range=np.array([part.by_range for part in parts]),
+        reliability=np.array(counted) if all(one is not None for one in counted) else None,
+        trials=trials.reshape(-1, *parts[0].trials.shape[1:]),
+    )
+
+
+@functools.cache
+def ranges(grid: GridSpec, step_m: float) -> tuple[NDArray[np.uint8], tuple[float, ...]]:
+    """How far each voxel's centre (*grid.shape) is from the map's middle, where the sensor is: the number of its bin;
+    and the edges of the bins, `step_m` wide, metres."""
+    middle = 0.5 * (np.array(grid.shape) - 1)
+    away = np.sqrt(sum((np.indices(grid.shape)[axis] - middle[axis]) ** 2 for axis in range(3))) * grid.voxel_m
+    count = min(math.floor(float(away.max()) / step_m) + 1, 255)
+    bins = np.minimum(away / step_m, count - 1).astype(np.uint8)
+    return bins, tuple(step_m * n for n in range(count + 1))

@@ -1,0 +1,119 @@
+"""The study's figures as JSON, and as Markdown."""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.evaluation.statistics import figure
+from scenegen.model.evaluation.study.calibration import READINGS, REGIONS, reliability
+from scenegen.model.evaluation.study.maps import Study, ranges
+from scenegen.model.evaluation.study.planning import COLUMNS, FATES, SEARCHES, Variant, variants
+from scenegen.model.evaluation.tables import head, interval, line
+
+if TYPE_CHECKING:
+    from scenegen.model.evaluation.run import DatasetResult, MethodResult
+
+VARIED = {"search": "what A* asks", "clearance_weight": "λ_c", "safety_m": "d_s, metres"}
+"""The choices of a row of ``planning`` besides its field: names and titles."""
+SUCCESS, FATE = COLUMNS.index("success"), COLUMNS.index("fate")
+
+
+def study_of(result: "DatasetResult", rng: np.random.Generator) -> dict[str, Any]:
+    """What was studied on one dataset, by method: ``planning``, a row a variant; ``success_by_clearance``;
+    ``by_range``; ``reliability``. Figures are {mean, std, low, high, n}, as in the report's tables."""
+    return {name: _method(found, result, rng) for name, found in result.methods.items()}
+
+
+def _method(found: "MethodResult", result: "DatasetResult", rng: np.random.Generator) -> dict[str, Any]:
+    study, config = found.study, result.config.variants
+    assert study is not None
+    edges = ranges(result.grid, config.range_step_m)[1]
+    by_range = [
+        {"from_m": low, "to_m": high}
+        | {name: figure(study.by_range[:, b, m], result.worlds, rng=rng) for m, name in enumerate(METRICS)}
+        for b, (low, high) in enumerate(pairwise(edges))
+    ]
+    counted = study.reliability
+    return {
+        "planning": _planning(study, variants(result.config.plan, config), result.trial_worlds, rng),
+        "success_by_clearance": _by_clearance(found, result, rng),
+        "by_range": by_range,
+        "reliability": None
+        if counted is None
+        else {"class_weight": config.class_weight, **reliability(counted, result.worlds, rng=rng)},
+    }
+
+
+def _planning(
+    study: Study, chosen: tuple[Variant, ...], worlds: np.ndarray, rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """A row a variant whose field the method has: its choices, metrics and fates, and by how much more or fewer of the
+    same trials succeed than with the transform of the method's occupancy as the field."""
+    rows = []
+    for v, variant in enumerate(chosen):
+        trials = study.trials[:, v]
+        if len(trials) and np.isnan(trials[:, FATE]).all():
+            continue
+        row = dataclasses.asdict(variant)
+        row |= {name: figure(trials[:, c], worlds, rng=rng) for c, name in enumerate(PLAN_METRICS)}
+        row["fates"] = {name: int((trials[:, FATE] == n).sum()) for n, name in enumerate(FATES)}
+        if variant.field != "edt":
+            other = study.trials[:, chosen.index(dataclasses.replace(variant, field="edt")), SUCCESS]
+            row["success_against_edt"] = figure(trials[:, SUCCESS] - other, worlds, rng=rng)
+        rows.append(row)
+    return rows
+
+
+def _by_clearance(found: "MethodResult", result: "DatasetResult", rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Success by how tight a trial is: the least clearance of the path that the same planner finds on the truth."""
+    step, success = result.config.variants.clearance_step_m, np.array([trial.success for trial in found.trials], float)
+    bins = np.floor(result.trial_clearance / step + 1e-9).astype(int)
+    return [
+        {
+            "from_m": step * b,
+            "to_m": step * (b + 1),
+            "success": figure(np.where(bins == b, success, np.nan), result.trial_worlds, rng=rng),
+        }
+        for b in range(bins.max(initial=-1) + 1)
+    ]
+
+
+def study_lines(study: Mapping[str, Any]) -> list[str]:
+    """What `study_of` gave of planning and calibration, as Markdown for people; nothing where nothing was studied."""
+    if not study:
+        return []
+    usual = next(iter(study.values()))["planning"][0]
+    lines = []
+    for varied, title in VARIED.items():
+        rows = [(name, row) for name, found in study.items() for row in at(found["planning"], usual, varied)]
+        values = list(SEARCHES) if varied == "search" else sorted({row[varied] for _, row in rows})
+        cells = {(f"{name}, {row['field']}", row[varied]): brief(row["success"]) for name, row in rows}
+        lines += ["", f"### Success by {title}", "", *head([str(value) for value in values])]
+        lines += [
+            line(name, (cells[name, value] for value in values)) for name in dict.fromkeys(name for name, _ in cells)
+        ]
+    lines += ["", "### What became of trials", "", *head(FATES)]
+    for name, found in study.items():
+        for row in at(found["planning"], usual):
+            lines.append(line(f"{name}, {row['field']}", (str(row["fates"][fate]) for fate in FATES)))
+    kinds = [(region, reading) for region in REGIONS for reading in READINGS]
+    lines += ["", "### Expected calibration error", "", *head([f"{region}, {reading}" for region, reading in kinds])]
+    for name, found in study.items():
+        if (held := found["reliability"]) is not None:
+            errors = (held[region][reading] for region, reading in kinds)
+            lines.append(line(name, (f"{one['ece']:.4f} {interval(one, '.4f')}" for one in errors)))
+    return lines
+
+
+def at(rows: Iterable[Mapping[str, Any]], usual: Mapping[str, Any], varied: str = "") -> list[Mapping[str, Any]]:
+    """Those rows of ``planning`` that are as `usual` in all choices but the field and the one that is `varied`."""
+    return [row for row in rows if all(row[name] == usual[name] for name in VARIED if name != varied)]
+
+
+def brief(figure: Mapping[str, Any]) -> str:
+    """A mean and its interval; a dash where nothing was measured."""
+    return f"{figure['mean']:.3f} {interval(figure, '.3f')}" if figure["n"] else "–"
