@@ -197,7 +197,7 @@ class Thresholds:
     """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
 
     probability: float = number(0.85, least=0, most=1)
-    """A voxel is occupied from this probability on."""
+    """A voxel is occupied above this probability."""
     distance_m: float = number(0.2, least=0)
     """A voxel is occupied below this distance, where no probability is predicted, metres."""
 

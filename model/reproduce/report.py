@@ -22,8 +22,8 @@ def to_markdown(study: Mapping[str, Any]) -> str:
         "## Verdicts",
         "",
         "A claim is that one of the paper's methods is better than another by one metric on one kind of worlds: one "
-        "for every bold cell of its tables and every other row. It is confirmed, or refuted, where the 95 % interval of "
-        "the difference lies on one side of 0 for two seeds or more; else it is undecided.",
+        "for every bold cell of its tables and every other row. It is confirmed, or refuted, where the 95 % interval "
+        "of the difference lies on one side of 0 for two seeds or more; else it is undecided.",
         "",
         *_table(
             ("question", "verdict", "claims"),

@@ -22,7 +22,7 @@ from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.unlearned import Extrude, Returns
 from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.methods import Completed, Truth
+from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import bench
@@ -196,7 +196,7 @@ def _measure(
     held = _read(file)
     if held is not None and held.get("stamp") == stamp and held.get("sha256") == _digest(held):
         return held
-    unlearned = [Completed(Returns()), Completed(Extrude()), Truth(), Seen()]
+    unlearned: list[Method] = [Completed(Returns()), Completed(Extrude()), Truth(), Seen()]
     with shown:
         result = bench(
             dataset,
