@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from scenegen.model.evaluation.seen import Seen
 
 from scenegen.checkout import commit
 from scenegen.dataset.build import build, plan_dataset
@@ -26,6 +25,7 @@ from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.seen import Seen
 from scenegen.model.reproduce.claims import answers, judged
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.report import to_markdown
@@ -53,7 +53,7 @@ def reproduce(
     *,
     device: str = "auto",
     workers: int = 1,
-    progress: Callable[[str], Progress],
+    progress: Callable[[str], "Progress"],
     stop: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
     """Make the study of `config` in the folder `out`, or go on with it, and return what ``study.json`` holds.
@@ -121,7 +121,7 @@ def _read(path: Path) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
-def _dataset(folder: Path, kind: str, config: ReproduceConfig, workers: int, shown: Progress) -> Path:
+def _dataset(folder: Path, kind: str, config: ReproduceConfig, workers: int, shown: "Progress") -> Path:
     """Made, or gone on with; shards that are damaged are made again."""
     recipe = preset(kind)
     plan = plan_dataset(
@@ -143,7 +143,7 @@ def _train(
     config: ReproduceConfig,
     device: str,
     stop: Callable[[], bool],
-    shown: Progress | None,
+    shown: "Progress | None",
     run: Run,
 ) -> int:
     """Train, or go on; a run whose state is damaged begins again. Returns the maps that are not yet counted."""
@@ -182,7 +182,7 @@ def _trained(folder: Path) -> dict[str, Any]:
 
 
 def _measure(
-    out: Path, folder: Path, chosen: Sequence[Run], config: ReproduceConfig, workers: int, shown: Progress
+    out: Path, folder: Path, chosen: Sequence[Run], config: ReproduceConfig, workers: int, shown: "Progress"
 ) -> dict[str, Any]:
     """The bench of every network on one dataset, and the claims; kept while networks, data and settings stay."""
     networks = [out / "runs" / run.name for run in chosen]
