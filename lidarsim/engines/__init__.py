@@ -38,12 +38,14 @@ EngineFactory = Callable[["mujoco.MjModel", "mujoco.MjData"], Engine]
 
 ENGINES = Registry(
     "engine",
-    {"mujoco": "lidarsim.engines.mujoco:MujocoEngine", "analytic": "lidarsim.engines.analytic:AnalyticEngine"},
+    {"analytic": "lidarsim.engines.analytic:AnalyticEngine", "mujoco": "lidarsim.engines.mujoco:MujocoEngine"},
     needs={
         "of": "a class method: (model, data=None) -> engine",
         "cast": "a method: (origins, directions, max_range_m) -> ranges",
     },
 )
 """Engines by name."""
-MUJOCO = "mujoco"
+DEFAULT = "analytic"
 """The engine by which datasets are made unless another is named."""
+MUJOCO = "mujoco"
+"""The engine of datasets whose manifest names none."""
