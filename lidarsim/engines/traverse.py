@@ -29,10 +29,14 @@ def traverse(
     links,
     ends,
     order,
+    part,
+    through,
     ranges,
     items,
 ):
     """Fill ranges (P, n) and items (P, n) for directions (P, n, 3) from origins (P, 3); see `AnalyticEngine`.
+
+    The rays of pose p pass through the items whose `part` is `through[p]`, unless that is -1.
 
     Numbers of nodes and items are unsigned: for signed ones numba allows for negative indices, a tenth of the time.
     """
@@ -40,7 +44,7 @@ def traverse(
     waiting, closes = np.empty(WAITING, np.uint64), np.empty(WAITING, np.uint64)  # a node and 0, or items of a leaf
     begins = np.empty(WAITING)
     for p in range(len(origins)):
-        ox, oy, oz = origins[p, 0], origins[p, 1], origins[p, 2]
+        ox, oy, oz, own = origins[p, 0], origins[p, 1], origins[p, 2], through[p]
         for n in range(directions.shape[1]):
             x, y, z = directions[p, n, 0], directions[p, n, 1], directions[p, n, 2]
             if not (abs(x * x + y * y + z * z - 1.0) <= SPARE_LENGTH2 and abs(ox) + abs(oy) + abs(oz) < math.inf):
@@ -57,7 +61,7 @@ def traverse(
                 sx, sy, sz = ox - position[plane, 0], oy - position[plane, 1], oz - position[plane, 2]
                 above, rising = ux * sx + uy * sy + uz * sz, ux * x + uy * y + uz * z
                 t = -above / rising if above > 0.0 and rising < 0.0 else math.inf
-                if t < best or (t == best and plane < item):
+                if (t < best or (t == best and plane < item)) and (own < 0 or part[plane] != own):
                     best, item = t, plane
             left = min(len(boxes), 1)
             waiting[0], closes[0], begins[0] = 0, 0, 0.0
@@ -86,7 +90,7 @@ def traverse(
                                 dy = rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z
                                 dz = rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z
                                 t = meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
-                        if t < best or (t == best and g < item):
+                        if (t < best or (t == best and g < item)) and (own < 0 or part[g] != own):
                             best, item = t, g
                     continue
                 first = left
