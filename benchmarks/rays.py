@@ -102,9 +102,8 @@ def peers(model: mujoco.MjModel, solids: Solids, lidar: Lidar) -> dict[str, Call
 
 def _mujoco_lidar(model: mujoco.MjModel, lidar: Lidar) -> Callable[[Rays, Rays], Any]:
     """Its processor back end, which is `mj_multiRay`; it takes the angles of the rays and the pose of the sensor."""
-    from mujoco_lidar.core_cpu.mjlidar_cpu import MjLidarCPU
-
-    caster, data = MjLidarCPU(model, cutoff_dist=MAX_RANGE_M), mujoco.MjData(model)
+    module = importlib.import_module("mujoco_lidar.core_cpu.mjlidar_cpu")
+    caster, data = module.MjLidarCPU(model, cutoff_dist=MAX_RANGE_M), mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     x, y, z = lidar.directions_body.reshape(-1, 3).T
     azimuth, elevation, frame = np.arctan2(y, x), np.arcsin(z), np.eye(4)
@@ -143,11 +142,8 @@ def _open3d(triangles: Rays) -> Callable[[Rays, Rays], Any]:
 
 def _embreex(triangles: Rays) -> Callable[[Rays, Rays], Any]:
     """Embree, with the limit of range."""
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    scene = EmbreeScene()
-    held = TriangleMesh(scene, triangles.astype(np.float32))
+    scene = importlib.import_module("embreex.rtcore_scene").EmbreeScene()
+    held = importlib.import_module("embreex.mesh_construction").TriangleMesh(scene, triangles.astype(np.float32))
 
     def cast(origins: Rays, directions: Rays, held: Any = held) -> Rays:
         starts = np.broadcast_to(origins[:, None], directions.shape).reshape(-1, 3).astype(np.float32)
@@ -246,7 +242,8 @@ FIRST_SCAN = """
 import time
 import mujoco
 from lidarsim import AnalyticEngine, Lidar, Pose, cast
-model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom type="box" size="1 1 1" pos="3 0 0"/></worldbody></mujoco>')
+world = '<mujoco><worldbody><geom type="box" size="1 1 1" pos="3 0 0"/></worldbody></mujoco>'
+model = mujoco.MjModel.from_xml_string(world)
 begin = time.process_time()
 cast(AnalyticEngine.of(model), Lidar(), Pose.level((0, 0, 0), 0.3))
 print(time.process_time() - begin)

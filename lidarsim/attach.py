@@ -45,9 +45,7 @@ def attach(
     bodies = [_numbered(model, name) for name in names] * (count // len(names))
     if unseen not in Unseen.__args__:  # type: ignore[attr-defined]
         raise ValueError(f"attach: unseen = {unseen!r}, expected one of {', '.join(Unseen.__args__)}")  # type: ignore[attr-defined]
-    return Attached(
-        model, bodies, sensor or Lidar(), offsets * (count // len(offsets)), unseen=unseen, threads=threads
-    )
+    return Attached(model, bodies, sensor or Lidar(), offsets * (count // len(offsets)), unseen=unseen, threads=threads)
 
 
 class Attached:

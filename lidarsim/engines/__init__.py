@@ -28,8 +28,8 @@ class Engine(Protocol):
 
         `origins` (P, 3) are in the world frame, and so are the unit vectors `directions` (P, *shape, 3). The answer has
         shape (P, *shape), with ``inf`` where nothing is met within `max_range_m`. What one pose gives does not depend
-        on the others. From inside a solid, a ray meets the surface where it comes out. A direction whose length is not 1
-        to a millionth (0, or no number), or an origin that is not finite, meets nothing.
+        on the others. From inside a solid, a ray meets the surface where it comes out. What is no unit vector to a
+        millionth (a length of 0, a NaN), or starts at no finite place, meets nothing.
         """
         ...
 

@@ -104,7 +104,12 @@ class AnalyticEngine:
         normals = normals_of(
             items, points, solids.shape, solids.size, solids.position, solids.rotation, solids.triangles
         )
-        return Hits(ranges.reshape(shape), self._owners[items].reshape(shape), points.reshape(*shape, 3), normals.reshape(*shape, 3))
+        return Hits(
+            ranges.reshape(shape),
+            self._owners[items].reshape(shape),
+            points.reshape(*shape, 3),
+            normals.reshape(*shape, 3),
+        )
 
     def _nearest(
         self, starts: NDArray[np.float64], rays: NDArray[np.float64], max_range_m: float, through: ArrayLike | None

@@ -55,7 +55,7 @@ class ModelSolids:
         """
         if data.geom_xpos.shape != (self._model.ngeom, 3):
             raise ValueError(
-                f"the MjData has {len(data.geom_xpos)} geoms and the model {self._model.ngeom}: they belong to each other"
+                f"the MjData has {len(data.geom_xpos)} geoms, the model {self._model.ngeom}: expected data made of the model"
             )
         check_forwarded(self._model, data)
         _check_places(self._model, data, self._seen)
@@ -106,9 +106,7 @@ def _check_places(model: mujoco.MjModel, data: mujoco.MjData, seen: NDArray[np.b
         _check_numbers(model, what, values, seen)
 
 
-def _check_numbers(
-    model: mujoco.MjModel, what: str, values: NDArray[np.float64], seen: NDArray[np.bool_]
-) -> None:
+def _check_numbers(model: mujoco.MjModel, what: str, values: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
     """Raise ValueError for `values` (ngeom, n) of geoms that are not finite, or too large."""
     odd = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # a NaN is not
     if odd.any():

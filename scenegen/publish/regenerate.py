@@ -92,7 +92,9 @@ def check_recipe(dataset: Dataset, text: str) -> None:
     )
     there = {name: value for name, value in manifest.completed(found.parameters).items() if name not in _NOT_OURS}
     there["recipe"] = {name: value for name, value in found.tables.items() if name != "scenes"}
-    wrong = manifest.differences(there, {name: value for name, value in manifest.completed(given).items() if name not in _NOT_OURS})
+    wrong = manifest.differences(
+        there, {name: value for name, value in manifest.completed(given).items() if name not in _NOT_OURS}
+    )
     if wrong:
         raise PublishError(f"{_advice(found)}: {wrong[0]}")
 

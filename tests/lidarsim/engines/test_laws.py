@@ -168,7 +168,9 @@ def test_from_inside_a_solid_rays_return_where_they_come_out(name: str, shape: s
 
 
 @pytest.mark.parametrize("name", ENGINES.known)
-@pytest.mark.parametrize("world", ["<mujoco/>", '<mujoco><worldbody><geom size="1" rgba="1 1 1 0"/></worldbody></mujoco>'])
+@pytest.mark.parametrize(
+    "world", ["<mujoco/>", '<mujoco><worldbody><geom size="1" rgba="1 1 1 0"/></worldbody></mujoco>']
+)
 def test_a_world_with_nothing_to_see_gives_no_returns(name: str, world: str) -> None:
     scan = cast(made(name, mujoco.MjModel.from_xml_string(world)), Lidar(), Pose.level((0, 0, 0)))
     assert np.isinf(scan.ranges).all()
