@@ -55,7 +55,7 @@ class ModelSolids:
         """
         if data.geom_xpos.shape != (self._model.ngeom, 3):
             raise ValueError(
-                f"the MjData has {len(data.geom_xpos)} geoms, the model {self._model.ngeom}: expected data made of the model"
+                f"the MjData has {len(data.geom_xpos)} geoms, the model {self._model.ngeom}: give data of that model"
             )
         check_forwarded(self._model, data)
         _check_places(self._model, data, self._seen)

@@ -1,5 +1,9 @@
 """A sensor on a body follows it, and sees what MuJoCo's own rays see of the same data."""
 
+import re
+from pathlib import Path
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -116,9 +120,20 @@ def test_what_cannot_be_attached_is_told_in_one_line(model: mujoco.MjModel) -> N
         attach(model, "robot", unseen="me")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="never forwarded"):
         attach(model, "robot").scan(data)
-    with pytest.raises(ValueError, match="expected data made of the model"):
+    with pytest.raises(ValueError, match="give data of that model"):
         attach(model, "robot").scan(mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")))
     mujoco.mj_forward(model, data)
     data.geom_xpos[4] = np.nan
     with pytest.raises(ValueError, match=r"geom arm: pos = \[nan, nan, nan\], expected numbers"):
         attach(model, "robot").scan(data)
+
+
+def test_the_documented_example_runs() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "sensor.md").read_text(encoding="utf-8")
+    (example,) = (
+        block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "import Lidar, Pose, attach" in block
+    )
+    names: dict[str, Any] = {}
+    exec(example, names)
+    assert np.isfinite(names["scan"].ranges).sum() > 300
+    assert set(np.unique(names["hits"].geoms)) == {-1, 0, 1}
