@@ -1,21 +1,29 @@
 """What rays cost: engines side by side among spheres, boxes and cylinders of any attitude, in one run.
 
-    python benchmarks/rays.py [--json] [--repeats 12]
+    python benchmarks/rays.py [--json] [--repeats 12] [--counts 50 200]
+    python benchmarks/rays.py --casts 100000    # does memory grow with the number of casts?
 
-A scan is the default sensor's, 1920 rays up to 10 m, from six poses. Times are one thread's processor time, the best of
-several turns in which the engines alternate, so that other work on the machine weighs on all of them alike.
-`mj_multiRay` is MuJoCo's own function without anything of ours. Peers are measured where they are installed: `open3d`
-and `embreex`, both Embree, on the same solids as meshes, curved ones to 1 cm, building excluded.
+A scan is the default sensor's, 1920 rays up to 10 m, from six poses. Times are the processor time of all threads, of
+which each engine has one, the best of several turns in which the engines alternate, so that other work on the machine
+weighs on all of them alike. `mj_multiRay` is MuJoCo's own function without anything of ours. Peers are measured where
+they are installed: `mujoco-lidar` on the processor, and `open3d` and `embreex`, both Embree, on the same solids as
+meshes, curved ones to 1 cm (with `trimesh`), building excluded.
 
 With `--json`, one line: milliseconds a scan by count of solids and by engine.
 """
 
 import argparse
+import ctypes
+import functools
 import importlib
 import importlib.util
 import json
+import resource
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -30,6 +38,7 @@ from lidarsim.solids.shapes import BOX, SPHERE, Solids
 
 COUNTS = 50, 200, 800, 3000, 20_000
 POSES = 6
+YAW_RAD = 0.3
 MAX_RANGE_M = 10.0
 CURVE_M = 0.01
 """How far a peer's mesh may be from a curved solid."""
@@ -52,7 +61,7 @@ def world(count: int) -> tuple[mujoco.MjModel, float]:
 def rays_of(lidar: Lidar, side: float) -> tuple[Rays, Rays]:
     """Origins (P, 3) and directions (P, n, 3) of scans within the square."""
     places = np.random.default_rng(1).uniform(5, side - 5, (POSES, 2))
-    poses = [Pose.level((x, y, 2.5), 0.3) for x, y in places]
+    poses = [Pose.level((x, y, 2.5), YAW_RAD) for x, y in places]
     directions = [rotate(pose.quaternion, lidar.directions_body).reshape(-1, 3) for pose in poses]
     return np.array([pose.position for pose in poses]), np.array(directions)
 
@@ -76,44 +85,82 @@ def raw(model: mujoco.MjModel) -> Callable[[Rays, Rays], Rays]:
     return cast
 
 
-def peers(solids: Solids) -> dict[str, Callable[[Rays, Rays], Any]]:
-    """Embree's wrappers, where they are installed, each on the same meshes."""
+def peers(model: mujoco.MjModel, solids: Solids, lidar: Lidar) -> dict[str, Callable[[Rays, Rays], Any]]:
+    """Others' ray casters, where they are installed: ranges (P, n) for origins and directions as `raw` takes them."""
     found: dict[str, Callable[[Rays, Rays], Any]] = {}
+    if importlib.util.find_spec("mujoco_lidar"):
+        found["mujoco-lidar"] = _mujoco_lidar(model, lidar)
+    if not importlib.util.find_spec("trimesh"):
+        return found
+    triangles = meshed(solids)
     if importlib.util.find_spec("open3d"):
-        open3d = importlib.import_module("open3d")
-
-        scene, mesh = open3d.t.geometry.RaycastingScene(nthreads=1), meshed(solids)
-        scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
-
-        def by_open3d(origins: Rays, directions: Rays) -> list[Any]:
-            starts = np.broadcast_to(origins[:, None], directions.shape)
-            both = np.concatenate([starts, directions], axis=-1, dtype=np.float32)
-            return [scene.cast_rays(open3d.core.Tensor(one), nthreads=1)["t_hit"].numpy() for one in both]
-
-        found["open3d"] = by_open3d
+        found["open3d"] = _open3d(triangles)
     if importlib.util.find_spec("embreex"):
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-
-        caster = RayMeshIntersector(meshed(solids))
-
-        def by_embreex(origins: Rays, directions: Rays) -> list[Any]:
-            return [
-                caster.intersects_first(np.broadcast_to(origin, rays.shape), rays)
-                for origin, rays in zip(origins, directions, strict=True)
-            ]
-
-        found["embreex"] = by_embreex
+        found["embreex"] = _embreex(triangles)
     return found
 
 
-def meshed(solids: Solids) -> Any:
-    """The world's spheres, boxes and cylinders as one mesh."""
+def _mujoco_lidar(model: mujoco.MjModel, lidar: Lidar) -> Callable[[Rays, Rays], Any]:
+    """Its processor back end, which is `mj_multiRay`; it takes the angles of the rays and the pose of the sensor."""
+    module = importlib.import_module("mujoco_lidar.core_cpu.mjlidar_cpu")
+    caster, data = module.MjLidarCPU(model, cutoff_dist=MAX_RANGE_M), mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    x, y, z = lidar.directions_body.reshape(-1, 3).T
+    azimuth, elevation, frame = np.arctan2(y, x), np.arcsin(z), np.eye(4)
+    frame[:3, :3] = rotate(Pose.level((0, 0, 0), YAW_RAD).quaternion, np.eye(3)).T
+
+    def cast(origins: Rays, directions: Rays) -> Rays:
+        ranges = np.empty(directions.shape[:2])
+        for origin, found in zip(origins, ranges, strict=True):
+            frame[:3, 3] = origin
+            caster.update(data)
+            caster.trace_rays(frame, azimuth, elevation)
+            found[:] = caster.get_distances()
+        return np.where((ranges < 0) | (ranges > MAX_RANGE_M), np.inf, ranges)
+
+    return cast
+
+
+def _open3d(triangles: Rays) -> Callable[[Rays, Rays], Any]:
+    """Embree with watertight tests. It knows no limit of range; what lies beyond the limit is cut off after."""
+    bundled = importlib.util.find_spec("libusb_package")  # its library wants a libusb, where the system has none
+    for folder in bundled.submodule_search_locations or () if bundled else ():
+        ctypes.CDLL(str(next(Path(folder).glob("libusb*.so*"))), mode=ctypes.RTLD_GLOBAL)
+    open3d = importlib.import_module("open3d")
+    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+    corners = triangles.reshape(-1, 3).astype(np.float32)
+    scene.add_triangles(corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3))
+
+    def cast(origins: Rays, directions: Rays) -> Rays:
+        starts = np.broadcast_to(origins[:, None], directions.shape)
+        both = open3d.core.Tensor(np.concatenate([starts, directions], axis=-1, dtype=np.float32))
+        ranges = scene.cast_rays(both, nthreads=1)["t_hit"].numpy()
+        return np.where(ranges <= MAX_RANGE_M, ranges, np.inf)
+
+    return cast
+
+
+def _embreex(triangles: Rays) -> Callable[[Rays, Rays], Any]:
+    """Embree, with the limit of range."""
+    scene = importlib.import_module("embreex.rtcore_scene").EmbreeScene()
+    held = importlib.import_module("embreex.mesh_construction").TriangleMesh(scene, triangles.astype(np.float32))
+
+    def cast(origins: Rays, directions: Rays, held: Any = held) -> Rays:
+        starts = np.broadcast_to(origins[:, None], directions.shape).reshape(-1, 3).astype(np.float32)
+        rays = directions.reshape(-1, 3).astype(np.float32)
+        limits = np.full(len(rays), MAX_RANGE_M, np.float32)
+        ranges = scene.run(starts, rays, dists=limits, query="DISTANCE").reshape(directions.shape[:2])
+        return np.where(ranges < MAX_RANGE_M, ranges, np.inf)
+
+    return cast
+
+
+def meshed(solids: Solids) -> Rays:
+    """The world's spheres, boxes and cylinders as triangles (T, 3, 3)."""
     import trimesh
 
     parts = []
     for shape, size, place, turn in zip(solids.shape, solids.size, solids.position, solids.rotation, strict=True):
-        frame = np.eye(4)
-        frame[:3, :3], frame[:3, 3] = turn, place
         corners = int(np.ceil(np.pi / np.arccos(1 - CURVE_M / size[0])))  # around a circle
         if shape == BOX:
             part = trimesh.creation.box(2 * size)
@@ -121,35 +168,44 @@ def meshed(solids: Solids) -> Any:
             part = trimesh.creation.uv_sphere(size[0], count=[corners, corners])
         else:
             part = trimesh.creation.cylinder(size[0], 2 * size[1], sections=corners)
-        parts.append(part.apply_transform(frame))
-    return trimesh.util.concatenate(parts)
+        parts.append((part.vertices @ turn.T + place)[part.faces])
+    return np.concatenate(parts)
 
 
 def best_ms(tasks: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Processor time of one thread, the least of `repeats` turns."""
+    """Processor time, the least of `repeats` turns."""
     least = dict.fromkeys(tasks, np.inf)
     for turn in range(repeats + 1):
         for name, task in tasks.items():
-            begin = time.thread_time()
+            begin = time.process_time()
             task()
             if turn:  # the first one compiles
-                least[name] = min(least[name], 1e3 * (time.thread_time() - begin))
+                least[name] = min(least[name], 1e3 * (time.process_time() - begin))
     return least
 
 
-def measure(count: int, repeats: int) -> tuple[dict[str, float], dict[str, float], int, int]:
-    """Milliseconds a scan by engine, milliseconds of building, rays that differ in float32, and rays."""
+def measure(count: int, repeats: int) -> tuple[dict[str, float], dict[str, float], dict[str, int], int]:
+    """Milliseconds a scan by engine, milliseconds of building, rays whose range is not `mj_multiRay`'s in float32 (for
+    a peer on meshes: not to 10 cm, which are 1 cm and an angle of 84°), and rays."""
     model, side = world(count)
-    solids = solids_of(model)
-    origins, directions = rays_of(Lidar(), side)
-    ours, analytic, theirs = MujocoEngine.of(model), AnalyticEngine(solids, threads=1), raw(model)
-    tasks = {
-        "mj_multiRay": lambda: theirs(origins, directions),
-        "mujoco": lambda: ours.cast(origins, directions, MAX_RANGE_M),
-        "analytic": lambda: analytic.cast(origins, directions, MAX_RANGE_M),
+    solids, lidar = solids_of(model), Lidar()
+    origins, directions = rays_of(lidar, side)
+    ours, analytic = MujocoEngine.of(model), AnalyticEngine(solids, threads=1)
+    casters: dict[str, Callable[[Rays, Rays], Any]] = {
+        "mj_multiRay": raw(model),
+        "mujoco": lambda o, d: ours.cast(o, d, MAX_RANGE_M),
+        "analytic": lambda o, d: analytic.cast(o, d, MAX_RANGE_M),
     }
-    for name, cast in peers(solids).items():
-        tasks[name] = lambda cast=cast: cast(origins, directions)  # type: ignore[misc]
+    exact = len(casters)
+    casters |= peers(model, solids, lidar)
+    tasks: dict[str, Callable[[], Any]] = {
+        name: functools.partial(cast, origins, directions) for name, cast in casters.items()
+    }
+    ranges = {name: np.minimum(task(), 2 * MAX_RANGE_M).astype(np.float32) for name, task in tasks.items()}
+    differ = {
+        name: int((abs(found - ranges["mj_multiRay"]) > (0.0 if n < exact else 10 * CURVE_M)).sum())
+        for n, (name, found) in enumerate(ranges.items())
+    }
     scans = {name: ms / POSES for name, ms in best_ms(tasks, repeats).items()}
     tree = Hierarchy.over(solids.lower, solids.upper)
     build = {
@@ -158,9 +214,66 @@ def measure(count: int, repeats: int) -> tuple[dict[str, float], dict[str, float
         "engine": lambda: AnalyticEngine(solids),
         "solids": lambda: solids_of(model),
     }
-    one, other = tasks["mj_multiRay"](), tasks["analytic"]()
-    differ = int((one.astype(np.float32) != other.astype(np.float32)).sum())
-    return scans, best_ms(build, 3), differ, one.size
+    return scans, best_ms(build, 3), differ, directions.shape[0] * directions.shape[1]
+
+
+def report(count: int, repeats: int) -> None:
+    """Print the table of one world."""
+    scans, build, differ, rays = measure(count, repeats)
+    print(f"\n{count} solids, {rays // POSES} rays a scan")
+    for name, ms in scans.items():
+        print(
+            f"  {name:12} {ms:8.3f} ms a scan   {scans['mj_multiRay'] / ms:6.1f} times mj_multiRay"
+            f"   {differ[name]:5} of {rays} ranges differ"
+        )
+    print("  building: " + ", ".join(f"{name} {ms:.3f} ms" for name, ms in build.items()))
+
+
+def large_sensor() -> str:
+    """Scans a second of 128 x 2048 rays on one core."""
+    model, side = world(200)
+    origins, directions = rays_of(Lidar(rows=128, columns=2048), side)
+    engine = AnalyticEngine.of(model)
+    ms = best_ms({"": lambda: engine.cast(origins[:1], directions[:1], MAX_RANGE_M)}, 3)[""]
+    return f"128 x 2048 rays among 200 solids: {1e3 / ms:.1f} scans a second and core"
+
+
+FIRST_SCAN = """
+import time
+import mujoco
+from lidarsim import AnalyticEngine, Lidar, Pose, cast
+world = '<mujoco><worldbody><geom type="box" size="1 1 1" pos="3 0 0"/></worldbody></mujoco>'
+model = mujoco.MjModel.from_xml_string(world)
+begin = time.process_time()
+cast(AnalyticEngine.of(model), Lidar(), Pose.level((0, 0, 0), 0.3))
+print(time.process_time() - begin)
+"""
+
+
+def first_scan() -> str:
+    """Seconds of a process's first scan."""
+    seconds = [
+        float(subprocess.run([sys.executable, "-c", FIRST_SCAN], capture_output=True, check=True, text=True).stdout)
+        for _ in range(3)
+    ]
+    return f"the first scan of a process, kernels cached: {min(seconds):.2f} s (numba is loaded for it)"
+
+
+def growth(casts: int) -> str:
+    """By how much the memory of a process grows with so many casts in a world that moves, each engine, the first tenth
+    excepted."""
+    model, side = world(200)
+    origins, directions = rays_of(Lidar(rows=4, columns=8), side)
+    solids, data = solids_of(model), mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    analytic, ours, found = AnalyticEngine(solids), MujocoEngine(model, data), []
+    for turn in range(casts + 1):
+        if turn in (casts // 10, casts):
+            found.append(int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize())
+        analytic.move(solids)
+        analytic.hits(origins, directions, MAX_RANGE_M)
+        ours.cast(origins[:1], directions[:1], MAX_RANGE_M)
+    return f"memory after {casts // 10} and after {casts} casts: {found[0] / 1e6:.1f} and {found[1] / 1e6:.1f} MB"
 
 
 def main() -> None:
@@ -168,21 +281,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="one line: milliseconds a scan by count and engine")
     parser.add_argument("--repeats", type=int, default=12)
+    parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="how many solids")
+    parser.add_argument("--casts", type=int, help="cast so many scans, and say how memory grew; nothing else")
     given = parser.parse_args()
-    if given.json:
-        print(json.dumps({str(count): measure(count, given.repeats)[0] for count in COUNTS}))
+    if given.casts:
+        print(growth(given.casts))
         return
-    for count in COUNTS:
-        scans, build, differ, rays = measure(count, given.repeats)
-        print(f"\n{count} solids, {rays // POSES} rays a scan; {differ} of {rays} ranges differ in float32")
-        for name, ms in scans.items():
-            print(f"  {name:12} {ms:8.3f} ms a scan   {scans['mj_multiRay'] / ms:6.1f} times mj_multiRay")
-        print("  building: " + ", ".join(f"{name} {ms:.3f} ms" for name, ms in build.items()))
-    model, side = world(200)
-    origins, directions = rays_of(Lidar(rows=128, columns=2048), side)
-    engine = AnalyticEngine.of(model)
-    ms = best_ms({"": lambda: engine.cast(origins[:1], directions[:1], MAX_RANGE_M)}, 3)[""]
-    print(f"\n128 x 2048 rays among 200 solids: {1e3 / ms:.1f} scans a second and core")
+    if given.json:
+        print(json.dumps({str(count): measure(count, given.repeats)[0] for count in given.counts}))
+        return
+    for count in given.counts:
+        report(count, given.repeats)
+    print(f"\n{large_sensor()}\n{first_scan()}")
 
 
 if __name__ == "__main__":

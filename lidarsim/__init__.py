@@ -4,7 +4,7 @@ The whole method in five lines, on any MuJoCo world::
 
     model = mujoco.MjModel.from_xml_path("scenes/warehouse.xml")
     pose = Pose.level(position=(8.0, 6.0, 1.5), yaw_rad=0.3)
-    scan = cast(MujocoEngine.of(model), Lidar(), pose)
+    scan = cast(AnalyticEngine.of(model), Lidar(), pose)
     grid = voxelize(scan, GridSpec())
     print(len(scan.points()), "returns in", grid.observed.sum(), "voxels")
 """
@@ -13,6 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lidarsim.attach import Attached, attach
     from lidarsim.engines import Engine
     from lidarsim.engines.analytic import AnalyticEngine
     from lidarsim.engines.mujoco import MujocoEngine
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnalyticEngine",
+    "Attached",
     "BeamTable",
     "Engine",
     "GridSpec",
@@ -35,12 +37,14 @@ __all__ = [
     "Pose",
     "Scan",
     "Sensor",
+    "attach",
     "cast",
     "voxelize",
 ]
 
 
 _PLACES = {
+    "attach": ("Attached", "attach"),
     "engines": ("Engine",),
     "engines.analytic": ("AnalyticEngine",),
     "engines.mujoco": ("MujocoEngine",),

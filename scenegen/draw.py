@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lidarsim import Engine, MujocoEngine, Pose, Scan, cast, voxelize
+from lidarsim import AnalyticEngine, Engine, Pose, Scan, cast, voxelize
 from lidarsim.engines import EngineFactory
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
@@ -45,7 +45,7 @@ def draw_unit(
     split: str,
     unit: int,
     derived: bool = True,
-    engine: EngineFactory = MujocoEngine.of,
+    engine: EngineFactory = AnalyticEngine.of,
 ) -> Unit:
     """Samples of unit `unit` of `split`: they depend on the arguments alone, not on what was drawn before.
 

@@ -28,7 +28,8 @@ class Engine(Protocol):
 
         `origins` (P, 3) are in the world frame, and so are the unit vectors `directions` (P, *shape, 3). The answer has
         shape (P, *shape), with ``inf`` where nothing is met within `max_range_m`. What one pose gives does not depend
-        on the others.
+        on the others. From inside a solid, a ray meets the surface where it comes out. What is no unit vector to a
+        millionth (a length of 0, a NaN), or starts at no finite place, meets nothing.
         """
         ...
 
@@ -38,12 +39,14 @@ EngineFactory = Callable[["mujoco.MjModel", "mujoco.MjData"], Engine]
 
 ENGINES = Registry(
     "engine",
-    {"mujoco": "lidarsim.engines.mujoco:MujocoEngine", "analytic": "lidarsim.engines.analytic:AnalyticEngine"},
+    {"analytic": "lidarsim.engines.analytic:AnalyticEngine", "mujoco": "lidarsim.engines.mujoco:MujocoEngine"},
     needs={
         "of": "a class method: (model, data=None) -> engine",
         "cast": "a method: (origins, directions, max_range_m) -> ranges",
     },
 )
 """Engines by name."""
-MUJOCO = "mujoco"
+DEFAULT = "analytic"
 """The engine by which datasets are made unless another is named."""
+MUJOCO = "mujoco"
+"""The engine of datasets whose manifest names none."""

@@ -3,6 +3,7 @@
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -45,9 +46,12 @@ class AnalyticEngine:
     them, as many as there are processors unless a number is given; one pose stays on one thread.
     """
 
-    def __init__(self, solids: Solids, *, threads: int | None = None):
+    def __init__(self, solids: Solids, *, threads: int | None = None, parts: ArrayLike = ()):
+        """`parts` (n + m,), numbers from 0 on, say which solids belong together, for `hits` to leave out."""
         self._threads = threads if threads is not None else len(os.sched_getaffinity(0))
+        self._around = (np.empty(0),) * 3  # triangles, and the corners of their boxes
         self._take(solids)
+        self._part = _by_item(solids, np.asarray(parts, dtype=np.int64)) if np.size(parts) else np.empty(0, np.int64)
         self._hierarchy = Hierarchy.over(*self._boxes())
         self._order = self._bounded.astype(np.uint64)[self._hierarchy.order]
 
@@ -73,31 +77,49 @@ class AnalyticEngine:
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
         """See `lidarsim.engines.Engine.cast`."""
-        starts, rays, shape = _laid_out(origins, directions)
-        return self._nearest(starts, rays, max_range_m)[0].reshape(shape)
+        return self.nearest(origins, directions, max_range_m)[0]
 
-    def hits(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Hits:
+    def nearest(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float, *, through: ArrayLike | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Ranges (P, *shape) as `cast` gives them, and the numbers (P, *shape) of the geoms met, or -1; `through` as
+        for `hits`."""
+        starts, rays, shape = _laid_out(origins, directions)
+        ranges, items = self._nearest(starts, rays, max_range_m, through)
+        return ranges.reshape(shape), self._owners[items].reshape(shape)
+
+    def hits(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float, *, through: ArrayLike | None = None
+    ) -> Hits:
         """Ranges as `cast` gives them, and what was met: geom, point and normal of every ray.
 
+        The rays of pose p pass through the solids of part `through[p]`, (P,), of the engine's `parts`; -1 is none.
         Where several solids are met at the same distance, it is the first of them: primitives by their numbers, then
         meshes and height fields by theirs.
         """
         starts, rays, shape = _laid_out(origins, directions)
-        ranges, items = self._nearest(starts, rays, max_range_m)
+        ranges, items = self._nearest(starts, rays, max_range_m, through)
         points = starts[:, None] + np.where(items >= 0, ranges, np.nan)[..., None] * rays
         solids = self._solids
         normals = normals_of(
             items, points, solids.shape, solids.size, solids.position, solids.rotation, solids.triangles
         )
-        geoms = np.append(self._owners, -1)[items]  # the last one is what -1 finds
-        return Hits(ranges.reshape(shape), geoms.reshape(shape), points.reshape(*shape, 3), normals.reshape(*shape, 3))
+        return Hits(
+            ranges.reshape(shape),
+            self._owners[items].reshape(shape),
+            points.reshape(*shape, 3),
+            normals.reshape(*shape, 3),
+        )
 
     def _nearest(
-        self, starts: NDArray[np.float64], rays: NDArray[np.float64], max_range_m: float
+        self, starts: NDArray[np.float64], rays: NDArray[np.float64], max_range_m: float, through: ArrayLike | None
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Ranges (P, n), and which item was met: a primitive's number, beyond those a triangle's, or -1."""
         solids, tree = self._solids, self._hierarchy
         ranges, items = np.full(rays.shape[:2], np.inf), np.full(rays.shape[:2], -1)
+        own = np.full(len(rays), -1)
+        if through is not None and len(self._part):
+            own[:] = through
 
         def share(poses: slice) -> None:
             traverse(
@@ -115,6 +137,8 @@ class AnalyticEngine:
                 tree.links,
                 tree.ends,
                 self._order,
+                self._part,
+                own[poses],
                 ranges[poses],
                 items[poses],
             )
@@ -136,19 +160,24 @@ class AnalyticEngine:
         self._bounded = np.concatenate([np.flatnonzero(~planes), np.arange(len(planes), count)])
         self._reach2 = _reach2(solids.shape, solids.size)
 
-    @property
+    @cached_property
     def _owners(self) -> NDArray[np.int64]:
-        """The geoms that items belong to, (n + T,)."""
-        plain = len(self._solids.shape)
-        meshes = np.repeat(self._solids.geom[plain:], np.diff(self._solids.mesh_start))
-        return np.concatenate([self._solids.geom[:plain], meshes])
+        """The geoms that items belong to, (n + T + 1,): the last one is -1, which the item -1 finds."""
+        return np.append(_by_item(self._solids, self._solids.geom), -1)
 
     def _boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Boxes of what the hierarchy holds: least corners (k, 3) and greatest corners (k, 3)."""
         solids, inside = self._solids, self._bounded
-        lower = np.concatenate([solids.lower, solids.triangles.min(axis=1)])
-        upper = np.concatenate([solids.upper, solids.triangles.max(axis=1)])
-        return lower[inside], upper[inside]
+        if self._around[0] is not solids.triangles:
+            self._around = solids.triangles, solids.triangles.min(axis=1), solids.triangles.max(axis=1)
+        _, least, greatest = self._around
+        return np.concatenate([solids.lower, least])[inside], np.concatenate([solids.upper, greatest])[inside]
+
+
+def _by_item(solids: Solids, values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Values (n + m,) of solids as values (n + T,) of primitives and triangles."""
+    plain = len(solids.shape)
+    return np.concatenate([values[:plain], np.repeat(values[plain:], np.diff(solids.mesh_start))])
 
 
 def _laid_out(

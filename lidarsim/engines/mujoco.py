@@ -13,6 +13,8 @@ NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 """The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within range."""
 SPARE_M = 1e-6
 """How much larger geoms' boxes are in that copy: what is left out by them does not depend on rounding."""
+SPARE_LENGTH2 = 2e-6
+"""How far the squared length of a unit vector may be from 1."""
 
 
 class MujocoEngine:
@@ -40,17 +42,27 @@ class MujocoEngine:
         return cls(model, data)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
-        """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never forwarded."""
+        """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never forwarded, or hold
+        places that are no numbers."""
         starts = np.ascontiguousarray(origins, dtype=np.float64)
         vectors = np.ascontiguousarray(directions, dtype=np.float64)
         check_forwarded(self._model, self._data)
         ranges = np.empty(vectors.shape[:-1], dtype=np.float64)
         # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a third of the time
         lower, upper = _boxes(self._model, self._data)
+        with np.errstate(over="ignore", invalid="ignore"):
+            length2 = (vectors * vectors).sum(axis=-1)
+            odd = ~(np.abs(length2 - 1.0) <= SPARE_LENGTH2)  # a NaN is odd, too
+        if odd.any():  # MuJoCo would count ranges in lengths of the vector, and stop at one without length
+            vectors = np.where(odd[..., None], [1.0, 0.0, 0.0], vectors)
         for p, origin in enumerate(starts):
+            if not np.isfinite(origin).all():
+                odd[p] = True
+                continue
             away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
             self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m * max_range_m
             ranges[p] = self._cast_near(origin, vectors[p], max_range_m)
+        ranges[odd] = np.inf
         return ranges
 
     def _cast_near(

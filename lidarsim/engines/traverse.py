@@ -29,18 +29,25 @@ def traverse(
     links,
     ends,
     order,
+    part,
+    through,
     ranges,
     items,
 ):
     """Fill ranges (P, n) and items (P, n) for directions (P, n, 3) from origins (P, 3); see `AnalyticEngine`.
+
+    The rays of pose p pass through the items whose `part` is `through[p]`, unless that is -1.
 
     Numbers of nodes and items are unsigned: for signed ones numba allows for negative indices, a tenth of the time.
     """
     plain, none = np.uint64(len(shape)), np.uint64(len(shape) + len(triangles))
     waiting, closes = np.empty(WAITING, np.uint64), np.empty(WAITING, np.uint64)  # a node and 0, or items of a leaf
     begins = np.empty(WAITING)
+    # nodes as they are from this pose, made where its first ray visits them; `met` says from which pose they are
+    near, met, kids = np.empty_like(boxes), np.zeros(len(boxes), np.uint32), np.empty((len(boxes), WIDTH), np.uint64)
+    count = np.empty(len(boxes), np.uint64)
     for p in range(len(origins)):
-        ox, oy, oz = origins[p, 0], origins[p, 1], origins[p, 2]
+        ox, oy, oz, own = origins[p, 0], origins[p, 1], origins[p, 2], through[p]
         for n in range(directions.shape[1]):
             x, y, z = directions[p, n, 0], directions[p, n, 1], directions[p, n, 2]
             if not (abs(x * x + y * y + z * z - 1.0) <= SPARE_LENGTH2 and abs(ox) + abs(oy) + abs(oz) < math.inf):
@@ -57,7 +64,7 @@ def traverse(
                 sx, sy, sz = ox - position[plane, 0], oy - position[plane, 1], oz - position[plane, 2]
                 above, rising = ux * sx + uy * sy + uz * sz, ux * x + uy * y + uz * z
                 t = -above / rising if above > 0.0 and rising < 0.0 else math.inf
-                if t < best or (t == best and plane < item):
+                if (t < best or (t == best and plane < item)) and (own < 0 or part[plane] != own):
                     best, item = t, plane
             left = min(len(boxes), 1)
             waiting[0], closes[0], begins[0] = 0, 0, 0.0
@@ -86,16 +93,19 @@ def traverse(
                                 dy = rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z
                                 dz = rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z
                                 t = meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
-                        if t < best or (t == best and g < item):
+                        if (t < best or (t == best and g < item)) and (own < 0 or part[g] != own):
                             best, item = t, g
                     continue
+                if met[node] != p + 1:
+                    met[node] = p + 1
+                    count[node] = _approach(boxes[node], ox, oy, oz, max_range_m, near[node], kids[node])
                 first = left
-                for child in range(WIDTH):
+                for child in range(count[node]):
                     k = np.uint64(child)
                     # slabs (Kay and Kajiya 1986)
-                    x0, x1 = (boxes[node, ax, k] - ox) * ix, (boxes[node, bx, k] - ox) * ix
-                    y0, y1 = (boxes[node, ay, k] - oy) * iy, (boxes[node, by, k] - oy) * iy
-                    z0, z1 = (boxes[node, az, k] - oz) * iz, (boxes[node, bz, k] - oz) * iz
+                    x0, x1 = near[node, ax, k] * ix, near[node, bx, k] * ix
+                    y0, y1 = near[node, ay, k] * iy, near[node, by, k] * iy
+                    z0, z1 = near[node, az, k] * iz, near[node, bz, k] * iz
                     begin = max(max(x0, y0), max(z0, 0.0))
                     if begin > min(min(x1, y1), min(z1, best)):
                         continue
@@ -103,10 +113,27 @@ def traverse(
                     while j > first and begins[j - 1] < begin:
                         waiting[j], closes[j], begins[j] = waiting[j - 1], closes[j - 1], begins[j - 1]
                         j -= 1
-                    waiting[j], closes[j], begins[j] = links[node, k], ends[node, k], begin
+                    waiting[j], closes[j], begins[j] = links[node, kids[node, k]], ends[node, kids[node, k]], begin
                     left += 1
             if item < none:
                 ranges[p, n], items[p, n] = best, item
+
+
+@kernel
+def _approach(box, ox, oy, oz, reach, near, kids):
+    """Fill `near` (6, 4) with the children's boxes (6, 4) relative to an origin, and `kids` (4,) with their places, but
+    for those out of reach; how many there are."""
+    count, far = np.uint64(0), reach * (1.0 + SPARE_LENGTH2)  # a direction may be that much too long
+    for child in range(WIDTH):
+        k = np.uint64(child)
+        x0, y0, z0 = box[0, k] - ox, box[1, k] - oy, box[2, k] - oz
+        x1, y1, z1 = box[3, k] - ox, box[4, k] - oy, box[5, k] - oz
+        if max(max(max(x0, -x1), max(y0, -y1)), max(z0, -z1)) <= far and x0 <= x1:  # else out of reach, or not there
+            near[0, count], near[1, count], near[2, count] = x0, y0, z0
+            near[3, count], near[4, count], near[5, count] = x1, y1, z1
+            kids[count] = k
+            count += np.uint64(1)
+    return count
 
 
 @kernel

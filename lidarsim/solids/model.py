@@ -14,46 +14,76 @@ from lidarsim.solids.surfaces import height_field, mesh_surface
 def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solids:
     """The solids of `model` in its reference configuration, or in that of `data` where given.
 
-    Raises ValueError for data that were never forwarded, for a geom whose shape has no closed form here (a signed
-    distance field's), for numbers that are not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
+    Raises ValueError as `ModelSolids` does.
     """
     if data is None:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-    check_forwarded(model, data)
-    seen = visible_geoms(model)
-    _check(model, data, seen)
-    bent = seen & ((model.geom_type == MESH) | (model.geom_type == HFIELD))
-    plain = np.flatnonzero(seen & ~bent)
-    shape = model.geom_type[plain].astype(np.int64)
-    size = model.geom_size[plain].astype(np.float64)
-    position = data.geom_xpos[plain].astype(np.float64)
-    rotation = data.geom_xmat[plain].reshape(-1, 3, 3).astype(np.float64)
-    lower, upper = bounding_boxes(shape, size, position, rotation)
-    surface = functools.cache(
-        lambda shape, number: mesh_surface(model, number) if shape == MESH else height_field(model, number)
-    )
-    soups, filled = [np.empty((0, 3, 3))], []
-    for geom in np.flatnonzero(bent):
-        vertices, faces, closed = surface(int(model.geom_type[geom]), int(model.geom_dataid[geom]))
-        # term by term: what a matrix product gives depends on the processor
-        columns = data.geom_xmat[geom].reshape(3, 3).T
-        world = (vertices[:, :1] * columns[0] + vertices[:, 1:2] * columns[1]) + vertices[:, 2:] * columns[2]
-        soups.append((world + data.geom_xpos[geom])[faces])
-        filled.append(closed)
-    start = np.cumsum([len(soup) for soup in soups])
-    return Solids(
-        shape,
-        size,
-        position,
-        rotation,
-        lower,
-        upper,
-        np.concatenate(soups),
-        start,
-        np.array(filled, dtype=np.bool_),
-        np.concatenate([plain, np.flatnonzero(bent)]),
-    )
+    return ModelSolids(model).at(data)
+
+
+class ModelSolids:
+    """The solids of a model, whose shapes are read once and whose places are read as often as its data move.
+
+    Raises ValueError for a geom whose shape has no closed form here (a signed distance field's), for numbers that are
+    not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
+    """
+
+    def __init__(self, model: mujoco.MjModel):
+        self._model = model
+        self._seen = visible_geoms(model)
+        _check_shapes(model, self._seen)
+        bent = self._seen & ((model.geom_type == MESH) | (model.geom_type == HFIELD))
+        self._plain, self._bent = np.flatnonzero(self._seen & ~bent), np.flatnonzero(bent)
+        self._shape = model.geom_type[self._plain].astype(np.int64)
+        self._size = model.geom_size[self._plain].astype(np.float64)
+        surface = functools.cache(
+            lambda shape, number: mesh_surface(model, number) if shape == MESH else height_field(model, number)
+        )
+        self._surfaces = [surface(int(model.geom_type[geom]), int(model.geom_dataid[geom])) for geom in self._bent]
+        self._start = np.cumsum([0, *(len(faces) for _, faces, _ in self._surfaces)])
+        self._filled = np.array([closed for *_, closed in self._surfaces], dtype=np.bool_)
+        self.geom = np.concatenate([self._plain, self._bent])
+        """(n + m,): see `Solids.geom`."""
+        self._triangles, self._placed = np.empty((int(self._start[-1]), 3, 3)), np.full((len(self._bent), 12), np.nan)
+
+    def at(self, data: mujoco.MjData) -> Solids:
+        """The solids where `data` has them; triangles are computed anew for geoms that moved since the last call.
+
+        Raises ValueError for data that were never forwarded, or are another model's, and for places that are not finite
+        or beyond `MOST_LENGTH_M`.
+        """
+        if data.geom_xpos.shape != (self._model.ngeom, 3):
+            raise ValueError(
+                f"the MjData has {len(data.geom_xpos)} geoms, the model {self._model.ngeom}: give data of that model"
+            )
+        check_forwarded(self._model, data)
+        _check_places(self._model, data, self._seen)
+        position = data.geom_xpos[self._plain].astype(np.float64)
+        rotation = data.geom_xmat[self._plain].reshape(-1, 3, 3).astype(np.float64)
+        lower, upper = bounding_boxes(self._shape, self._size, position, rotation)
+        placed = np.concatenate([data.geom_xpos[self._bent], data.geom_xmat[self._bent]], axis=1)
+        moved = np.flatnonzero((placed != self._placed).any(axis=1))
+        if len(moved):
+            self._placed, self._triangles = placed, self._triangles.copy()
+            for n in moved:
+                vertices, faces, _ = self._surfaces[n]
+                # term by term: what a matrix product gives depends on the processor
+                columns = data.geom_xmat[self._bent[n]].reshape(3, 3).T
+                world = (vertices[:, :1] * columns[0] + vertices[:, 1:2] * columns[1]) + vertices[:, 2:] * columns[2]
+                self._triangles[self._start[n] : self._start[n + 1]] = (world + data.geom_xpos[self._bent[n]])[faces]
+        return Solids(
+            self._shape,
+            self._size,
+            position,
+            rotation,
+            lower,
+            upper,
+            self._triangles,
+            self._start,
+            self._filled,
+            self.geom,
+        )
 
 
 def check_forwarded(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -70,18 +100,28 @@ def visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return alpha != 0
 
 
-def _check(model: mujoco.MjModel, data: mujoco.MjData, seen: NDArray[np.bool_]) -> None:
+def _check_places(model: mujoco.MjModel, data: mujoco.MjData, seen: NDArray[np.bool_]) -> None:
+    """Raise ValueError for geoms that are nowhere, or too far away."""
+    for what, values in (("pos", data.geom_xpos), ("axes", data.geom_xmat)):
+        _check_numbers(model, what, values, seen)
+
+
+def _check_numbers(model: mujoco.MjModel, what: str, values: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
+    """Raise ValueError for `values` (ngeom, n) of geoms that are not finite, or too large."""
+    odd = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # a NaN is not
+    if odd.any():
+        value = values[np.argmax(odd)].tolist()
+        raise ValueError(f"geom {_name(model, odd)}: {what} = {value}, expected numbers up to {MOST_LENGTH_M:g}")
+
+
+def _check_shapes(model: mujoco.MjModel, seen: NDArray[np.bool_]) -> None:
     """Raise ValueError for what no kernel may see. Kernels index by these numbers, unchecked."""
     odd = seen & (model.geom_type > MESH)
     if odd.any():
         raise ValueError(
             f"geom {_name(model, odd)} is neither a primitive, a mesh nor a height field; use one of these"
         )
-    for what, values in (("pos", data.geom_xpos), ("axes", data.geom_xmat), ("size", model.geom_size)):
-        odd = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # a NaN is not
-        if odd.any():
-            value = values[np.argmax(odd)].tolist()
-            raise ValueError(f"geom {_name(model, odd)}: {what} = {value}, expected numbers up to {MOST_LENGTH_M:g}")
+    _check_numbers(model, "size", model.geom_size, seen)
     for what, values in (
         ("a mesh's vertices", model.mesh_vert),
         ("a height field's size", model.hfield_size),

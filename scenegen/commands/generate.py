@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from lidarsim.engines import ENGINES, MUJOCO
+from lidarsim.engines import DEFAULT, ENGINES
 from lidarsim.sensors import SENSORS
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
@@ -34,7 +34,7 @@ NETWORK_EDGE = 8
 @click.option(
     "--engine",
     type=Named(ENGINES),
-    default=MUJOCO,
+    default=DEFAULT,
     show_default=True,
     help=f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.",
 )

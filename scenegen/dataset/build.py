@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lidarsim.engines import MUJOCO
+from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine, write_shard
@@ -49,7 +49,7 @@ def plan_dataset(
     counts: Mapping[str, int],
     compact: bool = False,
     shard_samples: int = USUAL_IN_SHARD,
-    engine: str = MUJOCO,
+    engine: str = DEFAULT,
 ) -> Plan:
     """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units.
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lidarsim.engines import MUJOCO
+from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.sensor import entry_of
 from scenegen.errors import MOST_TOLD, DatasetError, printable, short
@@ -40,7 +40,7 @@ def parameters(
     counts: Mapping[str, int],
     compact: bool,
     shard_samples: int,
-    engine: str = MUJOCO,
+    engine: str = DEFAULT,
 ) -> dict[str, Any]:
     """The part of the manifest that is known before anything is drawn, and decides everything after."""
     return {
@@ -82,8 +82,8 @@ def parameters_of(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def completed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The `parameters` of a manifest, with the generator, which manifests of the first do not name."""
-    return {"generator": 1} | parameters_of(document)
+    """The `parameters` of a manifest, with the generator and the engine, where it does not name them."""
+    return {"generator": 1, "engine": MUJOCO} | parameters_of(document)
 
 
 def fingerprint(given: Mapping[str, Any]) -> str:

@@ -15,7 +15,7 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.engines import ENGINES, MUJOCO, EngineFactory
+from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from scenegen.dataset.layout import DIGEST, ShardFile, layout_of, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
@@ -57,7 +57,7 @@ class ShardSpec:
     """Digest of the manifest's parameters; written into the shard, so that it is never taken for another dataset's."""
     recipe: Recipe
     source: Source
-    engine: str = MUJOCO
+    engine: str = DEFAULT
     """Name of the engine that casts the rays; see `lidarsim.engines.ENGINES`."""
 
     def draw(self, unit: int) -> Unit:

@@ -81,7 +81,7 @@ class State:
                 )
             return None
         there = manifest.read(folder)
-        differing = manifest.differences(manifest.completed(there), self.plan.parameters)
+        differing = manifest.differences(manifest.completed(there), manifest.completed(self.plan.parameters))
         if not differing:
             try:
                 return {entry.file: entry for entry in trust.parse(there, folder).shards}

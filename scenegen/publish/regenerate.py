@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lidarsim.engines import MUJOCO
+from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
@@ -37,7 +37,7 @@ def command(found: Manifest, out: str) -> str:
     words += ["--seed", str(found.seed), "--shard-samples", str(found.shard_samples)]
     if found.fields == stored_fields(compact=True):
         words.append("--compact")
-    if found.engine != MUJOCO:
+    if found.engine != DEFAULT:
         words += ["--engine", found.engine]
     return shlex.join([*words, "--out", out])
 
@@ -92,7 +92,9 @@ def check_recipe(dataset: Dataset, text: str) -> None:
     )
     there = {name: value for name, value in manifest.completed(found.parameters).items() if name not in _NOT_OURS}
     there["recipe"] = {name: value for name, value in found.tables.items() if name != "scenes"}
-    wrong = manifest.differences(there, {name: value for name, value in given.items() if name not in _NOT_OURS})
+    wrong = manifest.differences(
+        there, {name: value for name, value in manifest.completed(given).items() if name not in _NOT_OURS}
+    )
     if wrong:
         raise PublishError(f"{_advice(found)}: {wrong[0]}")
 

@@ -139,3 +139,38 @@ class Odd:
 def test_ranges_that_are_none_are_told_of(ranges: np.ndarray, told: str) -> None:
     with pytest.raises(ValueError, match=told):
         cast(Odd(ranges), Lidar(), Pose.level((0, 0, 0)))  # type: ignore[arg-type]
+
+
+BAD_RAYS = [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0], [-np.inf, np.nan, 0], [2, 0, 0], [1e-200, 0, 0], [1e200, 0, 0]]
+
+
+@pytest.mark.parametrize("name", ENGINES.known)
+def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(name: str) -> None:
+    engine = made(name, model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"'))
+    good, down = [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]
+    found = engine.cast(np.zeros((1, 3)), [[good, *BAD_RAYS, down]], 10.0)
+    np.testing.assert_array_equal(found, [[1.0, *[np.inf] * len(BAD_RAYS), 1.0]])
+    for place in ([np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]):
+        both = engine.cast([place, [0.0, 0.0, 2.0]], [[good, down]] * 2, 10.0)
+        np.testing.assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
+
+
+@pytest.mark.parametrize("name", ENGINES.known)
+@pytest.mark.parametrize("shape", [shape for shape in SIZES if shape != "plane"])
+def test_from_inside_a_solid_rays_return_where_they_come_out(name: str, shape: str) -> None:
+    model = model_of(f'type="{shape}" size="{SIZES[shape]}" euler="10 20 30"')
+    rays = random_rays(np.random.default_rng(0), 1, 300)[1]
+    out = made(name, model).cast(np.zeros((1, 3)), rays, 10.0)
+    assert np.isfinite(out).all()
+    # all of these are symmetric about their centre: the way out is the way in from the other side
+    back = made(name, model).cast((-4.0 * rays)[0], rays[0][:, None], 10.0)[:, 0]
+    np.testing.assert_allclose(4.0 - back, out[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ENGINES.known)
+@pytest.mark.parametrize(
+    "world", ["<mujoco/>", '<mujoco><worldbody><geom size="1" rgba="1 1 1 0"/></worldbody></mujoco>']
+)
+def test_a_world_with_nothing_to_see_gives_no_returns(name: str, world: str) -> None:
+    scan = cast(made(name, mujoco.MjModel.from_xml_string(world)), Lidar(), Pose.level((0, 0, 0)))
+    assert np.isinf(scan.ranges).all()

@@ -56,12 +56,12 @@ def test_an_engine_and_a_sensor_are_taken_by_name(
     small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("generate", "--recipe", small, "--n", 3, "--val", 0, "--test", 0, "--workers", 1, "--out", tmp_path / "d")
-    named = (*words, "--quiet", "--engine", "analytic", "--sensor", "raster")
+    named = (*words, "--quiet", "--engine", "mujoco", "--sensor", "raster")
     assert run(capsys, *named) == (0, "", "")
-    assert Dataset(tmp_path / "d").manifest.engine == "analytic"
+    assert Dataset(tmp_path / "d").manifest.engine == "mujoco"
     assert run(capsys, "verify", tmp_path / "d", "--quiet", "--workers", 1) == (0, "", "")
     code, _, error = run(capsys, *words)
-    assert (code, "engine" in error, error.count("\n")) == (1, True, 1)
+    assert (code, 'engine is "mujoco" there, "analytic" asked for' in error, error.count("\n")) == (1, True, 1)
     assert [item.value for item in Named(ENGINES).shell_complete(None, None, "a")] == ["analytic"]
 
 

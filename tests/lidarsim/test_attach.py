@@ -1,0 +1,139 @@
+"""A sensor on a body follows it, and sees what MuJoCo's own rays see of the same data."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from lidarsim import AnalyticEngine, Lidar, Pose, attach
+from tests.lidarsim.engines.test_laws import HFIELD, MESHES
+
+WORLD = f"""<mujoco><asset>{HFIELD}{MESHES}</asset><worldbody>
+<geom type="plane" size="0 0 1"/>
+<geom type="hfield" hfield="h" pos="-3 0 0"/>
+<geom type="mesh" mesh="m" pos="3 3 0.2"/>
+<body name="robot" pos="0 0 2.5"><freejoint/><geom name="hull" type="box" size=".3 .2 .1"/>
+  <body name="arm" pos=".4 0 .2"><joint axis="0 1 0"/><geom name="arm" type="capsule" size=".05 .3"/></body></body>
+<body name="ball" pos="1.5 .2 4"><freejoint/><geom type="sphere" size=".4"/></body>
+<body name="stone" pos="1 2 3" euler="20 30 40"><freejoint/><geom type="mesh" mesh="n"/></body>
+<body name="drum" pos="2 -1.5 3" euler="50 0 20"><freejoint/><geom type="cylinder" size=".5 .3"/></body>
+</worldbody></mujoco>"""
+LIDAR = Lidar(rows=12, columns=40, vertical_fov_deg=150.0)
+
+
+@pytest.fixture
+def model() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(WORLD)
+
+
+def by_mujoco(
+    model: mujoco.MjModel, data: mujoco.MjData, pose: Pose, without: int = -1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ranges, geoms and normals of `LIDAR` by `mj_multiRay`, attitudes as matrices by MuJoCo, too."""
+    turn, count = np.empty(9), LIDAR.rows * LIDAR.columns
+    mujoco.mju_quat2Mat(turn, pose.quaternion)
+    rays = LIDAR.directions_body.reshape(-1, 3) @ turn.reshape(3, 3).T
+    geoms, ranges, normals = np.empty(count, np.int32), np.empty(count), np.empty((count, 3))
+    reach = LIDAR.max_range_m
+    mujoco.mj_multiRay(
+        model, data, pose.position, rays.ravel(), None, True, without, geoms, ranges, normals.reshape(-1), count, reach
+    )
+    missed = (geoms < 0) | (ranges > reach)
+    ranges[missed], geoms[missed], normals[missed] = np.inf, -1, np.nan
+    return tuple(each.reshape(*LIDAR.shape, *each.shape[1:]) for each in (ranges, geoms, normals))
+
+
+def test_a_falling_robot_sees_what_mj_multi_ray_sees_of_the_same_data(model: mujoco.MjModel) -> None:
+    data, offset = mujoco.MjData(model), Pose.level((0.1, 0.05, 0.15), 0.4)
+    mounted = attach(model, "robot", LIDAR, offset=offset)
+    body, heights, met = model.body("robot").id, [], set[int]()
+    for _ in range(12):
+        mujoco.mj_step(model, data, 40)
+        pose = Pose(
+            data.xpos[body] + data.xmat[body].reshape(3, 3) @ offset.position, mounted.poses(data)[0].quaternion
+        )
+        ranges, geoms, normals = by_mujoco(model, data, pose, without=body)
+        hits, (also, named) = mounted.hits(data), mounted.cast(data)
+        np.testing.assert_allclose(hits.ranges[0], ranges, rtol=0, atol=1e-6)
+        np.testing.assert_array_equal(hits.geoms[0], geoms)
+        seen = geoms >= 0
+        np.testing.assert_allclose(hits.normals[0][seen], normals[seen], rtol=0, atol=1e-4)
+        np.testing.assert_array_equal((also, named), (hits.ranges, hits.geoms))
+        scan = mounted.scan(data)
+        np.testing.assert_array_equal(scan.ranges, hits.ranges[0].astype(np.float32))
+        np.testing.assert_allclose(scan.points(), hits.points[0][seen], rtol=0, atol=1e-5)
+        heights.append(pose.position[2])
+        met |= set(geoms.ravel().tolist())
+    assert heights[0] - heights[-1] > 1.0
+    assert met >= set(range(model.ngeom)) - {model.geom("hull").id}
+
+
+def test_sensors_on_several_bodies_give_what_each_gives_alone(model: mujoco.MjModel) -> None:
+    data, names = mujoco.MjData(model), ["robot", "ball", "drum"]
+    offsets = [Pose.level((0, 0, 0.1 * n), 0.5 * n) for n in range(3)]
+    together = attach(model, names, LIDAR, offset=offsets)
+    alone = [attach(model, name, LIDAR, offset=offset) for name, offset in zip(names, offsets, strict=True)]
+    for _ in range(3):
+        mujoco.mj_step(model, data, 60)
+        for scan, one in zip(together.scans(data), alone, strict=True):
+            np.testing.assert_array_equal(scan.ranges, one.scan(data).ranges)
+    with pytest.raises(ValueError, match="3 sensors are attached; call scans"):
+        together.scan(data)
+    assert len(attach(model, "ball", LIDAR, offset=offsets).scans(data)) == 3
+
+
+@pytest.mark.parametrize(("unseen", "missing"), [("nothing", set()), ("body", {"hull"}), ("tree", {"hull", "arm"})])
+def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(model: mujoco.MjModel, unseen: str, missing: set[str]) -> None:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    offset = Pose.level((0.0, 0.0, 0.3))
+    hits = attach(model, "robot", LIDAR, offset=offset, unseen=unseen).hits(data)  # type: ignore[arg-type]
+    own = {name for name in ("hull", "arm") if (hits.geoms == model.geom(name).id).any()}
+    assert own == {"hull", "arm"} - missing
+
+
+def test_a_world_that_moved_is_refitted_to_what_an_engine_made_anew_would_see(model: mujoco.MjModel) -> None:
+    data = mujoco.MjData(model)
+    mounted, rng = (
+        attach(model, "robot", LIDAR, unseen="nothing", offset=Pose.level((0, 0, 1.0))),
+        np.random.default_rng(0),
+    )
+    for _ in range(5):
+        data.qpos[:] = rng.normal(size=model.nq)  # attitudes, too: MuJoCo makes them unit quaternions
+        mujoco.mj_forward(model, data)
+        (pose,) = mounted.poses(data)
+        rays = np.array([mounted._rays([pose])[1][0]])
+        anew = AnalyticEngine.of(model, data).cast(pose.position[None], rays, LIDAR.max_range_m)
+        np.testing.assert_array_equal(mounted.cast(data)[0], anew)
+
+
+def test_what_cannot_be_attached_is_told_in_one_line(model: mujoco.MjModel) -> None:
+    data = mujoco.MjData(model)
+    with pytest.raises(ValueError, match="no body 'robto'; did you mean 'robot'"):
+        attach(model, "robto")
+    with pytest.raises(ValueError, match="2 bodies and 3 offsets"):
+        attach(model, ["robot", "ball"], offset=[Pose.level((0, 0, 0))] * 3)
+    with pytest.raises(ValueError, match="unseen = 'me', expected one of nothing, body, tree"):
+        attach(model, "robot", unseen="me")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="never forwarded"):
+        attach(model, "robot").scan(data)
+    with pytest.raises(ValueError, match="give data of that model"):
+        attach(model, "robot").scan(mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")))
+    mujoco.mj_forward(model, data)
+    data.geom_xpos[4] = np.nan
+    with pytest.raises(ValueError, match=r"geom arm: pos = \[nan, nan, nan\], expected numbers"):
+        attach(model, "robot").scan(data)
+
+
+def test_the_documented_example_runs() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "sensor.md").read_text(encoding="utf-8")
+    (example,) = (
+        block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "import Lidar, Pose, attach" in block
+    )
+    names: dict[str, Any] = {}
+    exec(example, names)
+    assert np.isfinite(names["scan"].ranges).sum() > 300
+    assert set(np.unique(names["hits"].geoms)) == {-1, 0, 1}
