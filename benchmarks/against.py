@@ -29,7 +29,8 @@ def serve(kind: str, engine: str) -> None:
     from scenegen.source import DrawnWorlds
 
     recipe = preset(kind)
-    counts, chosen = {"train": 100_000, "val": 0, "test": 0}, {"engine": engine} if engine else {}
+    counts = {"train": 100_000, "val": 0, "test": 0}
+    chosen: dict[str, Any] = {"engine": engine} if engine else {}
     with tempfile.TemporaryDirectory() as folder:
         plan = plan_dataset(Path(folder), recipe, DrawnWorlds(recipe), seed=0, counts=counts, **chosen)
         for line in sys.stdin:

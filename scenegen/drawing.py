@@ -42,23 +42,15 @@ class Drawing:
         self._numbers: list[NDArray[np.float64]] = []
         self._spec: mujoco.MjSpec | None = None
 
-    def add_geom(
-        self,
-        shape: mujoco.mjtGeom,
-        size: ArrayLike,
-        position: ArrayLike,
-        quat: ArrayLike = UPRIGHT,
-        rgba: ArrayLike = COLOUR,
-        **more: Any,
-    ) -> None:
-        """Add one solid: its sizes and place in metres, its attitude w x y z, its colour, and all else that MuJoCo's
+    def add_geom(self, shape: mujoco.mjtGeom, size: ArrayLike, position: ArrayLike, **more: Any) -> None:
+        """Add one solid, lengths in metres. `more` may give `quat` (w x y z) and `rgba`, and all else that MuJoCo's
         `add_geom` takes."""
-        if self._spec is None and not more:
+        if self._spec is None and more.keys() <= {"quat", "rgba"}:
             sizes = np.zeros(3)
             sizes[: np.size(size)] = size
-            self.add_geoms([shape], sizes, position, quat, rgba)
+            self.add_geoms([shape], sizes, position, more.get("quat", UPRIGHT), more.get("rgba", COLOUR))
         else:
-            self.worldbody.add_geom(type=shape, size=size, pos=position, quat=quat, rgba=rgba, **more)
+            self.worldbody.add_geom(type=shape, size=size, pos=position, **more)
 
     def add_geoms(
         self,
@@ -68,7 +60,7 @@ class Drawing:
         quats: ArrayLike = UPRIGHT,
         rgba: ArrayLike = COLOUR,
     ) -> None:
-        """Add n solids at once, much faster than one by one: shapes (n,), codes of `mujoco.mjtGeom`; sizes (n, 3) as
+        """Add n solids at once, which is quicker than one by one: shapes (n,), codes of `mujoco.mjtGeom`; sizes (n, 3) as
         MuJoCo has them and positions (n, 3), metres; attitudes (n, 4), w x y z; colours (n, 4). What is the same for
         all may lack the first axis."""
         codes = np.asarray(shapes, dtype=np.int64).tolist()

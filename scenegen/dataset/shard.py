@@ -148,7 +148,7 @@ def write_shard(spec: ShardSpec) -> ShardReport:
 @functools.cache
 def _keep_memory() -> None:
     """Have up to 64 MB of freed memory stay with this process, for the next shard takes as much: pages that are
-    given back and taken anew cost a fifteenth of the time (docs/log.md)."""
+    given back and taken anew cost the system time (docs/log.md)."""
     with contextlib.suppress(AttributeError, OSError):  # elsewhere than with glibc, it stays as it is
         library = ctypes.CDLL(None)
         library.mallopt(M_MMAP_THRESHOLD, 32 << 20)
