@@ -1,28 +1,30 @@
 """A world while it is drawn: what a kind adds to, and the MJCF that comes of it."""
 
 import functools
-import math
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FLIGHT_BOUNDS = "flight_bounds"
 """Name of the MJCF <numeric> that holds the box, least corner then greatest, in which the sensor may fly."""
 COLOUR = (0.62, 0.64, 0.68, 1.0)
 """Colour, as red, green, blue and alpha, of solids that are given none."""
-NUMBERS = {
-    mujoco.mjtGeom.mjGEOM_SPHERE: ("", 1),
-    mujoco.mjtGeom.mjGEOM_CAPSULE: (' type="capsule"', 2),
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: (' type="ellipsoid"', 3),
-    mujoco.mjtGeom.mjGEOM_CYLINDER: (' type="cylinder"', 2),
-    mujoco.mjtGeom.mjGEOM_BOX: (' type="box"', 3),
+NUMBERS: dict[int, tuple[str, int]] = {
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("", 1),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): (' type="capsule"', 2),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): (' type="ellipsoid"', 3),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): (' type="cylinder"', 2),
+    int(mujoco.mjtGeom.mjGEOM_BOX): (' type="box"', 3),
 }
 """Shapes that are written here, with their attribute and how many sizes they have."""
 MOST_WRITTEN = 4096
 """The most solids of a document without a <size memory> of its own, see `least_memory`."""
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+"""Attitude, w x y z, of solids that are given none."""
+COLUMNS = (slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 14))
+"""Of a table of solids: sizes, position, attitude and colour."""
 _PLACE = "    <light "
 """Where MuJoCo's writer puts the geoms: before this."""
 
@@ -36,34 +38,56 @@ class Drawing:
 
     def __init__(self, flight_bounds: NDArray[np.float64]):
         self._bounds = tuple(np.asarray(flight_bounds, dtype=np.float64).reshape(-1).tolist())
-        self._solids: list[dict[str, Any]] = []
+        self._shapes: list[int] = []
+        self._numbers: list[NDArray[np.float64]] = []
         self._spec: mujoco.MjSpec | None = None
 
-    def add_geom(self, shape: mujoco.mjtGeom, size: Any, position: Any, **more: Any) -> None:
+    def add_geom(self, shape: mujoco.mjtGeom, size: ArrayLike, position: ArrayLike, **more: Any) -> None:
         """Add one solid, lengths in metres. `more` may give `quat` (w x y z) and `rgba`, and all else that MuJoCo's
         `add_geom` takes."""
-        solid = {"type": shape, "size": size, "pos": position, **more}
-        if self._spec is None:
-            self._solids.append(solid)
+        if self._spec is None and more.keys() <= {"quat", "rgba"}:
+            sizes = np.zeros(3)
+            sizes[: np.size(size)] = size
+            self.add_geoms([shape], sizes, position, more.get("quat", UPRIGHT), more.get("rgba", COLOUR))
         else:
-            self._spec.worldbody.add_geom(**solid)
+            self.worldbody.add_geom(type=shape, size=size, pos=position, **more)
+
+    def add_geoms(
+        self,
+        shapes: ArrayLike,
+        sizes: ArrayLike,
+        positions: ArrayLike,
+        quats: ArrayLike = UPRIGHT,
+        rgba: ArrayLike = COLOUR,
+    ) -> None:
+        """Add n solids at once, which is quicker than one by one: shapes (n,), codes of `mujoco.mjtGeom`; sizes (n, 3) as
+        MuJoCo has them and positions (n, 3), metres; attitudes (n, 4), w x y z; colours (n, 4). What is the same for
+        all may lack the first axis."""
+        codes = np.asarray(shapes, dtype=np.int64).tolist()
+        numbers = np.empty((len(codes), 14))
+        for columns, values in zip(COLUMNS, (sizes, positions, quats, rgba), strict=True):
+            numbers[:, columns] = values
+        if self._spec is None:
+            self._shapes += codes
+            self._numbers.append(numbers)
+        else:
+            _add(self._spec, codes, numbers)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         if self._spec is None:
             self._spec = _empty(self._bounds)
-            for solid in self._solids:
-                self._spec.worldbody.add_geom(**solid)
+            _add(self._spec, self._shapes, np.concatenate([np.empty((0, 14)), *self._numbers]))
         return getattr(self._spec, name)
 
     def mjcf(self) -> bytes:
         """The document, UTF-8. Raises ValueError for what MuJoCo does not take."""
-        if self._spec is None and len(self._solids) <= MOST_WRITTEN:
-            lines = [_line(**solid) for solid in self._solids]
-            if None not in lines:
+        if self._spec is None and len(self._shapes) <= MOST_WRITTEN:
+            lines = _lines(self._shapes, np.concatenate([np.empty((0, 14)), *self._numbers]))
+            if lines is not None:
                 before, after = _around(self._bounds)
-                return (before + "".join(map(str, lines)) + after).encode()
+                return (before + lines + after).encode()
         self.worldbody  # noqa: B018 (from here on, there is a spec)
         assert self._spec is not None
         self._spec.memory = least_memory(len(self._spec.geoms))
@@ -94,34 +118,38 @@ def _around(bounds: tuple[float, ...]) -> tuple[str, str]:
     return before, light + after
 
 
-def _line(
-    type: mujoco.mjtGeom, size: Any, pos: Any, quat: Any = (1.0, 0.0, 0.0, 0.0), rgba: Any = COLOUR, **more: Any
-) -> str | None:
-    """A geom as MuJoCo writes it; None for one that is left to MuJoCo."""
-    attribute, count = NUMBERS.get(type, ("", 0))
-    w, x, y, z = map(float, quat)
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    sizes, place = [float(value) for value in size][:count], [float(value) for value in pos]
-    numbers = (*sizes, *place, w, x, y, z)
-    if not count or more or not all(map(_plain, numbers)) or not 0.5 < length < 2.0:
+def _add(spec: mujoco.MjSpec, shapes: list[int], numbers: NDArray[np.float64]) -> None:
+    """Add solids, their numbers (n, 14) as `COLUMNS` says."""
+    for shape, row in zip(shapes, numbers, strict=True):
+        size, position, quat, rgba = (row[columns] for columns in COLUMNS)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom(shape), size=size, pos=position, quat=quat, rgba=rgba)
+
+
+def _lines(shapes: list[int], numbers: NDArray[np.float64]) -> str | None:
+    """Geoms as MuJoCo writes them; None where one is left to MuJoCo."""
+    counts = [NUMBERS.get(shape, ("", 0))[1] for shape in shapes]
+    size, position, quat, rgba = (numbers[:, columns] for columns in COLUMNS)
+    sized = np.arange(3) < np.array(counts, dtype=np.int64)[:, None]
+    square = quat * quat
+    length = np.sqrt(((square[:, 0] + square[:, 1]) + square[:, 2]) + square[:, 3])
+    lengths = np.abs(np.concatenate([size[sized], position.ravel(), quat.ravel()]))
+    # MuJoCo writes most numbers like this, but not what it rounds to 0 itself, or large whole ones
+    plain = (lengths == 0.0) | ((lengths >= 1e-9) & (lengths < 1e5))
+    if not (plain.all() and all(counts) and ((length > 0.5) & (length < 2.0)).all()):
         return None
-    turn = (w / length, x / length, y / length, z / length)
-    line = f'    <geom size="{_text(sizes)}"'
-    if any(place):
-        line += f' pos="{_text(place)}"'
-    if turn != (1.0, 0.0, 0.0, 0.0):
-        line += f' quat="{_text(turn)}"'
-    line += attribute
-    if tuple(rgba) != COLOUR:
-        line += f' rgba="{_text(rgba)}"'
-    return line + "/>\n"
+    turn = quat / length[:, None]
+    placed, turned, coloured = (position != 0.0).any(1), (turn != UPRIGHT).any(1), (rgba != COLOUR).any(1)
+    forms = map(_form, shapes, placed.tolist(), turned.tolist(), coloured.tolist())
+    masks = (sized, placed[:, None].repeat(3, 1), turned[:, None].repeat(4, 1), coloured[:, None].repeat(4, 1))
+    written = np.concatenate([size, position, turn, rgba], axis=1)[np.concatenate(masks, axis=1)]
+    return "".join(forms) % tuple((written + 0.0).tolist())  # a zero has no sign
 
 
-def _plain(value: float) -> bool:
-    """Whether MuJoCo writes a number as it does most: no zero of its own rounding, and no large whole number."""
-    return value == 0.0 or 1e-9 <= abs(value) < 1e5
-
-
-def _text(values: Sequence[float]) -> str:
-    """Numbers with six digits, as C++ writes them."""
-    return " ".join([f"{value + 0.0:.6g}" for value in values])
+@functools.cache
+def _form(shape: int, placed: bool, turned: bool, coloured: bool) -> str:
+    """A geom's line, with six digits for every number that is written, as C++ writes them."""
+    attribute, count = NUMBERS[shape]
+    parts = (("size", count), ("pos", 3 * placed), ("quat", 4 * turned))
+    line = "".join(f' {name}="{" ".join(["%.6g"] * numbers)}"' for name, numbers in parts if numbers)
+    colour = ' rgba="%.6g %.6g %.6g %.6g"' if coloured else ""
+    return f"    <geom{line}{attribute}{colour}/>\n"

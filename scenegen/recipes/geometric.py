@@ -1,20 +1,20 @@
 """Spheres, boxes and cylinders at any attitude, standing, stacked and floating, with walls and clutter between them."""
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim.parameters import number
+from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE
 from scenegen.chance import attitudes, log_uniform, normal
 from scenegen.drawing import Drawing
 from scenegen.limits import MOST_DRAWN_SOLIDS
-from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
+from scenegen.recipes.kind import Range, WorldKind, yaw_quaternion
 
-SHAPES = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER)
-COLOURS = ((0.80, 0.45, 0.35, 1.0), (0.40, 0.60, 0.75, 1.0), (0.75, 0.68, 0.40, 1.0))
+SHAPES = np.array([SPHERE, BOX, CYLINDER])
+COLOURS = np.array([(0.80, 0.45, 0.35, 1.0), (0.40, 0.60, 0.75, 1.0), (0.75, 0.68, 0.40, 1.0)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,31 +94,23 @@ class Geometric(WorldKind):
         place = rng.random(count)
         free_height = rng.uniform(0.0, self.size_m[2], count)
         on = rng.integers(0, np.maximum(np.arange(count), 1))
-        top = np.zeros(count)
-        for n in range(count):
-            reach = _half_height(shape[n], size[n], tilt[n])
-            if place[n] < self.standing_share:
-                z = reach
-            elif place[n] < self.standing_share + self.stacked_share and n > 0:
-                plan[n] = plan[on[n]]
-                z = top[on[n]] + reach
-            else:
-                z = free_height[n]
-            top[n] = z + reach
-            position = (plan[n, 0], plan[n, 1], z)
-            add_geom(spec, SHAPES[shape[n]], size[n], position, quat=tilt[n], rgba=COLOURS[shape[n]])
+        reach = _half_height(shape, size, tilt)
+        standing = place < self.standing_share
+        z = np.where(standing, reach, free_height)
+        stacked = ~standing & (place < self.standing_share + self.stacked_share)
+        for n in np.flatnonzero(stacked).tolist():
+            if n > 0:
+                plan[n], z[n] = plan[on[n]], z[on[n]] + reach[on[n]] + reach[n]
+        spec.add_geoms(SHAPES[shape], size, np.stack([*plan.T, z], axis=1), tilt, COLOURS[shape])
 
     def _add_walls(self, spec: Drawing, count: int, *, rng: np.random.Generator) -> None:
         """Upright slabs, each turned at will."""
-        for _ in range(count):
-            x, y = rng.uniform((0.0, 0.0), self.size_m[:2])
-            half = (
-                rng.uniform(*self.wall_length_m) / 2,
-                rng.uniform(*self.wall_half_thickness_m),
-                rng.uniform(*self.wall_height_m) / 2,
-            )
-            yaw = yaw_quaternion(rng.uniform(0.0, np.pi))
-            add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, half, (x, y, half[2]), quat=yaw)
+        ranges = (self.wall_length_m, self.wall_half_thickness_m, self.wall_height_m)
+        low, high = zip((0.0, self.size_m[0]), (0.0, self.size_m[1]), *ranges, (0.0, np.pi), strict=True)
+        x, y, length, half_thickness, height, yaw = rng.uniform(low, high, (count, 6)).T
+        sizes, centres = (length / 2, half_thickness, height / 2), (x, y, height / 2)
+        shapes = np.full(count, BOX)
+        spec.add_geoms(shapes, np.stack(sizes, axis=1), np.stack(centres, axis=1), yaw_quaternion(yaw))
 
     def _add_clutter(self, spec: Drawing, heaps: int, *, rng: np.random.Generator) -> None:
         """Heaps of small tilted solids on the ground."""
@@ -129,18 +121,16 @@ class Geometric(WorldKind):
             size = rng.uniform(*self.clutter_half_size_m, (count, 3))
             offset = self.clutter_spread_m * normal((count, 3), rng=rng)
             tilt = attitudes(count, 1.0, rng=rng)
-            for n in range(count):
-                z = _half_height(shape[n], size[n], tilt[n]) + abs(offset[n, 2])
-                position = (centre[0] + offset[n, 0], centre[1] + offset[n, 1], z)
-                add_geom(spec, SHAPES[shape[n]], size[n], position, quat=tilt[n], rgba=COLOURS[shape[n]])
+            z = _half_height(shape, size, tilt) + np.abs(offset[:, 2])
+            spec.add_geoms(SHAPES[shape], size, np.column_stack([centre + offset[:, :2], z]), tilt, COLOURS[shape])
 
 
-def _half_height(shape: int, size: np.ndarray, quaternion: np.ndarray) -> float:
-    """How far a solid reaches above its centre, metres."""
-    if shape == 0:
-        return float(size[0])
-    w, x, y, z = quaternion.tolist()
-    u, v, up = abs(2 * (x * z - w * y)), abs(2 * (y * z + w * x)), abs(1 - 2 * (x * x + y * y))
-    if shape == 1:
-        return float(u * size[0] + v * size[1] + up * size[2])
-    return float(up * size[1] + math.sqrt(max(1 - up * up, 0.0)) * size[0])
+def _half_height(
+    shape: NDArray[np.int64], size: NDArray[np.float64], quaternion: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How far solids (n,) reach above their centres, metres."""
+    w, x, y, z = quaternion.T
+    u, v, up = np.abs(2 * (x * z - w * y)), np.abs(2 * (y * z + w * x)), np.abs(1 - 2 * (x * x + y * y))
+    box = u * size[:, 0] + v * size[:, 1] + up * size[:, 2]
+    cylinder = up * size[:, 1] + np.sqrt(np.maximum(1 - up * up, 0.0)) * size[:, 0]
+    return np.choose(shape, [size[:, 0], box, cylinder])

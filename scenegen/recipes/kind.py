@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import Bounds, check, shown
@@ -57,7 +58,7 @@ class WorldKind(ABC):
 
     @abstractmethod
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
-        """Draw one world and add its solids to `spec`, by `add_geom`, or as to any `mujoco.MjSpec`."""
+        """Draw one world and add its solids to `spec`, by `add_geoms` or `add_geom`, or as to any `mujoco.MjSpec`."""
 
     def add_ground(self, spec: Drawing) -> None:
         """Add the floor, where there is one."""
@@ -84,7 +85,8 @@ def add_geom(spec: Drawing, shape: mujoco.mjtGeom, size: Any, position: Any, **m
     spec.add_geom(shape, size, position, **more)
 
 
-def yaw_quaternion(yaw_rad: float) -> tuple[float, float, float, float]:
-    """A turn about the vertical as a quaternion, w x y z."""
-    sine, cosine = sin_cos(yaw_rad / 2)
-    return (float(cosine), 0.0, 0.0, float(sine))
+def yaw_quaternion(yaw_rad: ArrayLike) -> NDArray[np.float64]:
+    """Turns (...) about the vertical as quaternions (..., 4), w x y z."""
+    sine, cosine = sin_cos(np.asarray(yaw_rad) / 2)
+    still = np.zeros_like(sine)
+    return np.stack([cosine, still, still, sine], axis=-1)

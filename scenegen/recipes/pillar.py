@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import mujoco
 import numpy as np
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
-from scenegen.drawing import Drawing
-from scenegen.recipes.kind import Range, WorldKind, add_geom, yaw_quaternion
+from lidarsim.solids.shapes import BOX, CYLINDER
+from scenegen.drawing import UPRIGHT, Drawing
+from scenegen.recipes.kind import Range, WorldKind, yaw_quaternion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,26 +53,23 @@ class Pillar(WorldKind):
         x_m, y_m, _ = self.size_m
         count = max(round(rng.uniform(*self.density) * x_m * y_m), 1)
         section = rng.random(count)
+        round_ = section < self.round_share
         half = rng.uniform(*self.half_width_m, count)
         length = np.where(
-            (section >= self.round_share) & (section < self.round_share + self.oblong_share),
+            ~round_ & (section < self.round_share + self.oblong_share),
             half * rng.uniform(1.0, self.oblong_ratio, count),
             half,
         )
         height = rng.uniform(*self.height_m, count)
         plan = rng.uniform((0.0, 0.0), (x_m, y_m), (count, 2))
         yaw = rng.uniform(0.0, np.pi, count)
-        hull = np.where(section < self.round_share, half, np.sqrt(half * half + length * length))
-        for n in np.flatnonzero(rng.random(count) < self.passage_share).tolist():
-            if n > 0:  # beside one that stays where it is now
-                neighbour, angle = rng.integers(0, n), rng.uniform(0.0, 2 * np.pi)
-                sine, cosine = sin_cos(angle)
-                apart = hull[n] + hull[neighbour] + rng.uniform(*self.passage_m)
-                plan[n] = plan[neighbour] + apart * np.stack([cosine, sine])
-        for n in range(count):
-            position = (plan[n, 0], plan[n, 1], height[n] / 2)
-            if section[n] < self.round_share:
-                add_geom(spec, mujoco.mjtGeom.mjGEOM_CYLINDER, (half[n], height[n] / 2, 0.0), position)
-            else:
-                size = (half[n], length[n], height[n] / 2)
-                add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, size, position, quat=yaw_quaternion(yaw[n]))
+        hull = np.where(round_, half, np.sqrt(half * half + length * length))
+        beside = [n for n in np.flatnonzero(rng.random(count) < self.passage_share).tolist() if n > 0]
+        drawn = [(rng.integers(0, n), rng.uniform(0.0, 2 * np.pi), rng.uniform(*self.passage_m)) for n in beside]
+        sine, cosine = sin_cos([angle for _, angle, _ in drawn])
+        for n, (neighbour, _, gap), *aside in zip(beside, drawn, cosine, sine, strict=True):
+            plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(aside)  # which stays where it is
+        quats = np.where(round_[:, None], UPRIGHT, yaw_quaternion(yaw))
+        shapes = np.where(round_, CYLINDER, BOX)
+        sizes = np.stack([half, np.where(round_, height / 2, length), height / 2], axis=1)
+        spec.add_geoms(shapes, sizes, np.stack([*plan.T, height / 2], axis=1), quats)

@@ -35,33 +35,41 @@ def _transform(occupancy, cap, table):
     """Squared distances up to `cap`, one axis after the other, looked up in `table` (cap + 1,).
 
     All in the type of `cap`, so that a vector register holds many. Lines along z are kept apart by a margin of `cap`,
-    so that a shift along y or z is one shift of a whole x-slice.
+    and slices surrounded by one, so that a shift along y or z is one shift of a whole x-slice.
     """
     nx, ny, nz = occupancy.shape
     reach = 0  # offsets whose square alone stays below the cap
     while (reach + 1) * (reach + 1) < cap:
         reach += 1
     line = nz + reach
-    row = np.full(ny * line, cap)
+    row = np.full((ny + 2 * reach) * line, cap)
+    squares = np.full(ny * line + 2 * reach, cap)
+    nearest = np.empty(ny * line, row.dtype)
     steps = np.full((nx, ny * nz), cap)
     _steps_along_x(occupancy.reshape(nx, ny * nz), steps, steps.dtype.type(reach + 1))
     distance = np.empty(occupancy.shape, table.dtype)
     for i in range(nx):
         for j in range(ny):
-            _square(steps[i, j * nz : (j + 1) * nz], row[j * line : j * line + nz], cap)
-        squares = row.copy()
-        for offset in range(1, min(reach, ny - 1) + 1):
-            added = steps.dtype.type(offset * offset)
-            _lower(squares[: -offset * line], row[offset * line :], added)
-            _lower(squares[offset * line :], row[: -offset * line], added)
-        nearest = squares.copy()
-        for offset in range(1, min(reach, nz - 1) + 1):
-            added = steps.dtype.type(offset * offset)
-            _lower(nearest[:-offset], squares[offset:], added)
-            _lower(nearest[offset:], squares[:-offset], added)
+            begin = (reach + j) * line
+            _square(steps[i, j * nz : (j + 1) * nz], row[begin : begin + nz], cap)
+        _spread(row, squares[reach : reach + ny * line], reach, line)
+        _spread(squares, nearest, reach, 1)
         for j in range(ny):
             _look_up(nearest[j * line : j * line + nz], table, distance[i, j])
     return distance
+
+
+@kernel
+def _spread(source, squares, reach, line):
+    """Set `squares` (m,) to the least of what lies up to `reach` places of `line` numbers away in `source`, which has
+    as many more at either end, plus the places' square."""
+    m = len(squares)
+    here = source[reach * line :]
+    for q in range(m):
+        squares[q] = here[q]
+    for offset in range(1, reach + 1):
+        before, after = source[(reach - offset) * line :], source[(reach + offset) * line :]
+        _lower(squares, before[:m], after[:m], squares.dtype.type(offset * offset))
 
 
 @kernel
@@ -86,9 +94,9 @@ def _square(steps, squares, cap):
 
 
 @kernel
-def _lower(squares, source, added):
+def _lower(squares, before, after, added):
     for q in range(len(squares)):
-        squares[q] = min(squares[q], squares.dtype.type(source[q] + added))
+        squares[q] = min(squares[q], squares.dtype.type(min(before[q], after[q]) + added))
 
 
 @kernel
