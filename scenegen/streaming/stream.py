@@ -18,7 +18,7 @@ from scenegen.sample import Sample, describe_fields
 from scenegen.streaming.ahead import Ahead
 from scenegen.streaming.batches import Batches
 from scenegen.streaming.cache import Cache
-from scenegen.streaming.component import component_of
+from scenegen.streaming.component import Component, component_of
 from scenegen.streaming.mixture import Mixture, parts_of
 from scenegen.streaming.place import Place
 from scenegen.streaming.record import pack, record_type, unpack
@@ -61,7 +61,8 @@ class Stream(Sequence[Sample]):
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
         self._record = record_type(self.grid, self.lidar)
-        self._make = Maker(mixture, None if cache is None else Path(cache), self._record)
+        caches = () if cache is None else tuple(self._cache(Path(cache), part) for part in mixture.components)
+        self._make = Maker(mixture, caches, self._record)
         self._units: dict[int, Unit] = {}
         self._coming: Iterator[int] | None = None
         self._ahead: Ahead[int, Unit] | None = None
@@ -115,6 +116,13 @@ class Stream(Sequence[Sample]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_units": {}, "_ahead": None, "_coming": None}
 
+    def _cache(self, folder: Path, part: Component) -> Cache:
+        """Where a part's units are kept. Raises DatasetError where that cannot be."""
+        if folder.exists() and not folder.is_dir():
+            raise DatasetError(f"{folder}: is a file, expected a folder for the cache; choose another one")
+        most = part.viewpoints * (2 * self._record.itemsize + 1024)
+        return Cache(folder, part.fingerprint(software=True), part.split, most)
+
     def _checked(self, index: int) -> int:
         """A number of a sample. Raises TypeError and IndexError."""
         try:
@@ -146,9 +154,9 @@ class Stream(Sequence[Sample]):
             self._ahead.give(slot)
         room = AHEAD * self.workers + 2 * len(missing) - self._ahead.under_way
         coming = self._following(asked)
-        while room > 0 and (slot := next(coming, None)) is not None:
-            if slot not in self._units and slot not in self._ahead:
-                self._ahead.give(slot)
+        while room > 0 and (later := next(coming, None)) is not None:
+            if later not in self._units and later not in self._ahead:
+                self._ahead.give(later)
                 room -= 1
 
     def _following(self, asked: Sequence[int]) -> Iterator[int]:
@@ -176,26 +184,18 @@ class Maker:
     """Makes a unit, in whatever process: from the cache, where there is one, or drawn."""
 
     mixture: Mixture
-    cache: Path | None
+    caches: tuple[Cache, ...]
+    """That of each part, or none."""
     record: np.dtype
-
-    def __post_init__(self) -> None:
-        if self.cache is not None and self.cache.exists() and not self.cache.is_dir():
-            raise DatasetError(f"{self.cache}: is a file, expected a folder for the cache; choose another one")
 
     def __call__(self, slot: int) -> Unit:
         """The unit of a slot. Raises GenerationError, and DatasetError where the cache's disk refuses."""
         part, unit = self.mixture.unit(slot)
-        component = self.mixture.components[part]
 
         def drawn() -> Unit:
-            return tuple(pack(sample, self.record) for sample in component.draw(unit).samples)
+            return tuple(pack(sample, self.record) for sample in self.mixture.components[part].draw(unit).samples)
 
-        if self.cache is None:
-            return drawn()
-        most = component.viewpoints * (2 * self.record.itemsize + 1024)
-        owner = component.fingerprint(software=True)
-        return Cache(self.cache, owner, component.split, most).unit(unit, drawn)
+        return self.caches[part].unit(unit, drawn) if self.caches else drawn()
 
 
 class Reader(Iterator[Sample]):
