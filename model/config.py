@@ -6,11 +6,11 @@ Nothing heavy is imported here, so that the command line can read its options fr
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from lidarsim.parameters import check, number
 from scenegen.errors import short
-from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_SEED, MOST_WIDTH
+from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_MAPS, MOST_SEED, MOST_WIDTH
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
@@ -132,20 +132,35 @@ class TrainConfig:
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     epochs: int = number(100, least=1, most=MOST_EPOCHS)
-    """At most; the learning rate falls to 0 by the last (ours)."""
+    """Passes over the maps, at most (ours)."""
+    maps: int | None = number(None, least=1, most=MOST_MAPS)
+    """Maps seen, at most; where it is given, the number of passes follows from it (ours)."""
+    interval: int | None = number(None, least=1, most=MOST_MAPS)
+    """Maps between two looks at validation; a pass over all maps unless given (ours)."""
     batch: int = number(8, least=1, most=MOST_BATCH)
     """Maps a step, over all devices (ours)."""
     lr: float = number(1e-3, above=0)
-    """Learning rate of AdamW after the warm-up; from there it falls along a cosine (ours)."""
+    """Learning rate of AdamW after the warm-up (ours)."""
     warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
+    schedule: Literal["decay", "cosine"] = "decay"
+    """How the learning rate falls. "decay": it stays level until validation stalls or the budget nears its end, then
+    falls along a line to 0, where training ends (ours). "cosine": it falls along a cosine, to 0 at the end of the
+    budget, and training is cut off where validation stalls."""
+    decay_share: float = number(0.2, above=0, below=1)
+    """Share of all steps over which "decay" lets the learning rate fall (ours)."""
     weight_decay: float = number(0.01, least=0)
     """Weight decay of AdamW (ours)."""
+    decay_all: bool = False
+    """Whether weight decay shrinks biases and the scales of norms, too (ours)."""
     clip: float = number(1.0, above=0)
     """Largest norm of a step's gradient (ours)."""
     patience: int = number(10, least=1)
-    """Epochs without a lower validation loss after which training ends (paper)."""
-    augment: bool = False
+    """Rounds without a lower validation loss after which validation has stalled (paper: epochs)."""
+    choose: Literal["loss", "occupancy", "last"] = "loss"
+    """Which network of a run is kept: that of the lowest validation loss, of the lowest occupancy loss, or the last
+    (ours)."""
+    augment: bool = True
     """Whether maps are turned and mirrored about the sensor at random (ours)."""
     seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the first weights and of the order of samples."""
@@ -157,6 +172,15 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check(self)
+        if self.choose == "occupancy" and "occupancy" not in self.network.tasks:
+            raise ValueError(f"choose = 'occupancy': the variant {self.network.variant!r} does not predict it")
+
+
+PROTOCOLS: dict[str, dict[str, Any]] = {
+    "ours": {},
+    "paper": {"schedule": "cosine", "decay_all": True, "augment": False},
+}
+"""Named protocols: what each has in place of the defaults of `TrainConfig`."""
 
 
 @dataclass(frozen=True, kw_only=True)

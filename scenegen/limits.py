@@ -95,6 +95,7 @@ MOST_BATCH = 4096
 MOST_WEIGHTS_BYTES = 1 << 30
 """The most bytes of a .safetensors or .onnx file; a training state of the widest network has 924 MB."""
 MOST_EPOCHS = 10_000
+MOST_MAPS = 10**10
 """The most epochs of a training run: the header of its state holds some kilobyte of figures for each."""
 MOST_LINE_BYTES = 4096
 """The most bytes of a line in a text file that lists points."""

@@ -11,7 +11,7 @@ from typing import Any
 import rich_click as click
 
 from scenegen.commands.datasets import find_datasets
-from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.config import PROTOCOLS, LossConfig, NetworkConfig, TrainConfig
 from scenegen.terminal import stops
 from scenegen.terminal.options import (
     datasets_argument,
@@ -21,6 +21,7 @@ from scenegen.terminal.options import (
     out_option,
     quiet_option,
     taken,
+    was_given,
 )
 from scenegen.terminal.progress import Progress
 from scenegen.terminal.show import say
@@ -32,20 +33,45 @@ MOST_LOADERS = 8
 @click.command()
 @datasets_argument
 @options_of(NetworkConfig, variant="Which network to train; docs/network.md says what they are.")
+@click.option(
+    "--protocol",
+    type=click.Choice(list(PROTOCOLS)),
+    default=next(iter(PROTOCOLS)),
+    show_default=True,
+    help="What options stand at unless they are given; docs/training.md says how the two differ.",
+)
 @options_of(
     TrainConfig,
-    epochs="Most epochs; the learning rate falls to 0 by the last.",
+    maps="Most maps seen, instead of passes; may grow when a run goes on.",
+    epochs="Most passes over the datasets.",
+    interval="Maps between two looks at validation, instead of a pass.",
     batch="Maps a step, on all devices together.",
     lr="Learning rate after the warm-up.",
-    patience="Epochs without a lower validation loss after which training ends.",
+    schedule="How it falls: from when validation stalls or the budget nears its end, or along a cosine.",
+    patience="Looks at validation without a lower loss after which it has stalled.",
+    choose="Which network of the run is kept.",
     seed="Decides the first weights and the order of samples.",
+)
+@click.option(
+    "--input",
+    "inputs",
+    multiple=True,
+    default=NetworkConfig.inputs,
+    show_default=True,
+    help="A channel that the network takes; several times for several.",
 )
 @options_of(
     NetworkConfig,
     width="Channels at the first level.",
     stem_stride="Where resolution is halved first; 1 is slower, and sees finer.",
 )
-@options_of(LossConfig, beta_m="Where the Smooth-L1 loss turns from a parabola into a line, metres.")
+@options_of(LossConfig, "lambda-", occupancy="Weight of occupancy in the objective.", tudf="Weight of distances in it.")
+@options_of(
+    LossConfig,
+    eikonal="Weight of the Eikonal term among distances.",
+    occupied_weight="Weight of an occupied voxel; a free one has 1.",
+    beta_m="Where the Smooth-L1 loss turns from a parabola into a line, metres.",
+)
 @options_of(
     TrainConfig,
     augment="Turn and mirror maps about the sensor at random.",
@@ -59,7 +85,13 @@ MOST_LOADERS = 8
 @json_option
 @quiet_option
 def train(
-    datasets: tuple[Path | str, ...], device: str, workers: int | None, as_json: bool, quiet: bool, **options: Any
+    datasets: tuple[Path | str, ...],
+    protocol: str,
+    device: str,
+    workers: int | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
 ) -> None:
     """Train the completion network on datasets; under torchrun, on several GPUs.
 
@@ -69,11 +101,13 @@ def train(
     from scenegen.model.training.device import choose_device
     from scenegen.model.training.loop import Watcher
     from scenegen.model.training.loop import train as run
+    from scenegen.model.training.run_folder import kept
     from scenegen.workers import cores
 
     first = int(os.environ.get("RANK", "0")) == 0
     talk = first and not (quiet or as_json)
     try:
+        options |= {name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)}
         config = TrainConfig(
             network=NetworkConfig(**taken(NetworkConfig, options)),
             loss=LossConfig(**taken(LossConfig, options)),
@@ -100,7 +134,7 @@ def train(
             command=shlex.join(["scenegen", *sys.argv[1:]]),
             watcher=Watcher(on_start=shown.on_start, on_step=shown.on_step, on_epoch=shown.on_epoch, stop=stop),
         )
-    best = min(rows, key=lambda row: row["val_loss"])
+    best = kept(rows, config.choose)
     seconds = time.monotonic() - begin
     if first and as_json:
         print(json.dumps({"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}))
@@ -120,9 +154,7 @@ class _Shown:
 
     def on_start(self, epoch: int, total: int, done: int) -> None:
         self.begun = True
-        self._progress.restart(
-            f"{self._config.network.variant}, epoch {epoch + 1} of {self._config.epochs}", total, done
-        )
+        self._progress.restart(f"{self._config.network.variant}, epoch {epoch + 1}", total, done)
 
     def on_step(self, maps: int, loss: float) -> None:
         self._recent = loss if self._recent == 0.0 else 0.98 * self._recent + 0.02 * loss

@@ -36,7 +36,7 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         "|---|---|",
         f"| on | {settings['samples']} samples: datasets {data} |",
         f"| by | `{about['command']}` |",
-        f"| for | {figures['epoch']:.0f} epochs to the best of {settings['epochs']} at most, "
+        f"| for | {_length(settings, figures)}, "
         f"batch {settings['batch']}, AdamW at {settings['lr']:g}, seed {settings['seed']}, {settings['precision']} |",
         f"| on hardware | {about['device']} |",
         f"| with | commit {about['commit']}; {versions} |",
@@ -48,7 +48,7 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         "| " + " | ".join(f"{figures[key]:.3f}" for key in shown) + " |",
         "",
     ]
-    if settings["epochs"] < FULL_EPOCHS:
+    if settings["epochs"] < FULL_EPOCHS and settings.get("maps") is None:
         full = re.sub(rf" --epochs[ =]{settings['epochs']}\b", "", about["command"])
         lines += [
             f"This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and stops when validation has "
@@ -62,3 +62,10 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         f"{settings['loss']['occupied_weight']:g} times as much as free ones.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _length(settings: Mapping[str, Any], figures: Mapping[str, float]) -> str:
+    """How long a network was trained."""
+    if "maps" not in figures:
+        return f"{figures['epoch']:.0f} epochs to the best of {settings['epochs']} at most"
+    return f"{figures['maps']:.0f} maps seen"

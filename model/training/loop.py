@@ -21,7 +21,8 @@ from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_m
 from scenegen.model.config import TrainConfig
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
-from scenegen.model.training.data import Batch, LoaderError, Maps, Samples, TudfOf, epoch_batches, load
+from scenegen.model.training.course import Course
+from scenegen.model.training.data import Batch, LoaderError, Maps, Samples, TudfOf, load
 from scenegen.model.training.device import (
     Group,
     TrainingError,
@@ -30,7 +31,7 @@ from scenegen.model.training.device import (
     device_name,
     resolve_precision,
 )
-from scenegen.model.training.run_folder import Progress, RunFolder
+from scenegen.model.training.run_folder import LEVEL, Progress, RunFolder, kept
 from scenegen.model.training.validation import validate
 
 PACKAGES = ("torch", "safetensors")
@@ -81,26 +82,32 @@ def train(
         precision = resolve_precision(config.precision, where)
         torch.manual_seed(config.seed)
         network = Network(config.network).to(where, memory_format=torch.channels_last_3d)
-        optimizer = torch.optim.AdamW(network.parameters(), lr=config.lr, weight_decay=config.weight_decay)
+        optimizer = optimizer_of(network, config)
         settings = describe(maps, config, precision)
         versions = software() | {"python": platform.python_version()} | {name: installed(name) for name in PACKAGES}
         about = {"command": command, "commit": commit(), "versions": versions, "device": device_name(where)}
         group.first_alone(lambda: folder.open({"settings": settings, **about}))
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, where, precision, group)
-        steps = len(epoch_batches(maps, batch=config.batch, seed=config.seed, epoch=0))
+        course = Course(maps, config)
         saved, stopped = time.monotonic(), f"stopped; the same command goes on with {out}"
-        while progress.epoch < config.epochs and progress.epoch - progress.best_epoch <= config.patience:
+        while (first := progress.epoch * course.round) < (end := course.end(progress.decay)):
+            stalled = progress.epoch - progress.best_epoch > config.patience
+            if stalled and config.schedule == "cosine":
+                break
+            if stalled and progress.decay is None and first < course.latest_decay:
+                progress.decay = first
+                continue  # the end has changed
             begin = time.monotonic() - progress.seconds
-            each = min(config.batch, len(maps))
-            watcher.on_start(progress.epoch, steps * each, progress.step * each)
+            steps = min(course.round, end - first)
+            watcher.on_start(progress.epoch, steps * course.batch, progress.step * course.batch)
             network.train()
-            batches = epoch_batches(
-                maps, batch=config.batch, seed=config.seed, epoch=progress.epoch, augment=config.augment
-            )[progress.step :]
+            batches = course.batches(first + progress.step, steps - progress.step)
             mine = [batch[group.rank :: group.size] for batch in batches]
             loaded = load(maps, mine, workers=workers, pinned=where.type == "cuda")
             for batch in batches:
+                if group.first and first + progress.step == course.latest_decay and progress.decay is None:
+                    folder.save(progress, network, optimizer, LEVEL)  # a larger budget goes on from here
                 try:
                     maps_read = next(loaded)
                 except LoaderError:
@@ -109,8 +116,7 @@ def train(
                     if group.first:
                         folder.save(progress, network, optimizer)
                     raise StoppedError(stopped) from None
-                rate = learning_rate(config, progress.epoch * steps + progress.step, config.epochs * steps)
-                losses = learn(maps_read, rate)
+                losses = learn(maps_read, course.rate(first + progress.step, progress.decay))
                 if not all(map(math.isfinite, losses.values())):
                     raise TrainingError(_diverged(maps, batch, progress, losses))
                 progress.add(losses)
@@ -126,9 +132,10 @@ def train(
             found = validate(network, checks, config.loss, config.batch, where, precision, group, workers)
             if not math.isfinite(found["loss"]):
                 raise TrainingError(f"epoch {progress.epoch + 1}: the validation loss is {found['loss']}; lower --lr")
-            row = progress.close(found, time.monotonic() - begin)
+            seen = (first + steps) * course.batch
+            row = progress.close(found, maps=seen, seconds=time.monotonic() - begin)
             if group.first:
-                if progress.best_epoch == progress.epoch - 1:
+                if kept(progress.rows, config.choose) == row:
                     folder.save_best(network, maps.grid, {**about, "settings": settings, "figures": row})
                 folder.write_rows(progress.rows)
                 folder.save(progress, network, optimizer)
@@ -214,12 +221,12 @@ class Step:
         return f"{said}, nor does one map: use a machine with more memory, or a smaller grid"
 
 
-def learning_rate(config: TrainConfig, step: int, steps: int) -> float:
-    """The rate of step `step` of `steps`: up a line, then down a cosine to 0."""
-    warmup = math.ceil(config.warmup_share * steps)
-    if step < warmup:
-        return config.lr * (step + 1) / warmup
-    return config.lr * 0.5 * (1 + math.cos(math.pi * (step - warmup) / (steps - warmup)))
+def optimizer_of(network: Network, config: TrainConfig) -> torch.optim.Optimizer:
+    """AdamW; weight decay is for what multiplies features, and for vectors only where the configuration says so."""
+    shrunk = [p for p in network.parameters() if config.decay_all or p.ndim > 1]
+    others = [p for p in network.parameters() if not (config.decay_all or p.ndim > 1)]
+    groups = [{"params": shrunk, "weight_decay": config.weight_decay}, {"params": others, "weight_decay": 0.0}]
+    return torch.optim.AdamW([group for group in groups if group["params"]], lr=config.lr)
 
 
 def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) -> None:

@@ -6,6 +6,7 @@ import fcntl
 import io
 import json
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,7 +19,7 @@ from scenegen.errors import DatasetError, printable, short
 from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
-from scenegen.model.config import NetworkConfig
+from scenegen.model.config import PROTOCOLS, NetworkConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.network import Network
 from scenegen.model.training.card import card
@@ -26,7 +27,11 @@ from scenegen.model.training.card import card
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 FIGURES = frozenset({"val_loss"} | {f"val_{name}" for name, metric in METRICS.items() if metric.paper})
 """What every epoch's row holds, whichever version wrote it."""
-BEST, LAST = "best.safetensors", "last.safetensors"
+BEST, LAST, LEVEL = "best.safetensors", "last.safetensors", "level.safetensors"
+BUDGETS = ("epochs", "maps")
+"""Settings that may grow while all others stay."""
+EARLIER = PROTOCOLS["paper"] | {"maps": None, "interval": None, "decay_share": 0.2, "choose": "loss"}
+"""What runs of earlier commits, whose settings lack these names, did."""
 
 
 @dataclass
@@ -40,6 +45,8 @@ class Progress:
     best_epoch: int = -1
     """The epoch of the best validation loss; -1 for none yet."""
     best_loss: float = float("inf")
+    decay: int | None = None
+    """The step at which validation stalled and the learning rate began to fall; None while it has not."""
     sums: dict[str, float] = field(default_factory=dict)
     """Each loss, summed over the epoch's steps so far."""
     seconds: float = 0.0
@@ -53,6 +60,8 @@ class Progress:
             value = getattr(self, name)
             if not isinstance(value, int) or not least <= value:
                 raise ValueError(f"{name} = {short(value)}")
+        if self.decay is not None and not isinstance(self.decay, int):
+            raise TypeError(f"decay = {short(self.decay)}")
         figures = [self.sums, *self.rows]
         if len(self.rows) != self.epoch or not all(isinstance(row, dict) for row in figures):
             raise ValueError(f"{len(self.rows)} rows of {self.epoch} epochs")
@@ -67,9 +76,9 @@ class Progress:
         self.step += 1
         self.sums = {name: self.sums.get(name, 0.0) + value for name, value in losses.items()}
 
-    def close(self, validated: dict[str, float], seconds: float) -> dict[str, float]:
-        """Count an epoch, and give its row."""
-        row = {"epoch": self.epoch + 1.0, "seconds": seconds}
+    def close(self, validated: dict[str, float], *, maps: int, seconds: float) -> dict[str, float]:
+        """Count a round after which the run has seen `maps` maps, and give its row."""
+        row = {"epoch": self.epoch + 1.0, "maps": float(maps), "seconds": seconds}
         row |= {f"train_{name}": value / self.step for name, value in self.sums.items()}
         row |= {f"val_{name}": value for name, value in validated.items()}
         self.rows.append(row)
@@ -77,6 +86,11 @@ class Progress:
             self.best_loss, self.best_epoch = row["val_loss"], self.epoch
         self.epoch, self.step, self.sums, self.seconds = self.epoch + 1, 0, {}, 0.0
         return row
+
+
+def kept(rows: list[dict[str, float]], choose: str) -> dict[str, float]:
+    """The row of the network that a run keeps: `choose` as in `TrainConfig`."""
+    return rows[-1] if choose == "last" else min(rows, key=lambda row: row[f"val_{choose}"])
 
 
 class RunFolder:
@@ -87,7 +101,8 @@ class RunFolder:
         self._lock: IO[str] | None = None
 
     def open(self, settings: dict[str, Any]) -> None:
-        """Begin a run with `settings`, or go on with the one that was begun with them.
+        """Begin a run with `settings`, or go on with the one that was begun with them, or with a smaller budget: where
+        its learning rate had begun to fall, it goes on from there, and its best network is kept under another name.
 
         Raises DatasetError where the folder holds a run with other settings, or one that another process works on.
         """
@@ -98,12 +113,17 @@ class RunFolder:
         remove_drafts(self.path)
         config = self.path / CONFIG
         if config.exists():
-            unlike = differences(self.settings(), json.loads(json.dumps(settings["settings"])))
-            if unlike:
+            there, asked = self.settings(), json.loads(json.dumps(settings["settings"]))
+            if grows := _grows(there, asked):
+                there |= {name: asked[name] for name in BUDGETS}
+            if unlike := differences(there, asked):
                 raise DatasetError(
                     f"{self.path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give those, "
                     "or another --out"
                 )
+            if grows:
+                self._grow()
+                write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
         elif (self.path / LAST).exists():
             raise DatasetError(f"{self.path}: holds {LAST} but no {CONFIG}; choose another --out")
         else:
@@ -127,15 +147,22 @@ class RunFolder:
             settings = dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
             if isinstance(network := settings.get("network"), dict):  # runs of earlier commits name no inputs
                 network.setdefault("inputs", list(NetworkConfig().inputs))
-            return settings
+            return EARLIER | settings
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(
                 f"{self.path / CONFIG}: cannot be read ({printable(error)[:200]}); choose another --out"
             ) from None
 
-    def save(self, progress: Progress, network: Network, optimizer: torch.optim.Optimizer) -> None:
+    def _grow(self) -> None:
+        """Go back to where the learning rate began to fall, if it did."""
+        if (self.path / LEVEL).exists():
+            if (self.path / BEST).exists():
+                (self.path / BEST).replace(self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors")
+            (self.path / LEVEL).replace(self.path / LAST)
+
+    def save(self, progress: Progress, network: Network, optimizer: torch.optim.Optimizer, name: str = LAST) -> None:
         """Write all that is needed to go on from here."""
-        save_tensors(self.path / LAST, _state(network, optimizer), dataclasses.asdict(progress))
+        save_tensors(self.path / name, _state(network, optimizer), dataclasses.asdict(progress))
 
     def restore(self, network: Network, optimizer: torch.optim.Optimizer) -> Progress:
         """Bring back what `save` wrote last, if it did. Raises CheckpointError where it is damaged."""
@@ -194,6 +221,13 @@ def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=100)
     return memory.getvalue()
+
+
+def _grows(there: dict[str, Any], asked: dict[str, Any]) -> bool:
+    """Whether `asked` is a larger budget of the settings `there`, of a run that can grow."""
+    of = there["maps"], asked["maps"]
+    old, new = (there["epochs"], asked["epochs"]) if of == (None, None) else of
+    return asked["schedule"] == "decay" and None not in (old, new) and bool(new > old)
 
 
 def _state(network: Network, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import rich_click as click
+from click.core import ParameterSource
 
 from lidarsim.parameters import BOUNDS, Bounds
 from scenegen import SPLITS
@@ -60,13 +61,13 @@ def out_option(help: str, default: Path | None = None, *, file: bool = False) ->
     return click.option("-o", *names, "out", type=kind, default=default, show_default=True, help=help)
 
 
-def options_of(config: type, **helps: str) -> Callable[[Function], Function]:
+def options_of(config: type, prefix: str = "", **helps: str) -> Callable[[Function], Function]:
     """An option for each field of the dataclass `config` that `helps` names, with that text. Its default, type, choices
-    and bounds are the field's; so is its name, without a unit: `beta_m` becomes --beta."""
+    and bounds are the field's; so is its name, after `prefix` and without a unit: `beta_m` becomes --beta."""
 
     def add(function: Function) -> Function:
         for name, text in reversed(helps.items()):
-            function = _option(config, name, text)(function)
+            function = _option(config, name, text, prefix)(function)
         return function
 
     return add
@@ -77,12 +78,19 @@ def taken(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
     return {item.name: options[item.name] for item in dataclasses.fields(config) if item.name in options}
 
 
-def _option(config: type, name: str, text: str) -> Callable[[Function], Function]:
+def was_given(name: str) -> bool:
+    """Whether the user gave the current command's parameter `name`, by whatever means."""
+    context = click.get_current_context()
+    return context is not None and context.get_parameter_source(name) is not ParameterSource.DEFAULT
+
+
+def _option(config: type, name: str, text: str, prefix: str) -> Callable[[Function], Function]:
     (item,) = (item for item in dataclasses.fields(config) if item.name == name)
     kind = typing.get_type_hints(config)[name]
-    flag = "--" + name.removesuffix("_m").replace("_", "-")
+    flag = "--" + prefix + name.removesuffix("_m").replace("_", "-")
     if kind is bool:
-        return click.option(flag, name, is_flag=True, default=item.default, help=text)
+        flags = f"{flag}/--no-{flag[2:]}" if item.default else flag
+        return click.option(flags, name, is_flag=True, default=item.default, show_default=bool(item.default), help=text)
     more: dict[str, Any] = {"default": item.default, "show_default": True, "help": text}
     if typing.get_origin(kind) is Literal:
         choices = {str(choice): choice for choice in typing.get_args(kind)}

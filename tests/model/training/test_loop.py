@@ -22,7 +22,7 @@ from scenegen.model.losses import objective
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, opened
 from scenegen.model.training.device import TrainingError
-from scenegen.model.training.loop import Watcher, learning_rate
+from scenegen.model.training.loop import Watcher
 from tests.conftest import Once
 from tests.model.conftest import make_dataset
 from tests.model.training.runs import SMALL, elsewhere, train
@@ -169,7 +169,7 @@ def test_training_ends_after_so_many_epochs_without_improvement(
     losses = iter([3.0, 2.0, 2.0, 4.0, 2.5, 1.0])
     fixed = dict.fromkeys(METRICS, 0.0)
     monkeypatch.setattr(scenegen.model.training.loop, "validate", lambda *given: {**fixed, "loss": next(losses)})
-    config = dataclasses.replace(SMALL, epochs=50, patience=3)
+    config = dataclasses.replace(SMALL, epochs=50, patience=3, schedule="cosine")
     rows = train(folders, config, tmp_path / "run", device="cpu")
     assert [row["val_loss"] for row in rows] == [3.0, 2.0, 2.0, 4.0, 2.5]
     assert load_network(tmp_path / "run" / "best.safetensors")[2]["figures"]["epoch"] == 2
@@ -225,16 +225,6 @@ def test_what_cannot_be_trained_on_is_refused(folders: list[Path], tmp_path: Pat
     (tmp_path / "file").write_text("")
     with pytest.raises(DatasetError, match="choose another place"):
         train(folders, SMALL, tmp_path / "file" / "run", device="cpu")
-
-
-def test_the_learning_rate_rises_then_falls_to_nothing() -> None:
-    config = TrainConfig(lr=2.0, warmup_share=0.1)
-    rates = [learning_rate(config, step, 100) for step in range(100)]
-    assert rates[:10] == pytest.approx([0.2 * n for n in range(1, 11)])
-    assert rates[10] == 2.0
-    assert rates[55] == pytest.approx(1.0)
-    assert rates[10:] == sorted(rates[10:], reverse=True)
-    assert 0 < rates[-1] < 1e-3
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,56 @@
+"""The way of a run: which maps every step sees, at what learning rate, and where it ends."""
+
+import math
+
+from scenegen.model.config import TrainConfig
+from scenegen.model.training.data import Maps, epoch_batches
+
+
+class Course:
+    """All steps of a run, numbered from 0, over `maps`, as `config` says. A *round* is what lies between two looks at
+    validation: a pass over the maps, unless the configuration says otherwise."""
+
+    def __init__(self, maps: Maps, config: TrainConfig):
+        self._maps, self._config = maps, config
+        self.batch = min(config.batch, len(maps))
+        """Maps a step."""
+        self._pass = len(maps) // self.batch
+        self.round = self._pass if config.interval is None else max(config.interval // self.batch, 1)
+        """Steps of a round; the last may be shorter."""
+        self._most = config.epochs * self._pass if config.maps is None else max(config.maps // self.batch, 1)
+        self._warmup = math.ceil(config.warmup_share * self._most)
+
+    @property
+    def latest_decay(self) -> int:
+        """The step at which the learning rate begins to fall, unless validation stalls before."""
+        if self._config.schedule == "cosine":
+            return self._warmup
+        return self._most - math.ceil(self._config.decay_share * self._most)
+
+    def end(self, decay: int | None) -> int:
+        """How many steps the run has, where validation stalled at step `decay`; None for not at all."""
+        if decay is None or self._config.schedule == "cosine":
+            return self._most
+        share = self._config.decay_share
+        return decay + min(math.ceil(decay * share / (1 - share)), self._most - self.latest_decay)
+
+    def rate(self, step: int, decay: int | None) -> float:
+        """The learning rate of `step`: up a line; then, for "cosine", down a cosine to 0 at the end, and for "decay",
+        level, and from the decay on down a line to 0 at the end."""
+        peak, end = self._config.lr, self.end(decay)
+        begin = self.latest_decay if decay is None else decay
+        if step < self._warmup:
+            return peak * (step + 1) / self._warmup
+        if self._config.schedule == "cosine":
+            return peak * 0.5 * (1 + math.cos(math.pi * (step - begin) / (end - begin)))
+        return peak if step < begin else peak * (end - step) / (end - begin)
+
+    def batches(self, first: int, count: int) -> list[list[tuple[int, int]]]:
+        """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass after the other."""
+        found: list[list[tuple[int, int]]] = []
+        config = self._config
+        while len(found) < count:
+            epoch, step = divmod(first + len(found), self._pass)
+            keys = epoch_batches(self._maps, batch=config.batch, seed=config.seed, epoch=epoch, augment=config.augment)
+            found += keys[step : step + count - len(found)]
+        return found

@@ -1,0 +1,107 @@
+"""What a run sees, at what rate, and where it ends; and that its budget can grow."""
+
+import dataclasses
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import scenegen.model.training.loop
+from scenegen.errors import DatasetError
+from scenegen.model.config import TrainConfig
+from scenegen.model.training.course import Course
+from scenegen.model.training.data import epoch_batches
+from tests.model.training.runs import SMALL, train
+
+
+class Counted:
+    """As many maps as it is told."""
+
+    class grid:  # noqa: N801
+        shape = (80, 80, 40)
+
+    def __init__(self, count: int):
+        self._count = count
+
+    def __len__(self) -> int:
+        return self._count
+
+
+def course(count: int = 80, **settings: Any) -> Course:
+    return Course(Counted(count), TrainConfig(**settings))  # type: ignore[arg-type]
+
+
+def rates(of: Course, decay: int | None = None) -> list[float]:
+    return [of.rate(step, decay) for step in range(of.end(decay))]
+
+
+def test_a_cosine_rises_then_falls_to_nothing() -> None:
+    found = rates(course(lr=2.0, warmup_share=0.1, epochs=10, schedule="cosine"))
+    assert len(found) == 100
+    assert found[:10] == pytest.approx([0.2 * n for n in range(1, 11)])
+    assert found[10] == 2.0
+    assert found[55] == pytest.approx(1.0)
+    assert found[10:] == sorted(found[10:], reverse=True)
+    assert 0 < found[-1] < 1e-3
+
+
+@pytest.mark.parametrize("decay", [None, 1, 17, 40, 79])
+def test_a_decay_stays_level_and_ends_at_nothing_wherever_it_begins(decay: int | None) -> None:
+    of = course(lr=2.0, warmup_share=0.0, epochs=10, decay_share=0.2)
+    found = rates(of, decay)
+    begin = 80 if decay is None else decay
+    assert of.latest_decay == 80
+    assert found[: begin + 1] == [2.0] * (begin + 1)
+    falls = [one - other for one, other in itertools.pairwise([*found[begin:], 0.0])]
+    assert falls == pytest.approx([2.0 / len(falls)] * len(falls))
+    assert len(falls) == math.ceil(begin / 4)
+
+
+def test_a_budget_in_maps_replaces_passes() -> None:
+    assert course(epochs=3).end(None) == 30
+    assert course(epochs=3, maps=480).end(None) == 60
+    assert course(maps=3).end(None) == 1
+    assert course(count=5, maps=100).end(None) == 20
+
+
+@pytest.mark.parametrize("interval", [None, 8, 24, 200])
+def test_rounds_see_the_passes_one_after_the_other(interval: int | None) -> None:
+    of = course(count=83, maps=400, interval=interval)
+    passes = [epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, augment=True) for epoch in range(5)]  # type: ignore[arg-type]
+    seen = [of.batches(first, min(of.round, 50 - first)) for first in range(0, 50, of.round)]
+    assert list(itertools.chain(*seen)) == list(itertools.chain(*passes))
+    assert of.batches(7, 9) == list(itertools.chain(*passes))[7:16]
+
+
+def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
+    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Losses that never fall after round 2, and patience 2: the rate falls from round 5 on, over as many rounds."""
+    losses = iter([3.0, 2.0, *[2.5] * 20])
+    found = scenegen.model.training.loop.validate
+
+    def stalling(*args: Any) -> dict[str, float]:
+        return found(*args) | {"loss": next(losses)}
+
+    monkeypatch.setattr(scenegen.model.training.loop, "validate", stalling)
+    config = dataclasses.replace(SMALL, epochs=100, patience=2, decay_share=0.5)
+    rows = train(folders, config, tmp_path / "run", device="cpu")
+    steps = rows[0]["maps"]
+    assert [row["maps"] / steps for row in rows] == list(range(1, 9))
+
+
+def test_a_budget_grows_from_where_the_rate_was_level(folders: list[Path], tmp_path: Path) -> None:
+    """A run of 2 rounds that goes on to 4 ends with the weights of a run of 4, and keeps what 2 gave."""
+    short, long = (dataclasses.replace(SMALL, epochs=n, warmup_share=0.0, schedule="decay") for n in (2, 4))
+    straight = train(folders, long, tmp_path / "straight", device="cpu")
+    train(folders, short, tmp_path / "grown", device="cpu")
+    earlier = (tmp_path / "grown" / "best.safetensors").read_bytes()
+    grown = train(folders, long, tmp_path / "grown", device="cpu")
+    assert [{**row, "seconds": 0} for row in grown] == [{**row, "seconds": 0} for row in straight]
+    assert [path.read_bytes() for path in (tmp_path / "grown").glob("best-*.safetensors")] == [earlier]
+    with pytest.raises(DatasetError, match="epochs is 4 there, 2 asked for"):
+        train(folders, short, tmp_path / "grown", device="cpu")
+    with pytest.raises(DatasetError, match="epochs is 4 there, 9 asked for"):
+        train(folders, dataclasses.replace(long, epochs=9, schedule="cosine"), tmp_path / "grown", device="cpu")
