@@ -1,4 +1,4 @@
-"""A sample as some ten kilobytes, in which it travels between processes and lies in caches, and as it was again."""
+"""A sample as some twenty kilobytes, in which it travels between processes and lies in caches, and as it was again."""
 
 from typing import Any
 

@@ -24,7 +24,7 @@ from scenegen.streaming.place import Place
 from scenegen.streaming.record import pack, record_type, unpack
 
 KEPT_BYTES = 256 << 20
-"""Packed units that a process keeps in memory, those asked for last; with default maps, these are some 4000."""
+"""Packed units that a process keeps in memory, those asked for last; with default maps, these are some 2500."""
 AHEAD = 4
 """Units for each worker process that are made before they are asked for."""
 
