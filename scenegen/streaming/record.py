@@ -10,7 +10,7 @@ from lidarsim import GridSpec, Sensor
 from scenegen.sample import SCHEMA, LazySample, Sample, derive_tudf, shape_of
 
 LEVEL = 1
-"""Of compression, as in shards."""
+"""The level of compression, as in shards."""
 OWN = tuple(name for name in SCHEMA if name != "tudf")
 """What a record holds; distances follow from occupancy, and are ten times as large as all the rest."""
 
