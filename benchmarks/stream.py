@@ -106,10 +106,16 @@ def main() -> None:
         for kind in [options.kind] if options.kind else kind_names():
             for workers in (0, 1, 2):
                 waited, stepped = waits(kind, workers, options.train, None)
-                print(f"{kind}, {workers} loader processes: waits {waited:.1f} ms a map, steps {stepped:.1f} ms a map")
+                print(
+                    f"{kind}, {workers} loader processes: waits {waited:.1f} ms a map, steps {stepped:.1f} ms a map",
+                    flush=True,
+                )
         if options.dataset:
             waited, stepped = waits("", 0, options.train, options.dataset)
-            print(f"{options.dataset}, no loader process: waits {waited:.1f} ms a map, steps {stepped:.1f} ms a map")
+            print(
+                f"{options.dataset}, no loader process: waits {waited:.1f} ms a map, steps {stepped:.1f} ms a map",
+                flush=True,
+            )
         return
     for kind in [options.kind] if options.kind else kind_names():
         generate(kind, 10, 0)  # kernels compile
