@@ -55,6 +55,30 @@ class Sample:
         return digest.digest()
 
 
+class LazySample(Sample):
+    """A sample each field of which is found when it is first asked for, and then kept.
+
+    A copy, pickled or not, is a plain `Sample` with all its fields.
+    """
+
+    def find(self, name: str) -> Any:
+        """The value of a field of the schema."""
+        raise NotImplementedError
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in SCHEMA:
+            raise AttributeError(f"a sample has no field {name!r}; it has {', '.join(SCHEMA)}")
+        return self.__dict__.setdefault(name, self.find(name))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _whole, (tuple(getattr(self, name) for name in SCHEMA),)
+
+
+def _whole(values: tuple[Any, ...]) -> Sample:
+    """The sample that has these values of its fields, in order."""
+    return Sample(**dict(zip(SCHEMA, values, strict=True)))
+
+
 SCHEMA = {item.name: item.metadata for item in fields(Sample)}
 """Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning` and whether it is `derived`."""
 

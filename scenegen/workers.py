@@ -69,12 +69,12 @@ def run(
     # forked workers share the compiled kernels and the imports; elsewhere forking is not safe
     start = "fork" if sys.platform == "linux" else "spawn"
     waiting = iter(tasks)
-    busy: list[_Worker] = []
+    busy: list[Worker] = []
     replaced = 0
     with undone_if_stopped(lambda: _kill(busy)):
         try:
             for task in itertools.islice(waiting, workers):
-                busy.append(_Worker(function, start, limits))
+                busy.append(Worker(function, start, limits))
                 busy[-1].give(task)
             on_start()
             while busy:
@@ -86,7 +86,7 @@ def run(
                         worker.end()
                     if following is not None:
                         if not worker.alive:  # by now there may be threads, so this one is not forked
-                            worker = _Worker(function, "spawn", limits)
+                            worker = Worker(function, "spawn", limits)
                             busy.append(worker)
                             replaced += 1
                         worker.give(following)
@@ -126,7 +126,7 @@ class _Guarded(Generic[Task, Result]):
             return error
 
 
-class _Worker:
+class Worker:
     """One process, the task that it has, and how long it may still take."""
 
     def __init__(self, function: Callable[[Any], Any], start: str, limits: Limits[Any, Any] | None):
@@ -140,12 +140,14 @@ class _Worker:
         self.alive = True
 
     def give(self, task: Any) -> None:
+        """Have a task worked off; its time begins."""
         self._task = task
         self._deadline = time.monotonic() + (self._limits.seconds(task) if self._limits else math.inf)
         self.pipe.send(task)
 
     @property
     def seconds_left(self) -> float:
+        """For the task that was given last."""
         return max(self._deadline - time.monotonic(), 0.0)
 
     def take(self, workers: int) -> Any:
@@ -182,7 +184,7 @@ class _Worker:
         self.pipe.close()
 
 
-def _kill(busy: list[_Worker]) -> None:
+def _kill(busy: list[Worker]) -> None:
     """End all at once, for a process that ends itself next."""
     for worker in busy:
         worker.process.kill()
@@ -190,7 +192,7 @@ def _kill(busy: list[_Worker]) -> None:
         worker.process.join(1)
 
 
-def _ready(busy: list[_Worker]) -> list[_Worker]:
+def _ready(busy: list[Worker]) -> list[Worker]:
     """Workers that have a result, have died, or have run out of time."""
     least = min(worker.seconds_left for worker in busy)
     pipes = multiprocessing.connection.wait([worker.pipe for worker in busy], None if least == math.inf else least)

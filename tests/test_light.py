@@ -44,6 +44,11 @@ samples.dataset.manifest.grid, samples.dataset.manifest.lidar, samples.dataset.w
     assert imported(code) == set()
 
 
+def test_a_stream_needs_no_torch() -> None:
+    code = "import scenegen; from tests.conftest import small_recipe; stream = scenegen.stream(small_recipe())"
+    assert "torch" not in imported(f"{code}; stream.__getitems__(next(stream.batches(2))); next(iter(stream)).tudf")
+
+
 def test_what_is_derived_cast_or_drawn_is_imported_then(folder: Path) -> None:
     load = f"import scenegen; samples = scenegen.load({str(folder)!r})\n"
     assert "numba" in imported(f"{load}samples[0].free")

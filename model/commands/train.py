@@ -6,11 +6,13 @@ import shlex
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from scenegen import stream
 from scenegen.commands.datasets import find_datasets
+from scenegen.limits import MOST_SAMPLES, MOST_SEED
 from scenegen.model.config import PROTOCOLS, LossConfig, NetworkConfig, TrainConfig
 from scenegen.terminal import stops
 from scenegen.terminal.options import (
@@ -26,8 +28,31 @@ from scenegen.terminal.options import (
 from scenegen.terminal.progress import Progress
 from scenegen.terminal.show import say
 
+if TYPE_CHECKING:
+    from scenegen.model.training.data import Samples
+
 MOST_LOADERS = 8
 """Loader processes that are begun unasked, where there is a GPU to feed."""
+VAL_MAPS = 500
+"""Maps of a stream's own validation split, where no dataset is named."""
+
+
+class Weighted(click.ParamType):
+    """What a stream draws, with its weight: NAME, or NAME=WEIGHT."""
+
+    name = "name[=weight]"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, float]:
+        """(name, weight); the stream says what is wrong with either."""
+        if isinstance(value, tuple):
+            return value
+        name, sign, weight = value.rpartition("=")
+        if not sign:
+            return value, 1
+        try:
+            return name, float(weight)
+        except ValueError:
+            self.fail(f"{value!r}: expected NAME or NAME=WEIGHT, such as pillar=2", param, ctx)
 
 
 @click.command()
@@ -78,6 +103,17 @@ MOST_LOADERS = 8
     precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
     compile="Run the network through torch.compile.",
 )
+@click.option(
+    "--stream",
+    "streams",
+    multiple=True,
+    type=Weighted(),
+    help="Train on maps drawn anew, of a kind, recipe or scenes: NAME or NAME=WEIGHT; several times for a mixture.",
+)
+@click.option("--stream-seed", type=click.IntRange(0, MOST_SEED), default=0, show_default=True, help="Its seed.")
+@click.option(
+    "--val-maps", type=click.IntRange(1, MOST_SAMPLES), help="Maps of its own to validate on.  [default: 500]"
+)
 @device_option
 @click.option("--workers", type=click.IntRange(min=0), help="Loader processes.  [default: 0 on a CPU, else up to 8]")
 @out_option("The run's folder.  [default: runs/<variant>]")
@@ -93,11 +129,10 @@ def train(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Train the completion network on datasets; under torchrun, on several GPUs.
+    """Train the completion network on datasets, or on a stream; under torchrun, on several GPUs.
 
-    Given again after a stop, it goes on where it was.
+    Given again after a stop, it goes on where it was. With --stream, datasets serve validation alone.
     """
-    from scenegen.model.training.data import opened
     from scenegen.model.training.device import choose_device
     from scenegen.model.training.loop import Watcher
     from scenegen.model.training.loop import train as run
@@ -119,14 +154,14 @@ def train(
     begin = time.monotonic()
     # the loop looks for a stop between two steps
     with Progress(config.network.variant, shown=talk) as progress, stops.noted() as stop:
-        folders = find_datasets(datasets, shown=talk)
+        training, checking = _samples(datasets, config, options, talk)
         chosen = choose_device(device)
         if workers is None:
-            workers = 0 if chosen.type == "cpu" else min(MOST_LOADERS, cores())
+            workers = 0 if chosen.type == "cpu" else min(MOST_LOADERS, 1 << (cores().bit_length() - 1))
         shown = _Shown(config, progress, talk)
         rows = run(
-            opened(folders, "train"),
-            opened(folders, "val"),
+            training,
+            checking,
             config,
             out,
             device=str(chosen),
@@ -143,6 +178,28 @@ def train(
     if not shown.begun:
         say(f"{out}: this run is complete already; give another --out for another one")
     say(f"best: epoch {best['epoch']:.0f} of {len(rows)}, {_validated(best)}; {out}, {seconds:.0f} s")
+
+
+def _samples(
+    datasets: tuple[Path | str, ...], config: TrainConfig, options: dict[str, Any], talk: bool
+) -> tuple[list["Samples"], list["Samples"]]:
+    """What is trained on, and what validates."""
+    from scenegen.model.training.data import opened
+
+    parts, seed, count = options["streams"], options["stream_seed"], options["val_maps"]
+    if not parts:
+        if count is not None or was_given("stream_seed"):
+            raise click.UsageError("--stream-seed and --val-maps are a stream's; name one, such as --stream pillar")
+        folders = find_datasets(datasets, shown=talk)
+        return opened(folders, "train"), opened(folders, "val")
+    if config.maps is None:
+        raise click.UsageError("--stream has no end; say how many maps to see with --maps, such as --maps 200000")
+    if datasets and count is not None:
+        raise click.UsageError("--val-maps validates on the stream, and datasets are named; leave one of the two out")
+    training: list[Samples] = [stream(parts, seed=seed)]
+    if datasets:
+        return training, opened(find_datasets(datasets, shown=talk), "val")
+    return training, [stream(parts, seed=seed, split="val", samples=count or VAL_MAPS)]
 
 
 class _Shown:

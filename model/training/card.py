@@ -34,7 +34,7 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         "",
         "| trained | |",
         "|---|---|",
-        f"| on | {settings['samples']} samples: datasets {data} |",
+        f"| on | {_amount(settings)} {data} |",
         f"| by | `{about['command']}` |",
         f"| for | {_length(settings, figures)}, "
         f"batch {settings['batch']}, AdamW at {settings['lr']:g}, seed {settings['seed']}, {settings['precision']} |",
@@ -62,6 +62,12 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         f"{settings['loss']['occupied_weight']:g} times as much as free ones.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _amount(settings: Mapping[str, Any]) -> str:
+    """How many samples of what a network was trained on."""
+    samples = settings["samples"]
+    return f"{samples} samples: datasets" if samples is not None else "samples of which each was seen once: stream"
 
 
 def _length(settings: Mapping[str, Any], figures: Mapping[str, float]) -> str:

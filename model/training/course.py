@@ -2,20 +2,30 @@
 
 import math
 
+from scenegen.errors import DatasetError
 from scenegen.model.config import TrainConfig
-from scenegen.model.training.data import Maps, epoch_batches
+from scenegen.model.training.data import Maps, epoch_batches, stream_batch
+
+STREAM_INTERVAL = 5000
+"""Maps of a stream between two looks at validation, unless a run says otherwise."""
 
 
 class Course:
     """All steps of a run, numbered from 0, over `maps`, as `config` says. A *round* is what lies between two looks at
-    validation: a pass over the maps, unless the configuration says otherwise."""
+    validation: a pass over the maps, or `STREAM_INTERVAL` maps of a stream, unless the configuration says otherwise.
+
+    Raises DatasetError for a stream without a budget."""
 
     def __init__(self, maps: Maps, config: TrainConfig):
         self._maps, self._config = maps, config
         self.batch = min(config.batch, len(maps))
         """Maps a step."""
         self._pass = len(maps) // self.batch
-        self.round = self._pass if config.interval is None else max(config.interval // self.batch, 1)
+        self._order = maps.order(self.batch)
+        if self._order is not None and config.maps is None:
+            raise DatasetError(f"{maps.sources[0].name}: has no end; say how many maps to see with --maps")
+        interval = config.interval or (None if self._order is None else STREAM_INTERVAL)
+        self.round = self._pass if interval is None else max(interval // self.batch, 1)
         """Steps of a round; the last may be shorter."""
         self._most = config.epochs * self._pass if config.maps is None else max(config.maps // self.batch, 1)
         self._warmup = math.ceil(config.warmup_share * self._most)
@@ -46,9 +56,13 @@ class Course:
         return peak if step < begin else peak * (end - step) / (end - begin)
 
     def batches(self, first: int, count: int) -> list[list[tuple[int, int]]]:
-        """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass after the other."""
+        """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass after the other, or a
+        stream's own, in which no map comes twice."""
         found: list[list[tuple[int, int]]] = []
-        config = self._config
+        config, grid = self._config, self._maps.grid
+        if self._order is not None:
+            numbers = range(first, first + count)
+            return [stream_batch(self._order, grid, n, seed=config.seed, augment=config.augment) for n in numbers]
         while len(found) < count:
             epoch, step = divmod(first + len(found), self._pass)
             keys = epoch_batches(self._maps, batch=config.batch, seed=config.seed, epoch=epoch, augment=config.augment)

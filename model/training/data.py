@@ -12,10 +12,16 @@ from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset as SampleDataset
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.inputs import INPUTS, SYMMETRIES, of_sample, turned
 from scenegen.sample import Sample
+from scenegen.streaming.batches import Batches
+from scenegen.streaming.stream import Stream
 from scenegen.truth import distance_field
+
+LOADERS = 8
+"""Loader processes, and any number that divides this, among which a stream's batches are dealt so that each flight is
+drawn once. The order of batches is the same for any number."""
 
 Batch = dict[str, Tensor]
 """A named batch: the network's inputs and the true ``occupancy``, (B, *grid.shape) each."""
@@ -77,6 +83,7 @@ class Maps(Dataset):
         if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
         check_alike(sources)
+        _check_different(sources)
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
         self.grid = sources[0].grid
@@ -94,6 +101,18 @@ class Maps(Dataset):
         maps["occupancy"] = turned(sample.occupancy, symmetry)
         return {name: torch.from_numpy(values) for name, values in maps.items()}
 
+    def order(self, batch: int) -> Batches | None:
+        """The batches of a stream, whose maps come in its own order; None for datasets, which are seen in passes.
+
+        Raises DatasetError for a stream beside other sources.
+        """
+        streams = [source for source in self.sources if isinstance(source, Stream)]
+        if not streams:
+            return None
+        if len(self.sources) > 1:
+            raise DatasetError(f"{streams[0].name}: is trained on alone; mix several into one stream")
+        return streams[0].batches(batch, loaders=LOADERS)
+
     def name(self, index: int) -> str:
         """Who sample `index` is, for people: source, split, number."""
         source, row = self._place(index)
@@ -107,7 +126,7 @@ class Maps(Dataset):
 
 
 def check_alike(sources: Sequence[Samples]) -> None:
-    """Raise DatasetError unless all `sources` have one grid and one sensor, and none is there twice."""
+    """Raise DatasetError unless all `sources` have one grid and one sensor."""
     first = sources[0]
     for other in sources[1:]:
         for what in ("grid", "lidar"):
@@ -116,6 +135,10 @@ def check_alike(sources: Sequence[Samples]) -> None:
                     f"{other.name}: its {what} is {getattr(other, what)}, that of {first.name} is "
                     f"{getattr(first, what)}; one network takes one {what}: train on datasets that share it"
                 )
+
+
+def _check_different(sources: Sequence[Samples]) -> None:
+    """Raise DatasetError where one of `sources` is there twice."""
     seen: dict[str, str] = {}
     for source in sources:
         if source.digest in seen:
@@ -131,24 +154,34 @@ def epoch_batches(
     A last batch that is not full is left out, unless it is the only one.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(epoch,)))
-    order = rng.permutation(len(maps))
-    turns = rng.integers(SYMMETRIES, size=len(maps)) if augment else np.zeros(len(maps), dtype=int)
-    if augment and maps.grid.shape[0] != maps.grid.shape[1]:
-        turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
-    keys = list(zip(order.tolist(), turns.tolist(), strict=True))
+    keys = _turned(rng.permutation(len(maps)).tolist(), maps.grid, augment, rng=rng)
     count = max(len(keys) // batch, 1)
     return [keys[n * batch : (n + 1) * batch] for n in range(count)]
 
 
+def stream_batch(order: Batches, grid: GridSpec, number: int, *, seed: int, augment: bool) -> list[tuple[int, int]]:
+    """Batch `number` of a stream's order: keys of `Maps`, whose symmetries depend on `seed` and `number` alone."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 0)))
+    return _turned(order[number], grid, augment, rng=rng)
+
+
+def _turned(indices: list[int], grid: GridSpec, augment: bool, *, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """Every index with a symmetry that is drawn, or, unless `augment`, with that which changes nothing."""
+    turns = rng.integers(SYMMETRIES, size=len(indices)) if augment else np.zeros(len(indices), dtype=int)
+    if augment and grid.shape[0] != grid.shape[1]:
+        turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
+    return list(zip(indices, turns.tolist(), strict=True))
+
+
 def load(maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: bool) -> Iterator[Batch]:
     """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what cannot be read,
-    LoaderError where such a process dies."""
+    GenerationError for what cannot be drawn, LoaderError where such a process dies."""
     loader: DataLoader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)
     try:
         yield from loader
-    except DatasetError as error:  # a loader process hands over its traceback with it
-        line = str(error).strip().splitlines()[-1]
-        raise DatasetError(line.removeprefix(f"{DatasetError.__module__}.{DatasetError.__name__}: ")) from None
+    except ScenegenError as error:  # a loader process hands over its traceback with it
+        kind, line = type(error), str(error).strip().splitlines()[-1]
+        raise kind(line.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
     except RuntimeError as error:
         if "DataLoader worker" not in str(error):
             raise

@@ -22,7 +22,7 @@ from scenegen.model.config import VARIANTS, TrainConfig
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
 from scenegen.model.training.course import Course
-from scenegen.model.training.data import Batch, LoaderError, Maps, Samples, TudfOf, load
+from scenegen.model.training.data import Batch, LoaderError, Maps, Samples, TudfOf, check_alike, load
 from scenegen.model.training.device import (
     Group,
     TrainingError,
@@ -241,6 +241,7 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
         config.network.check_map(maps.grid.shape)
     except ValueError as error:
         raise DatasetError(f"{maps.sources[0].name}: {error}") from None
+    check_alike([checks.sources[0], maps.sources[0]])
     if len(maps) < processes:
         raise TrainingError(f"{len(maps)} training samples do not go round {processes} processes; use fewer")
     if config.batch % processes:
@@ -252,7 +253,7 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> dict[st
     return {
         "datasets": [source.digest for source in maps.sources],
         "kinds": [source.kind for source in maps.sources],
-        "samples": len(maps),
+        "samples": None if maps.order(config.batch) else len(maps),
         **dataclasses.asdict(config),
         "precision": str(precision).removeprefix("torch."),
     }

@@ -14,7 +14,7 @@ from scenegen.dataset import trust
 from scenegen.dataset.archive import open_archive
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.sample import SCHEMA, Sample, derive_free, derive_tudf, describe_fields
+from scenegen.sample import LazySample, Sample, derive_free, derive_tudf, describe_fields
 
 MOST_OPEN = 64
 """Shards that a reader keeps open in one process; a large dataset has more than a process may open."""
@@ -152,11 +152,10 @@ class Split(Sequence[Sample]):
         return found
 
 
-class _Stored(Sample):
-    """A sample of a split, each field of which is read, or derived, when it is first asked for, and then kept.
+class _Stored(LazySample):
+    """A sample of a split, each field of which is read, or derived, when it is first asked for.
 
-    Files stay open by the split's own rule, however many samples there are. A copy, pickled or not, is a plain `Sample`
-    with all its fields.
+    Files stay open by the split's own rule, however many samples there are.
     """
 
     @classmethod
@@ -166,15 +165,10 @@ class _Stored(Sample):
         sample.__dict__.update(_split=split, _number=number, _row=row)
         return sample
 
-    def __getattr__(self, name: str) -> Any:
-        if name not in SCHEMA:
-            raise AttributeError(f"a sample has no field {name!r}; it has {', '.join(SCHEMA)}")
+    def find(self, name: str) -> Any:
+        """See `LazySample.find`. Raises DatasetError."""
         stored = name in self._split.dataset.manifest.fields
-        value = self._split._value(self._number, self._row, name) if stored else self._derived(name)
-        return self.__dict__.setdefault(name, value)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _whole, (tuple(getattr(self, name) for name in SCHEMA),)
+        return self._split._value(self._number, self._row, name) if stored else self._derived(name)
 
     def _derived(self, name: str) -> Any:
         """`free` or `tudf`, from the fields that it follows from. Raises DatasetError."""
@@ -189,8 +183,3 @@ class _Stored(Sample):
         except ValueError as error:
             with dataset._advice():
                 raise BrokenError(f"{self._split._shards[self._number].file}: sample {self._row}: {error}") from None
-
-
-def _whole(values: tuple[Any, ...]) -> Sample:
-    """The sample that has these values of its fields, in order."""
-    return Sample(**dict(zip(SCHEMA, values, strict=True)))

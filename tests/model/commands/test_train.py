@@ -48,6 +48,19 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     assert report["proposed"]["near_mae"]["mean"] == pytest.approx(report["predicted"]["near_mae"]["mean"], abs=1e-4)
 
 
+def test_a_stream_trains_without_a_dataset(here: Path, small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--stream", f"{small}=2", "--stream", "geometric.toml", "--stream-seed", 3, "--interval", 8, *QUICK)
+    (here / "geometric.toml").write_text(small.read_text().replace("pillar", "geometric"))
+    code, said, _ = run(capsys, "train", *words, "--maps", 16, "--val-maps", 6)
+    assert code == 0
+    assert said.count("epoch ") == 3
+    settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())["settings"]
+    assert settings["kinds"] == ["pillar+geometric"]
+    assert "each was seen once: stream pillar+geometric" in (here / "runs" / "proposed" / "card.md").read_text()
+    code, said, _ = run(capsys, "train", "data/pillar", *words, "--maps", 24, "--val-maps", 6)
+    assert code == 2
+
+
 def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "pickle.pt").write_bytes(b"\x80\x04nothing")
     for words, code, named in (
@@ -57,6 +70,13 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
         (("train", "--width", 2000), 2, "--width"),
         (("train", "--batch", 10**9), 2, "--batch"),
         (("train", "--epochs", 10**9), 2, "--epochs"),
+        (("train", "--stream", "pillar"), 2, "how many maps to see with --maps"),
+        (("train", "--stream", "pilar", "--maps", 8), 1, "did you mean 'pillar'?"),
+        (("train", "--stream", "pillar=much", "--maps", 8), 2, "expected NAME or NAME=WEIGHT"),
+        (("train", "--stream", "pillar=-1", "--maps", 8), 1, "weight of pillar = -1.0"),
+        (("train", "data/pillar", "--stream", "pillar", "--maps", 8, "--val-maps", 8), 2, "leave one of the two out"),
+        (("train", "--val-maps", 8), 2, "name one, such as --stream pillar"),
+        (("train", "data/pillar", "--stream", "pillar", "--maps", 8), 1, "seed 0: its grid is"),
         (("complete", "data/pillar", "--batch", 10**9), 2, "--batch"),
         (("complete", "data/pillar", "-o", "pickle.pt"), 1, "is there already"),
         (("complete", "pickle.pt", "-o", "pickle.pt"), 1, "ends in .h5 or .ply"),

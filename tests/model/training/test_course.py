@@ -28,6 +28,9 @@ class Counted:
     def __len__(self) -> int:
         return self._count
 
+    def order(self, batch: int) -> None:
+        """None: these are seen in passes."""
+
 
 def course(count: int = 80, **settings: Any) -> Course:
     return Course(Counted(count), TrainConfig(**settings))  # type: ignore[arg-type]

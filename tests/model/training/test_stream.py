@@ -1,0 +1,118 @@
+"""What is trained on need not lie on a disk: maps come in a stream's order, each once, and a run can be resumed."""
+
+import dataclasses
+import os
+from pathlib import Path
+
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+import scenegen
+import scenegen.model.training.loop
+from scenegen.draw import Unit
+from scenegen.errors import DatasetError, GenerationError, StoppedError
+from scenegen.model.training.course import Course
+from scenegen.model.training.data import Maps, load, opened
+from scenegen.model.training.loop import Watcher
+from scenegen.streaming.component import Component
+from scenegen.streaming.stream import Stream
+from tests.conftest import small_recipe
+from tests.model.training.runs import SMALL
+from tests.model.training.test_loop import same as same_run
+from tests.scenegen.streaming.test_stream import same
+
+CONFIG = dataclasses.replace(SMALL, maps=24, interval=8)
+
+
+def streamed(split: str = "train", samples: int = 10**9) -> Stream:
+    return scenegen.stream([small_recipe("pillar"), small_recipe("geometric")], seed=1, split=split, samples=samples)
+
+
+def run(out: Path, **more: object) -> list[dict[str, float]]:
+    checking = [streamed("val", 4)]
+    return scenegen.model.training.loop.train([streamed()], checking, CONFIG, out, device="cpu", **more)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def drawers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a file for every unit and process that draws it."""
+    folder, original = tmp_path / "drawers", Component.draw
+    folder.mkdir()
+
+    def draw(component: Component, unit: int) -> Unit:
+        (folder / f"{component.recipe.kind} {unit} {os.getpid()}").touch(exist_ok=False)
+        return original(component, unit)
+
+    monkeypatch.setattr(Component, "draw", draw)
+    return folder
+
+
+def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path: Path) -> None:
+    rows = run(tmp_path / "whole")
+    assert [row["maps"] for row in rows] == [8, 16, 24]
+    seen = 0
+
+    def count(maps: int, loss: float) -> None:
+        nonlocal seen
+        seen += maps
+
+    for after in (4, 12):
+        with pytest.raises(StoppedError):
+            run(tmp_path / "parts", watcher=Watcher(on_step=count, stop=lambda after=after: seen >= after))
+    run(tmp_path / "parts", workers=1)
+    for name in ("best.safetensors", "last.safetensors"):
+        assert same_run(tmp_path / "whole" / name, tmp_path / "parts" / name)
+
+
+def test_maps_are_the_streams_each_once_and_turned_by_seed() -> None:
+    stream = streamed()
+    maps = Maps([stream], "train")
+    course = Course(maps, CONFIG)
+    batches = course.batches(0, 48)
+    assert course.batches(5, 3) == batches[5:8]
+    seen = [index for batch in batches for index, _ in batch]
+    assert sorted(seen) == list(range(4 * 48))
+    assert len({turn for batch in batches for _, turn in batch}) == 8
+    assert Course(maps, dataclasses.replace(CONFIG, seed=1)).batches(0, 48) != batches
+    found = maps[batches[0][0][0], 0]
+    assert torch.equal(found["occupancy"], torch.from_numpy(stream[batches[0][0][0]].occupancy))
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_no_loader_process_draws_what_another_draws(workers: int, drawers: Path) -> None:
+    maps = Maps([streamed()], "train")
+    batches = Course(maps, CONFIG).batches(3, 40)
+    assert sum(len(read["occupancy"]) for read in load(maps, batches, workers=workers, pinned=False)) == 160
+    drawn = [path.name.split() for path in drawers.iterdir()]
+    assert len({(kind, unit) for kind, unit, _ in drawn}) == len(drawn)
+    assert len({process for _, _, process in drawn}) == max(workers, 1)
+
+
+def test_torchs_own_conventions_hold() -> None:
+    """With workers of its own in the main process, which torch's may not have, and without."""
+    expected = streamed()
+    helped = scenegen.stream(expected.mixture.components, seed=1, samples=24, workers=1)
+    helped[0]
+    for processes in (0, 2):
+        loader: DataLoader = DataLoader(helped, batch_size=6, num_workers=processes, collate_fn=list)
+        assert len(loader) == 4
+        read = [sample for batch in loader for sample in batch]
+        assert all(same(one, expected[n]) for n, one in enumerate(read))
+    helped.close()
+
+
+def test_what_cannot_be_trained_on_ends_in_a_line(folders: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    maps = Maps([streamed()], "train")
+    with pytest.raises(DatasetError, match="say how many maps to see with --maps"):
+        Course(maps, SMALL)
+    with pytest.raises(DatasetError, match="is trained on alone"):
+        Course(Maps([streamed(), *opened(folders[:1], "train")], "train"), CONFIG)
+
+    def hopeless(component: Component, unit: int) -> Unit:
+        raise GenerationError("train world 0: all draws rejected")
+
+    monkeypatch.setattr(Component, "draw", hopeless)
+    for workers in (0, 1):
+        with pytest.raises(GenerationError, match=r"^train world 0: all draws rejected$"):
+            list(load(maps, [[0]], workers=workers, pinned=False))
