@@ -60,8 +60,8 @@ class Drawing:
         quats: ArrayLike = UPRIGHT,
         rgba: ArrayLike = COLOUR,
     ) -> None:
-        """Add n solids at once, which is quicker than one by one: shapes (n,), codes of `mujoco.mjtGeom`; sizes (n, 3) as
-        MuJoCo has them and positions (n, 3), metres; attitudes (n, 4), w x y z; colours (n, 4). What is the same for
+        """Add n solids at once, which is quicker than one by one: shapes (n,), codes of `mujoco.mjtGeom`; sizes (n, 3)
+        as MuJoCo has them and positions (n, 3), metres; attitudes (n, 4), w x y z; colours (n, 4). What is the same for
         all may lack the first axis."""
         codes = np.asarray(shapes, dtype=np.int64).tolist()
         numbers = np.empty((len(codes), 14))

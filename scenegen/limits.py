@@ -95,9 +95,11 @@ MOST_BATCH = 4096
 MOST_WEIGHTS_BYTES = 1 << 30
 """The most bytes of a .safetensors or .onnx file; a training state of the widest network has 924 MB."""
 MOST_EPOCHS = 10_000
-MOST_MAPS = 10**10
-MOST_HEIGHT = 1024
 """The most epochs of a training run: the header of its state holds some kilobyte of figures for each."""
+MOST_MAPS = 10**10
+"""The most maps that a training run sees: four months at one a millisecond."""
+MOST_HEIGHT = 1024
+"""The most voxels of a column that a network sees whole."""
 MOST_LINE_BYTES = 4096
 """The most bytes of a line in a text file that lists points."""
 MOST_HEADER_BYTES = 16 << 20
