@@ -1,5 +1,7 @@
 """The GPU behind the protocol of every engine, for one world."""
 
+import ctypes
+import importlib.util
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -18,11 +20,11 @@ class WarpEngine:
     """
 
     def __init__(self, solids: Solids, *, device: str = "cuda"):
-        """Raises ValueError without Warp or without a GPU."""
-        try:
-            from lidarsim.gpu import rays, worlds
-        except ImportError as error:
-            raise ValueError(str(error)) from None
+        """Raises ValueError without Warp, and for a device that is not there."""
+        if device.startswith("cuda") and (missing := self.missing()):
+            raise ValueError(f"the engine warp {missing}")
+        from lidarsim.gpu import rays, worlds  # loads Warp, which no other engine needs
+
         self._worlds, self._cast = worlds.Worlds([solids], device=device), rays.cast
 
     @classmethod
@@ -31,6 +33,17 @@ class WarpEngine:
         from lidarsim.solids.model import solids_of  # loads MuJoCo, which an engine over known solids does not need
 
         return cls(solids_of(model, data))
+
+    @staticmethod
+    def missing() -> str:
+        """What this machine lacks, as the end of a sentence; empty where Warp and a GPU's driver are there."""
+        if importlib.util.find_spec("warp") is None:
+            return "needs NVIDIA Warp; in scenegen's checkout: pip install -e '.[gpu]'"
+        try:
+            ctypes.CDLL("libcuda.so.1")  # starts nothing, so that workers can still be forked
+        except OSError:
+            return "needs an NVIDIA GPU, and no driver of one is found here; --engine analytic gives the same ranges"
+        return ""
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
         """See `lidarsim.engines.Engine.cast`."""

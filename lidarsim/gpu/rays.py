@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from lidarsim.engines.traverse import SPARE_LENGTH2
 from lidarsim.gpu.device import EXACT, on_device, placed, wp
 from lidarsim.gpu.worlds import Packed, Worlds
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from lidarsim.solids.shapes import BOX, CAPSULE, ELLIPSOID, PLANE, SPHERE
 
 wp.set_module_options(EXACT)
 INF = wp.constant(wp.float64(np.inf))
@@ -19,9 +19,7 @@ HUGE = wp.constant(wp.float64(1e300))
 SPARE = wp.constant(wp.float64(SPARE_LENGTH2))
 
 
-def cast(
-    worlds: Worlds, origins: Any, directions: Any, max_range_m: float, *, which: ArrayLike | None = None
-) -> Any:
+def cast(worlds: Worlds, origins: Any, directions: Any, max_range_m: float, *, which: ArrayLike | None = None) -> Any:
     """Metres along the rays to the first surface, a Warp array (P, R) of float64 on the worlds' device; ``inf`` where
     nothing is met within `max_range_m`.
 
@@ -47,11 +45,11 @@ def _cast(
     directions: wp.array2d[wp.vec3d],
     max_range_m: wp.float64,
     ranges: wp.array2d[wp.float64],
-):
+) -> None:
     p, n = wp.tid()
     o, d = origins[p], directions[p, n]
     best = wp.float64(max_range_m)
-    met = bool(False)
+    met = wp.bool(False)
     box = wp.int32(packed.box_start[which[p]])
     end = wp.int32(packed.box_start[which[p] + 1])
     if not (wp.abs(wp.dot(d, d) - ONE) <= SPARE and wp.abs(o[0]) + wp.abs(o[1]) + wp.abs(o[2]) < INF):

@@ -47,7 +47,7 @@ def _mark(
     voxel_m: wp.float64,
     observed: wp.array4d[wp.bool],
     free: wp.array4d[wp.bool],
-):
+) -> None:
     """The voxels that hold returns."""
     p, n = wp.tid()
     reach = wp.float64(wp.float32(ranges[p, n]))
@@ -74,7 +74,7 @@ def _clear(
     voxel_m: wp.float64,
     max_range_m: wp.float64,
     free: wp.array4d[wp.bool],
-):
+) -> None:
     """The voxels on every ray's way, walked from boundary to boundary (Amanatides and Woo 1987).
 
     Every crossing is computed from its boundary's own number, never by adding up steps, so that errors do not grow.

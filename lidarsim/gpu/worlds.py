@@ -50,11 +50,11 @@ class Worlds:
         arrays = _pack([_tables(one) for one in solids])
         self.count = len(arrays["box_start"]) - 1
         self.packed = Packed()
-        for name, variable in Packed.vars.items():
+        for name, variable in Packed.vars.items():  # type: ignore[attr-defined]
             setattr(self.packed, name, on_device(arrays[name], variable.type.dtype, self.device))
 
     def which(self, worlds: ArrayLike | None, poses: int) -> Any:
-        """The world of each of `poses`, (P,) on the device: pose p stands in world p unless `worlds` (P,) says otherwise.
+        """The world of each of `poses`, (P,) on the device: p for pose p unless `worlds` (P,) are given.
 
         Raises ValueError for numbers that are no world's.
         """
@@ -86,7 +86,7 @@ def _tables(solids: Solids) -> dict[str, NDArray]:
     """One world's arrays, in its own numbers."""
     planes = np.flatnonzero(solids.shape == PLANE)  # nothing bounds them: a first box of their own, which none misses
     inside = np.flatnonzero(solids.shape != PLANE)
-    corners, plain = solids.triangles, len(solids.shape)
+    corners = solids.triangles
     tree = Hierarchy.over(
         np.concatenate([solids.lower[inside], corners.min(axis=1)]),
         np.concatenate([solids.upper[inside], corners.max(axis=1)]),

@@ -26,8 +26,7 @@ def distance_field(occupancy: NDArray[np.bool_], grid: GridSpec) -> NDArray[np.f
 
 
 def lookup(grid: GridSpec) -> tuple[int, NDArray[np.float32]]:
-    """The squared distance, in voxels, from which on all is truncated, and the distances (cap + 1,) of squares up to it,
-    metres."""
+    """The squared distance in voxels from which on all is truncated, and the metres (cap + 1,) of squares up to it."""
     reach = grid.truncation_m / grid.voxel_m
     cap = math.ceil(reach * reach)
     while cap > 0 and grid.voxel_m * math.sqrt(cap - 1) >= grid.truncation_m:

@@ -1,4 +1,4 @@
-"""Exact occupancy and distances of many worlds at once, in Warp: what `rasterize` and `distance_field` give, bit by bit.
+"""Exact occupancy and distances of many worlds at once, in Warp: the bits of `rasterize` and `distance_field`.
 
 One thread fills one column of voxels, or finds the distance of one voxel.
 """
@@ -15,7 +15,7 @@ from scenegen.truth.distance import lookup
 from scenegen.truth.gpu_shapes import crossing, distance, touches, triangle_touches
 from scenegen.truth.occupancy import SLACK_M
 
-wp.set_module_options(EXACT)
+wp.set_module_options(EXACT | {"max_unroll": 1})
 ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
 ONE = wp.constant(wp.float64(1.0))
@@ -80,7 +80,14 @@ def _is_beside(low: wp.vec3d, high: wp.vec3d, o: wp.vec3d, i: wp.int32, j: wp.in
 
 @wp.func
 def _reaches(
-    low: wp.vec3d, high: wp.vec3d, o: wp.vec3d, i: wp.int32, j: wp.int32, voxel_m: wp.float64, nx: wp.int32, ny: wp.int32
+    low: wp.vec3d,
+    high: wp.vec3d,
+    o: wp.vec3d,
+    i: wp.int32,
+    j: wp.int32,
+    voxel_m: wp.float64,
+    nx: wp.int32,
+    ny: wp.int32,
 ) -> wp.bool:
     """Whether the voxels of column i, j touch a box, seen from above."""
     if i < _first(low[0], o[0], voxel_m, nx) or i > _last(high[0], o[0], voxel_m, nx):
@@ -95,7 +102,7 @@ def _fill_primitives(
     corners: wp.array[wp.vec3d],
     voxel_m: wp.float64,
     occupancy: wp.array4d[wp.bool],
-):
+) -> None:
     p, i, j = wp.tid()
     o = corners[p]
     half = HALF * voxel_m
@@ -109,7 +116,7 @@ def _fill_primitives(
         begin, last = _first(low[2], o[2], voxel_m, nz), _last(high[2], o[2], voxel_m, nz)
         shape, size, axes = packed.shape[n], packed.size[n], packed.rotation[n]
         dx, dy = x - packed.position[n][0], y - packed.position[n][1]
-        if axes[2, 0] == ZERO and axes[2, 1] == ZERO and (shape == CYLINDER or shape == BOX):
+        if axes[2, 0] == ZERO and axes[2, 1] == ZERO and (shape == CYLINDER or shape == BOX):  # noqa: SIM109
             if _column_touches(shape, size, axes, dx, dy, half):
                 for k in range(begin, last + 1):
                     occupancy[p, i, j, k] = True
@@ -154,7 +161,7 @@ def _fill_meshes(
     voxel_m: wp.float64,
     occupancy: wp.array4d[wp.bool],
     winding: wp.array4d[wp.int32],
-):
+) -> None:
     """Surfaces by the cubes that they touch; the inside of closed ones by winding numbers of the voxels' centres."""
     p, i, j = wp.tid()
     o = corners[p]
@@ -188,22 +195,22 @@ def _fill_meshes(
 
 
 @wp.kernel
-def _along_x(occupancy: wp.array4d[wp.bool], cap: wp.int32, squares: wp.array4d[wp.int32]):
+def _along_x(occupancy: wp.array4d[wp.bool], cap: wp.int32, squares: wp.array4d[wp.int32]) -> None:
     """Squared steps to the nearest occupied voxel along x, at most `cap` (Saito and Toriwaki 1994)."""
     p, i, j, k = wp.tid()
     step, found = wp.int32(0), wp.bool(False)
     while step * step < cap and not found:
-        if i >= step and occupancy[p, i - step, j, k]:
-            found = True
-        elif i + step < occupancy.shape[1] and occupancy[p, i + step, j, k]:
-            found = True
-        else:
+        if i >= step:
+            found = occupancy[p, i - step, j, k]
+        if i + step < occupancy.shape[1]:
+            found = found or occupancy[p, i + step, j, k]
+        if not found:
             step += 1
     squares[p, i, j, k] = wp.min(step * step, cap)
 
 
 @wp.kernel
-def _along_y(source: wp.array4d[wp.int32], squares: wp.array4d[wp.int32]):
+def _along_y(source: wp.array4d[wp.int32], squares: wp.array4d[wp.int32]) -> None:
     """The least of a line's squares, each with its own distance along y added."""
     p, i, j, k = wp.tid()
     least = wp.int32(source[p, i, j, k])
@@ -218,7 +225,7 @@ def _along_y(source: wp.array4d[wp.int32], squares: wp.array4d[wp.int32]):
 
 
 @wp.kernel
-def _along_z(source: wp.array4d[wp.int32], table: wp.array[wp.float32], field: wp.array4d[wp.float32]):
+def _along_z(source: wp.array4d[wp.int32], table: wp.array[wp.float32], field: wp.array4d[wp.float32]) -> None:
     """The same along z, and the distance that belongs to the square."""
     p, i, j, k = wp.tid()
     least = wp.int32(source[p, i, j, k])

@@ -1,14 +1,13 @@
 """Whether a cube touches a shape, in Warp: `scenegen.truth.shapes` and `triangles` again, sum by sum in their order.
 
-Cubes and frames are theirs: the centre `p` in the shape's frame, the world's axes there as rows of `axes`, half an edge.
+Cubes and frames are theirs: the centre in the shape's frame, the world's axes there as rows of `axes`, half an edge.
 """
 
 import numpy as np
 
-from lidarsim.gpu.device import EXACT, wp
+from lidarsim.gpu.device import wp
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
-wp.set_module_options(EXACT | {"max_unroll": 1})
 INF = wp.constant(wp.float64(np.inf))
 ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
@@ -188,9 +187,7 @@ def _ellipsoid_touches(size: wp.vec3d, axes: wp.mat33d, p: wp.vec3d, half: wp.fl
 
 
 @wp.func
-def _cylinder_touches(
-    radius: wp.float64, reach: wp.float64, axes: wp.mat33d, p: wp.vec3d, half: wp.float64
-) -> wp.bool:
+def _cylinder_touches(radius: wp.float64, reach: wp.float64, axes: wp.mat33d, p: wp.vec3d, half: wp.float64) -> wp.bool:
     """Whether the axis runs through the cube between the end planes, or an edge of that part of the cube passes the
     axis within the radius."""
     enter, leave = -reach, wp.float64(reach)
@@ -300,7 +297,7 @@ def triangle_touches(
 
 
 @wp.func
-def crossing(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, x: wp.float64, y: wp.float64):
+def crossing(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, x: wp.float64, y: wp.float64) -> tuple[wp.int32, wp.float64]:
     """How the vertical line at (x, y) crosses the triangle abc: +1 upwards out of it seen with its normal, -1 down into
     it, 0 not at all; and the height of the crossing."""
     s = _side(a, b, x, y)

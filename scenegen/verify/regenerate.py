@@ -48,6 +48,8 @@ def why_not_comparable(contract: Contract) -> str:
         return f"kind {contract.kind!r} is none of scenegen's own: its worlds cannot be drawn again{advice}"
     if contract.engine not in ENGINES.known:
         return f"made with the engine {contract.engine!r}, which is not scenegen's own, so it is not imported"
+    if missing := getattr(ENGINES.find(contract.engine), "missing", str)():
+        return f"made with the engine {contract.engine!r}, which {missing}"
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
     differing = differences(contract.software, software())
