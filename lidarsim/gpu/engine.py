@@ -42,7 +42,7 @@ class WarpEngine:
         try:
             ctypes.CDLL("libcuda.so.1")  # starts nothing, so that workers can still be forked
         except OSError:
-            return "needs an NVIDIA GPU, and no driver of one is found here; --engine analytic gives the same ranges"
+            return "needs an NVIDIA GPU, and no driver of one is found here; the engine analytic gives the same ranges"
         return ""
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:

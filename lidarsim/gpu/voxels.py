@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim import voxelize as _  # noqa: F401 (asked for first: `lidarsim.voxelize` stays the function)
+from lidarsim import voxelize as _function  # noqa: F401 (asked for first: `lidarsim.voxelize` stays the function)
 from lidarsim.gpu.device import EXACT, on_device, placed, wp
 from lidarsim.grid import GridSpec
 from lidarsim.voxelize import TOUCH_M
