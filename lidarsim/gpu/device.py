@@ -36,12 +36,16 @@ def ready(device: str) -> str:
 def on_device(values: Any, dtype: Any, device: str) -> Any:
     """`values` as an array of Warp's on `device`: Warp's own as they are, anything else by NumPy.
 
-    A tensor of torch's is taken without a copy by ``wp.from_torch(tensor, dtype=wp.vec3d)``.
+    A tensor of torch's is taken without a copy by ``wp.from_torch(tensor, dtype=wp.vec3d)``. Raises ValueError for
+    vectors of other than three numbers.
     """
     if isinstance(values, wp.array):
         return values
     scalar = np.int32 if dtype is wp.int32 else np.float64  # no kernel here takes others
-    return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=device)
+    given = np.ascontiguousarray(values, dtype=scalar)
+    if dtype is wp.vec3d and given.shape[-1:] != (3,):
+        raise ValueError(f"an array {given.shape}, expected points or vectors (…, 3)")
+    return wp.array(given, dtype=dtype, device=device)
 
 
 def placed(name: str, array: Any, shape: tuple[int, ...], dtype: Any, device: str) -> None:
