@@ -39,7 +39,11 @@ EngineFactory = Callable[["mujoco.MjModel", "mujoco.MjData"], Engine]
 
 ENGINES = Registry(
     "engine",
-    {"analytic": "lidarsim.engines.analytic:AnalyticEngine", "mujoco": "lidarsim.engines.mujoco:MujocoEngine"},
+    {
+        "analytic": "lidarsim.engines.analytic:AnalyticEngine",
+        "mujoco": "lidarsim.engines.mujoco:MujocoEngine",
+        "warp": "lidarsim.gpu.engine:WarpEngine",
+    },
     needs={
         "of": "a class method: (model, data=None) -> engine",
         "cast": "a method: (origins, directions, max_range_m) -> ranges",

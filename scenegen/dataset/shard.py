@@ -37,9 +37,12 @@ _LEVEL = 1
 def find_engine(name: str) -> EngineFactory:
     """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
     try:
-        found: EngineFactory = ENGINES.find(name).of
+        engine = ENGINES.find(name)
     except ValueError as error:
         raise DatasetError(printable(error)) from None
+    if missing := getattr(engine, "missing", str)():  # what some engines say before the work begins
+        raise DatasetError(f"the engine {name} {missing}")
+    found: EngineFactory = engine.of
     return found
 
 

@@ -19,15 +19,21 @@ def distance_field(occupancy: NDArray[np.bool_], grid: GridSpec) -> NDArray[np.f
     Squared distances are whole numbers, and none beyond the truncation matters, so they fit in a byte (for the
     default grid, 100 at most) and three passes of minima, one an axis, give them exactly (Saito and Toriwaki 1994).
     """
+    cap, table = lookup(grid)
+    # a sum of two capped squares must fit the type
+    dtype = np.uint8 if 2 * cap < 256 else np.uint16 if 2 * cap < 65536 else np.uint32
+    return _transform(np.ascontiguousarray(occupancy), dtype(cap), table)
+
+
+def lookup(grid: GridSpec) -> tuple[int, NDArray[np.float32]]:
+    """The squared distance in voxels from which on all is truncated, and the metres (cap + 1,) of squares up to it."""
     reach = grid.truncation_m / grid.voxel_m
     cap = math.ceil(reach * reach)
     while cap > 0 and grid.voxel_m * math.sqrt(cap - 1) >= grid.truncation_m:
         cap -= 1
     table = np.minimum(grid.voxel_m * np.sqrt(np.arange(cap + 1, dtype=np.float64)), grid.truncation_m)
     table[cap] = grid.truncation_m
-    # a sum of two capped squares must fit the type
-    dtype = np.uint8 if 2 * cap < 256 else np.uint16 if 2 * cap < 65536 else np.uint32
-    return _transform(np.ascontiguousarray(occupancy), dtype(cap), table.astype(np.float32))
+    return cap, table.astype(np.float32)
 
 
 @kernel

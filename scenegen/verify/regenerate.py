@@ -31,6 +31,8 @@ class ArchivedWorlds(SceneWorlds):
 
 def regenerate(contract: Contract, archive: Archive, split: str, unit: int) -> Unit:
     """One flight of a dataset of an engine of ours, flown again. Raises BrokenError where nothing comes of it."""
+    if lacking := _lacking(contract.engine):
+        raise BrokenError(f"{split} flight {unit} cannot be made again: the engine {contract.engine} {lacking}")
     recipe: Recipe = contract.recipe
     scenes: Any = contract.scenes
     source = DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, archive=archive)
@@ -48,8 +50,15 @@ def why_not_comparable(contract: Contract) -> str:
         return f"kind {contract.kind!r} is none of scenegen's own: its worlds cannot be drawn again{advice}"
     if contract.engine not in ENGINES.known:
         return f"made with the engine {contract.engine!r}, which is not scenegen's own, so it is not imported"
+    if lacking := _lacking(contract.engine):
+        return f"made with the engine {contract.engine!r}, which {lacking}"
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
     differing = differences(contract.software, software())
     named = ", ".join(line.replace(" asked for", " here") for line in differing)
     return f"made with other software: {named}" if differing else ""
+
+
+def _lacking(engine: str) -> str:
+    """What this machine lacks to run an engine of ours, as the end of a sentence; mostly nothing."""
+    return getattr(ENGINES.find(engine), "missing", str)()

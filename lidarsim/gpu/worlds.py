@@ -1,0 +1,151 @@
+"""The solids of many worlds, packed into flat arrays on one device."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarsim.engines.forms import ball_around
+from lidarsim.engines.hierarchy import WIDTH, Hierarchy
+from lidarsim.gpu.device import on_device, ready, wp
+from lidarsim.jit import kernel
+from lidarsim.solids.shapes import PLANE, Solids
+
+
+@wp.struct
+class Packed:
+    """What kernels read. World w owns primitives primitive_start[w] to primitive_start[w + 1]; meshes and boxes alike.
+
+    A ray walks its world's boxes in order: from one that it meets to the next, from one that it misses to `beyond`.
+    """
+
+    primitive_start: wp.array[wp.int32]
+    shape: wp.array[wp.int32]
+    size: wp.array[wp.vec3d]
+    position: wp.array[wp.vec3d]
+    rotation: wp.array[wp.mat33d]
+    lower: wp.array[wp.vec3d]
+    upper: wp.array[wp.vec3d]
+    reach2: wp.array[wp.float64]  # squared radius of a ball around the primitive
+    mesh_start: wp.array[wp.int32]
+    filled: wp.array[wp.int32]
+    triangle_start: wp.array[wp.int32]  # by mesh
+    triangles: wp.array2d[wp.vec3d]  # (T, 3)
+    box_start: wp.array[wp.int32]
+    box_lower: wp.array[wp.vec3d]
+    box_upper: wp.array[wp.vec3d]
+    beyond: wp.array[wp.int32]
+    first: wp.array[wp.int32]  # the box holds items first to last, or boxes
+    last: wp.array[wp.int32]
+    item: wp.array[wp.int32]  # the number of a primitive, or -1 - that of a triangle
+
+
+class Worlds:
+    """W worlds on a device, as different as they like: each has its own hierarchy of boxes for rays."""
+
+    def __init__(self, solids: Iterable[Solids], *, device: str = "cuda"):
+        """Pack `solids`, one table a world (`lidarsim.solids.model.solids_of`). Raises ValueError without a GPU."""
+        self.device = ready(device)
+        arrays = _pack([_tables(one) for one in solids])
+        self.count = len(arrays["box_start"]) - 1
+        self.packed = Packed()
+        for name, variable in Packed.vars.items():  # type: ignore[attr-defined]
+            setattr(self.packed, name, on_device(arrays[name], variable.type.dtype, self.device))
+
+    def which(self, worlds: ArrayLike | None, poses: int) -> Any:
+        """The world of each of `poses`, (P,) on the device: p for pose p unless `worlds` (P,) are given.
+
+        Raises ValueError for numbers that are no world's.
+        """
+        chosen = np.arange(poses) if worlds is None else np.asarray(worlds)
+        if chosen.shape != (poses,) or not np.issubdtype(chosen.dtype, np.integer):
+            raise ValueError(f"worlds: {chosen.dtype} of shape {chosen.shape}, expected {poses} integers, one a pose")
+        if poses and not 0 <= chosen.min() <= chosen.max() < self.count:
+            raise ValueError(f"worlds: {chosen.min()} to {chosen.max()}, expected numbers from 0 to {self.count - 1}")
+        return on_device(chosen, wp.int32, self.device)
+
+
+def _pack(worlds: list[dict[str, NDArray]]) -> dict[str, NDArray]:
+    """The tables of all worlds end to end, in numbers that count through."""
+    if not worlds:
+        raise ValueError("no worlds, expected one or more")
+    counted = {"primitive": "shape", "mesh": "filled", "triangle": "triangles", "box": "beyond", "item": "item"}
+    start = {what: np.cumsum([0, *(len(world[name]) for world in worlds)]) for what, name in counted.items()}
+    for w, world in enumerate(worlds):
+        for name, what in (("beyond", "box"), ("first", "item"), ("last", "item"), ("triangle_start", "triangle")):
+            world[name] = world[name] + start[what][w]
+        item = world["item"]
+        world["item"] = np.where(item >= 0, item + start["primitive"][w], item - start["triangle"][w])
+    packed = {name: np.concatenate([world[name] for world in worlds]) for name in worlds[0]}
+    packed["triangle_start"] = np.append(packed["triangle_start"], start["triangle"][-1])
+    return packed | {f"{what}_start": start[what] for what in ("primitive", "mesh", "box")}
+
+
+def _tables(solids: Solids) -> dict[str, NDArray]:
+    """One world's arrays, in its own numbers."""
+    planes = np.flatnonzero(solids.shape == PLANE)  # nothing bounds them: a first box of their own, which none misses
+    inside = np.flatnonzero(solids.shape != PLANE)
+    corners = solids.triangles
+    tree = Hierarchy.over(
+        np.concatenate([solids.lower[inside], corners.min(axis=1)]),
+        np.concatenate([solids.upper[inside], corners.max(axis=1)]),
+    )
+    boxes, beyond, first, last = _walk(tree.boxes, tree.links, tree.ends, len(planes))
+    bounded = np.concatenate([inside, -1 - np.arange(len(corners))])
+    return {
+        "shape": solids.shape,
+        "size": solids.size,
+        "position": solids.position,
+        "rotation": solids.rotation,
+        "lower": solids.lower,
+        "upper": solids.upper,
+        "reach2": _reach2(solids.shape, solids.size),
+        "filled": solids.mesh_filled,
+        "triangle_start": solids.mesh_start[:-1],
+        "triangles": corners,
+        "box_lower": boxes[:, :3],
+        "box_upper": boxes[:, 3:],
+        "beyond": beyond,
+        "first": first,
+        "last": last,
+        "item": np.concatenate([planes, bounded[tree.order.astype(np.int64)]]),
+    }
+
+
+@kernel
+def _walk(boxes, links, ends, planes):
+    """The tree's boxes (k, 6) in the order of a walk that goes down first, behind one around the planes; where it goes
+    on past each (k,), and the items in each, from (k,) to (k,)."""
+    held = np.zeros(len(boxes) + 1, np.int64)  # boxes below a node
+    for node in range(len(boxes) - 1, -1, -1):  # children have greater numbers
+        for k in range(WIDTH):
+            if ends[node, k] > 0 or links[node, k] > 0:
+                held[node] += 1 if ends[node, k] > 0 else 1 + held[links[node, k]]
+    count = 1 + held[0]
+    walk, beyond = np.empty((count, 6)), np.ones(count, np.int64)
+    first, last = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    walk[0, :3], walk[0, 3:] = -np.inf, np.inf
+    last[0] = planes
+    place = np.ones(len(boxes) + 1, np.int64)
+    for node in range(len(boxes)):
+        at = place[node]
+        for k in range(WIDTH):
+            if ends[node, k] > 0:
+                first[at], last[at], after = planes + links[node, k], planes + ends[node, k], at + 1
+            elif links[node, k] > 0:
+                place[links[node, k]], after = at + 1, at + 1 + held[links[node, k]]
+            else:
+                continue
+            walk[at], beyond[at] = boxes[node, :, k], after
+            at = after
+    return walk, beyond, first, last
+
+
+@kernel
+def _reach2(shape, size):
+    """Squared radii (n,) of balls around primitives."""
+    reach2 = np.empty(len(shape))
+    for g in range(len(shape)):
+        reach2[g] = ball_around(shape[g], size[g]) ** 2
+    return reach2
