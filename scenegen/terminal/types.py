@@ -11,13 +11,15 @@ from lidarsim.registry import Registry
 
 
 class Named(click.ParamType):
-    """The name of something in a registry, or a user's own as module:Object."""
+    """The name of something in a registry, or a user's own as module:Object, or, with `file`, a file that ends so."""
 
-    def __init__(self, registry: Registry):
-        self.registry, self.name = registry, registry.what
+    def __init__(self, registry: Registry, *, file: str | None = None):
+        self.registry, self.name, self.file = registry, registry.what, file
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """The name, if it can be one; a user's own is imported later."""
+        if self.file is not None and value.endswith(self.file):
+            return str(value)
         if ":" not in value and value not in self.registry.known:
             self.fail(self.registry.unknown(value), param, ctx)
         return str(value)
