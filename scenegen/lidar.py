@@ -12,14 +12,16 @@ from scenegen.tables import from_table, read_toml
 
 
 def named_lidar(word: str) -> Sensor:
-    """The sensor that a word on the command line names: one of `SENSORS`, a user's own, or a file that ends in .toml and
-    holds what a recipe's [lidar] does. Raises RecipeError."""
+    """The sensor that a word on the command line names: one of `SENSORS`, a user's own, or a file that ends in .toml
+    and holds what a recipe's [lidar] does. Raises RecipeError."""
     if not word.endswith(".toml"):
         return sensor_of({"sensor": word}, "--lidar", Path())
     path = Path(word)
     table = read_toml(path)
     if isinstance(table.get("lidar"), dict):
-        raise RecipeError(f"{printable(path)}: has a table [lidar]; expected its parameters at the top, without a table")
+        raise RecipeError(
+            f"{printable(path)}: has a table [lidar]; expected its parameters at the top, without a table"
+        )
     return sensor_of(table, printable(path), path.parent)
 
 

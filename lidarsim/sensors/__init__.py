@@ -69,7 +69,7 @@ SENSORS = Registry(
         "max_range_m": "metres",
     },
 )
-"""Sensors by name, for a recipe's ``[lidar] sensor = "…"``: families, and sensors of the catalogue, whose fields a recipe
-changes."""
+"""Sensors by name, for a recipe's ``[lidar] sensor = "…"``: families, and sensors of the catalogue, whose fields a
+recipe changes."""
 RASTER = "raster"
 """The sensor of a recipe that names none."""

@@ -1,8 +1,7 @@
 """Sensors that people have, by name: figures of their makers' public documents, each named beside them.
 
 Angles of single beams are the nominal ones: a unit's own calibration goes into `elevations_deg` and
-`azimuth_offsets_deg`. What a document says of accuracy, typical or 1 sigma, is taken as the standard deviation of `noise`.
-Where `noise` has `faint`, its figure is the range at which the document has a target of 10 % reflectivity found.
+`azimuth_offsets_deg`. What a document says of accuracy, typical or 1 sigma, is the standard deviation of `noise`. Where `noise` has `faint`, its figure is the range at which the document has a target of 10 % reflectivity found.
 """
 
 from lidarsim.sensors.device import Device
@@ -43,8 +42,8 @@ HDL_32E = Spinning(
 )
 HDL_64E = Spinning(
     name="velodyne-hdl-64e",
-    source="Velodyne HDL-64E S2 and S3 data sheets and manual, 63-HDL64ES3: +2° to -8.33° by 1/3°, -8.83° to -24.33° by "
-    "1/2°; 0.1728° a column at 10 Hz",
+    source="Velodyne HDL-64E S2 and S3 data sheets and manual, 63-HDL64ES3: +2° to -8.33° by 1/3°, -8.83° to -24.33° "
+    "by 1/2°; 0.1728° a column at 10 Hz",
     elevations_deg=tuple(round(2 - n / 3, 4) for n in range(32)) + tuple(round(-8.83 - n / 2, 4) for n in range(32)),
     firing_cycle_s=48e-6,  # 0.1728° at 10 Hz; the order of the lasers within a cycle is left out
     max_range_m=120.0,
@@ -55,7 +54,9 @@ HDL_64E = Spinning(
 _OUSTER = "Ouster {} data sheet, Rev 06: vertical field of view, beams, columns, range, precision"
 
 
-def _ouster(model: str, beams: int, half_fov_deg: float, reach_m: tuple[float, float, float], sigma_m: float) -> Spinning:
+def _ouster(
+    model: str, beams: int, half_fov_deg: float, reach_m: tuple[float, float, float], sigma_m: float
+) -> Spinning:
     """One of Ouster's: beams evenly spaced, all of a column at once. `reach_m` is the least range, the range at 10 %
     reflectivity and the greatest range."""
     least, faint, most = reach_m
@@ -113,7 +114,7 @@ HELIOS_16P = Spinning(
 )
 MID_360 = Coil(
     name="livox-mid-360",
-    source="Livox Mid-360 User Manual v1.0, 2023.01: field of view, point rate, range; the rates of its motions are ours",
+    source="Livox Mid-360 User Manual v1.0, 2023.01: field of view, point rate, range; the pattern is ours",
     points_hz=200_000.0,
     lowest_deg=-7.0,
     highest_deg=52.0,
@@ -134,7 +135,7 @@ AVIA = Rosette(
 )
 D435 = Pinhole(
     name="realsense-d435",
-    source="Intel RealSense D400 Series data sheet, 337029: depth field of view 87° × 58°, modes, least distance, 2 % at 2 m",
+    source="Intel RealSense D400 Series data sheet, 337029: field of view 87° × 58°, modes, least depth, 2 % at 2 m",
     width=424,
     height=240,
     horizontal_fov_deg=87.0,
@@ -145,7 +146,7 @@ D435 = Pinhole(
 )
 D455 = Pinhole(
     name="realsense-d455",
-    source="Intel RealSense D400 Series data sheet, 337029: depth field of view 87° × 58°, modes, least distance, 2 % at 4 m",
+    source="Intel RealSense D400 Series data sheet, 337029: field of view 87° × 58°, modes, least depth, 2 % at 4 m",
     width=424,
     height=240,
     horizontal_fov_deg=87.0,
@@ -163,4 +164,3 @@ NAMED: dict[str, Device] = {
     )
 }
 """Every sensor of the catalogue but the paper's, which is the raster."""
-

@@ -1,4 +1,4 @@
-"""What sensors one can buy have in common: a name, where its figures come from, a mount, a least and a greatest range."""
+"""What sensors that are sold have in common: a name, a source of their figures, a mount, a least and a greatest range."""
 
 import dataclasses
 import math

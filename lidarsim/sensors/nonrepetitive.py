@@ -45,8 +45,8 @@ class Windowed(Device):
 class Rosette(Windowed):
     """Two wedge prisms that turn before the beam (Risley), about the forward axis.
 
-    To first order every prism deflects by a fixed angle, in the direction that it has turned to, and the two deflections
-    add up: a curve of many petals between the difference and the sum of them (Brazeal et al. 2021, Sensors 21, 4722).
+    To first order every prism deflects by a fixed angle, in the direction that it has turned to, and the two
+    deflections add up: a curve of many petals between the difference and the sum of them (Brazeal et al. 2021, Sensors 21, 4722).
     """
 
     horizontal_fov_deg: float = number(40.0, above=1, most=180)
@@ -94,8 +94,8 @@ class Coil(Windowed):
         super().__post_init__()
         if self.highest_deg - self.lowest_deg < 4:
             raise ValueError(
-                f"lowest_deg = {self.lowest_deg:g}, highest_deg = {self.highest_deg:g}: expected degrees, the highest 4 "
-                "or more above the lowest"
+                f"lowest_deg = {self.lowest_deg:g}, highest_deg = {self.highest_deg:g}: expected degrees, the highest "
+                "4 or more above the lowest"
             )
 
     @property

@@ -51,7 +51,8 @@ def test_a_sensor_has_unit_rays_rising_times_and_a_source(name: str) -> None:
     assert len(sensor.source) > 20
     table = BeamTable.of(sensor)
     assert (table.shape, table.made_by) == (sensor.shape, name)
-    assert (sensor.times_s.min() >= 0) and (np.diff(sensor.times_s, axis=-1) >= 0).all()
+    assert sensor.times_s.min() >= 0
+    assert (np.diff(sensor.times_s, axis=-1) >= 0).all()
     assert 0 <= sensor.min_range_m < sensor.max_range_m == RANGES_M.get(name, sensor.max_range_m)
     rays = sensor.directions_body.reshape(-1, 3)
     assert len(np.unique(rays @ (1.0, 1e3, 1e6))) > 0.999 * len(rays)  # hardly two look the same way
@@ -96,16 +97,20 @@ def test_at_twice_the_rate_a_fixed_cycle_gives_half_the_columns() -> None:
     assert fast.times_s.max() == pytest.approx(ouster.times_s.max() / 2)
 
 
-@pytest.mark.parametrize(("name", "points_hz", "up"), [("livox-mid-360", 2e5, (-7, 52)), ("livox-avia", 2.4e5, (-38.6, 38.6))])
+@pytest.mark.parametrize(
+    ("name", "points_hz", "up"), [("livox-mid-360", 2e5, (-7, 52)), ("livox-avia", 2.4e5, (-38.6, 38.6))]
+)
 def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(name: str, points_hz: float, up: Any) -> None:
     sensor = NAMED[name]
     elevation, azimuth = angles_deg(sensor)
     assert sensor.shape == (points_hz / 10,)
     assert sensor.times_s[-1] == pytest.approx(0.1, rel=1e-3)
     assert (elevation.min(), elevation.max()) == pytest.approx(up, abs=0.5)
-    assert (elevation.min() >= up[0] - 1e-9) and (elevation.max() <= up[1] + 1e-9)
+    assert elevation.min() >= up[0] - 1e-9
+    assert elevation.max() <= up[1] + 1e-9
     wide = 35.2 if name == "livox-avia" else 180
-    assert (np.abs(azimuth).max() <= wide + 1e-9) and (np.abs(azimuth).max() > wide - 0.5)
+    assert np.abs(azimuth).max() <= wide + 1e-9
+    assert np.abs(azimuth).max() > wide - 0.5
 
     def cells(seed: int, window_s: float) -> set[tuple[int, int]]:
         up, around = angles_deg(dataclasses.replace(sensor, seed=seed, window_s=window_s))
