@@ -1,7 +1,8 @@
 """Sensors that people have, by name: figures of their makers' public documents, each named beside them.
 
 Angles of single beams are the nominal ones: a unit's own calibration goes into `elevations_deg` and
-`azimuth_offsets_deg`. What a document says of accuracy, typical or 1 sigma, is the standard deviation of `noise`. Where `noise` has `faint`, its figure is the range at which the document has a target of 10 % reflectivity found.
+`azimuth_offsets_deg`. What a document says of accuracy, typical or 1 sigma, is the standard deviation of `noise`. Where
+that has `faint`, its figure is the range at which the document has a target of 10 % reflectivity found.
 """
 
 from lidarsim.sensors.device import Device

@@ -1,4 +1,4 @@
-"""What sensors that are sold have in common: a name, a source of their figures, a mount, a least and a greatest range."""
+"""What sensors that are sold have in common: a name, a source of their figures, a mount, and limits of range."""
 
 import dataclasses
 import math

@@ -46,7 +46,8 @@ class Rosette(Windowed):
     """Two wedge prisms that turn before the beam (Risley), about the forward axis.
 
     To first order every prism deflects by a fixed angle, in the direction that it has turned to, and the two
-    deflections add up: a curve of many petals between the difference and the sum of them (Brazeal et al. 2021, Sensors 21, 4722).
+    deflections add up: a curve of many petals between the difference and the sum of them (Brazeal et al. 2021, Sensors
+    21, 4722).
     """
 
     horizontal_fov_deg: float = number(40.0, above=1, most=180)

@@ -161,7 +161,8 @@ def test_intensity_is_albedo_times_cosine(turn_deg: float) -> None:
 def test_colours_are_those_of_materials_or_of_geoms() -> None:
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><asset><material name="m" rgba="1 1 1 1"/></asset><worldbody>'
-        '<geom size="1" material="m" rgba="0 0 0 1"/><geom size="1" rgba="0 1 0 1"/><geom size="1" rgba="0 0 0 1"/></worldbody></mujoco>'
+        '<geom size="1" material="m" rgba="0 0 0 1"/><geom size="1" rgba="0 1 0 1"/>'
+        '<geom size="1" rgba="0 0 0 1"/></worldbody></mujoco>'
     )
     assert albedo_of(model) == pytest.approx([1.0, 0.7152, 0.0])
 
