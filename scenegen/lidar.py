@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from lidarsim import Sensor
+from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.errors import RecipeError, printable, short
 from scenegen.tables import from_table, read_toml
@@ -23,6 +24,14 @@ def named_lidar(word: str) -> Sensor:
             f"{printable(path)}: has a table [lidar]; expected its parameters at the top, without a table"
         )
     return sensor_of(table, printable(path), path.parent)
+
+
+def named_noise(text: str | None, sensor: Sensor) -> Noise:
+    """The chain that `text` describes, see `Noise.parse`; none for None. Raises RecipeError."""
+    try:
+        return Noise() if text is None else Noise.parse(text, sensor)
+    except ValueError as error:
+        raise RecipeError(printable(error)) from None
 
 
 def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from lidarsim import Sensor
 from scenegen.publish.pictures import GAP_PX, PAPER, to_png
 
-WIDE_PX, MARGIN_DEG = 720, 3.0
+WIDE_PX, MARGIN_DEG = 640, 3.0
 """A panel's width, and what is left around the pattern."""
 LEAST_PX = 60
 """A panel's least height."""
@@ -17,8 +17,9 @@ EARLY, LATE = np.array([33.0, 102.0, 172.0]), np.array([214.0, 47.0, 39.0])
 
 
 def draw_patterns(sensors: list[Sensor]) -> bytes:
-    """A PNG with a panel for every sensor, one below the other: every ray is a dot, from blue for the first to red for the
-    last in time. x is azimuth, left of the body to the left; y is elevation; lines stand every 10°, darker ones at 0°."""
+    """A PNG with a panel for every sensor, one below the other: every ray is a dot, from blue for the first to red for
+    the last in time. x is azimuth, left of the body to the left; y is elevation; lines stand every 10°, darker at 0°.
+    """
     panels = [draw_pattern(sensor) for sensor in sensors]
     gap = np.full((GAP_PX, WIDE_PX, 3), PAPER, np.uint8)
     rows = [part for panel in panels for part in (panel, gap)][:-1]

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.elementary import sin_cos
 from lidarsim.noise.returns import Returns, View
 from lidarsim.parameters import check, number
 
@@ -44,8 +45,8 @@ class Divergence:
         hits = np.empty((self.rays, *along.shape[:-1]))
         for n in range(self.rays):
             away = 5e-4 * self.mrad * math.sqrt((n + 0.5) / self.rays)
-            turn = begin + n * GOLDEN
-            ray = along + away * (np.cos(turn)[..., None] * across + np.sin(turn)[..., None] * upward)
+            sine, cosine = sin_cos(begin + n * GOLDEN)
+            ray = along + away * (cosine[..., None] * across + sine[..., None] * upward)
             hits[n] = view.cast(returns.origins, ray / np.sqrt((ray**2).sum(axis=-1, keepdims=True)))
         means, weights = _echoes(np.sort(hits, axis=0), self.resolution_m)
         strongest = np.argmax(weights, axis=0)

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from lidarsim.noise.chance import normal
 from lidarsim.noise.returns import Returns, View
 from lidarsim.parameters import check, number
 
@@ -24,7 +25,7 @@ class Intensity:
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
         cosine, albedo = view.surfaces(returns)
-        noise = self.sigma * rng.standard_normal(returns.ranges.shape)
+        noise = self.sigma * normal(returns.ranges.shape, rng=rng)
         return returns.but(intensity=np.clip(albedo * cosine + noise, 0.0, 1.0))
 
     def bound_m(self, max_range_m: float) -> float:

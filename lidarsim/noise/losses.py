@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.noise.chance import normal
 from lidarsim.noise.returns import Returns, View
 from lidarsim.parameters import check, number
 
@@ -85,7 +86,7 @@ class Faint(Loss):
         """See `Stage.apply`."""
         cosine, albedo = view.surfaces(returns)
         reach = self.range_m * np.sqrt(albedo * cosine / TEN_PERCENT)
-        reach = reach * (1.0 + self.softness * rng.standard_normal(returns.ranges.shape))
+        reach = reach * (1.0 + self.softness * normal(returns.ranges.shape, rng=rng))
         return returns.but(ranges=np.where(returns.ranges <= reach, returns.ranges, np.inf))
 
 

@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.elementary import sin_cos
 from lidarsim.noise.returns import Returns, View
 from lidarsim.parameters import check, number
 from lidarsim.pose import rotate
@@ -51,7 +52,8 @@ class Motion:
             now = number_of == n
             shift, turn = self.moved((n + 0.5) * length)
             if shift.any() or turn:
-                turned = rotate([math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)], body[now])
+                sine, cosine = sin_cos(turn / 2)
+                turned = rotate([float(cosine), 0.0, 0.0, float(sine)], body[now])
                 origins[now] = view.pose.position + rotate(view.pose.quaternion, shift[None])[0]
                 directions[now] = rotate(view.pose.quaternion, turned)
         ranges = view.cast(origins, directions)[None]
@@ -63,7 +65,8 @@ class Motion:
         an arc, or a straight line where it does not turn."""
         rate = math.radians(self.yaw_rate_deg_s)
         turn = rate * time_s
-        ahead, aside = (math.sin(turn) / rate, (1.0 - math.cos(turn)) / rate) if rate else (time_s, 0.0)
+        sine, cosine = (float(part) for part in sin_cos(turn))
+        ahead, aside = (sine / rate, (1.0 - cosine) / rate) if rate else (time_s, 0.0)
         x, y = self.forward_mps, self.left_mps
         return np.array([ahead * x - aside * y, aside * x + ahead * y, self.up_mps * time_s]), turn
 

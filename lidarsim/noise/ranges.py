@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.noise.chance import normal
 from lidarsim.noise.returns import Returns, View
 from lidarsim.parameters import check, number
 
@@ -113,7 +114,7 @@ def _sigma(ranges: NDArray[np.float64], of: Range) -> NDArray[np.float64]:
 
 
 def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float64]:
-    return np.clip(rng.standard_normal(shape), -SIGMAS, SIGMAS)
+    return np.clip(normal(shape, rng=rng), -SIGMAS, SIGMAS)
 
 
 def _kept(ranges: NDArray[np.float64], view: View) -> NDArray[np.float64]:

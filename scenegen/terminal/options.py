@@ -67,6 +67,13 @@ def lidar_option(what: str, default: str = "") -> Callable[[Function], Function]
     return click.option("--lidar", "--sensor", "lidar", type=Named(SENSORS, file=".toml"), help=told)
 
 
+noise_option = click.option(
+    "--noise",
+    metavar="STAGE:VALUE…,…",
+    help="Faults of the sensor, such as range:0.02,dropout:0.05, or datasheet for what it comes with.  [default: none]",
+)
+
+
 def options_of(config: type, **helps: str) -> Callable[[Function], Function]:
     """An option for each field of the dataclass `config` that `helps` names, with that text. Its default, type, choices
     and bounds are the field's; so is its name, without a unit: `beta_m` becomes --beta."""

@@ -83,6 +83,22 @@ class Number(click.ParamType):
         return number
 
 
+class Numbers(click.ParamType):
+    """So many finite numbers, with commas between them."""
+
+    def __init__(self, name: str, count: int):
+        self.name, self.count = name, count
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, ...]:
+        """The numbers."""
+        parts = str(value).split(",")
+        if len(parts) != self.count:
+            self.fail(
+                f"{str(value)[:60]!r}: expected {self.name}, {self.count} numbers with commas between", param, ctx
+            )
+        return tuple(Number().convert(part, param, ctx) for part in parts)
+
+
 class ShardRange(click.ParamType):
     """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
 
