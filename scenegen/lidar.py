@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lidarsim import Sensor
+from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.errors import RecipeError, printable, short
@@ -15,9 +15,9 @@ from scenegen.tables import from_table, read_toml
 def named_lidar(word: str) -> Sensor:
     """The sensor that a word on the command line names: one of `SENSORS`, a user's own, or a file that ends in .toml
     and holds what a recipe's [lidar] does. Raises RecipeError."""
-    if not word.endswith(".toml"):
-        return sensor_of({"sensor": word}, "--lidar", Path())
     path = Path(word)
+    if path.suffix != ".toml":
+        return sensor_of({"sensor": word}, "--lidar", Path())
     table = read_toml(path)
     if isinstance(table.get("lidar"), dict):
         raise RecipeError(
@@ -50,3 +50,12 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
             f"{where} name = {short(given['name'])}: is one of the catalogue's; give your sensor a name of its own"
         )
     return from_table(found, given, where, folder)
+
+
+def beam_table(sensor: Sensor) -> BeamTable:
+    """The rays of any sensor. Raises ValueError, whatever a user's own code raises."""
+    try:
+        return BeamTable.of(sensor)
+    except Exception as error:
+        said = printable(error) if isinstance(error, ValueError) else f"it fails: {printable(repr(error))}"
+        raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {said}") from None

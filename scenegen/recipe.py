@@ -13,7 +13,7 @@ from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.parameters import check, number
 from scenegen.errors import RecipeError, printable, short
 from scenegen.flight import Flight
-from scenegen.lidar import sensor_of
+from scenegen.lidar import beam_table, sensor_of
 from scenegen.limits import (
     MOST_CANDIDATES,
     MOST_DRAWS,
@@ -68,7 +68,7 @@ class Recipe:
         if any(getattr(self.lidar, "lever_arm_m", ())):
             raise ValueError("[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out")
         if not isinstance(self.lidar, Lidar | BeamTable):
-            object.__setattr__(self, "lidar", _beam_table(self.lidar))
+            object.__setattr__(self, "lidar", beam_table(self.lidar))
         grid, flight = self.grid, self.flight
         voxels = math.prod(grid.shape)
         if voxels > MOST_VOXELS:
@@ -174,12 +174,3 @@ def make_recipe(
     except ValueError as error:
         raise RecipeError(f"{where}: {error}") from None
     return recipe
-
-
-def _beam_table(sensor: Sensor) -> BeamTable:
-    """The rays of a user's own sensor. Raises ValueError, whatever its code raises."""
-    try:
-        return BeamTable.of(sensor)
-    except Exception as error:
-        said = printable(error) if isinstance(error, ValueError) else f"it fails: {printable(repr(error))}"
-        raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {said}") from None

@@ -41,12 +41,13 @@ class Divergence:
         """See `Stage.apply`."""
         along = returns.directions
         across, upward = _beside(along)
-        begin = 2 * math.pi * rng.random(along.shape[:-1])
+        sine, cosine = sin_cos(2 * math.pi * rng.random((*along.shape[:-1], 1)))
+        one, other = cosine * across + sine * upward, cosine * upward - sine * across
         hits = np.empty((self.rays, *along.shape[:-1]))
         for n in range(self.rays):
             away = 5e-4 * self.mrad * math.sqrt((n + 0.5) / self.rays)
-            sine, cosine = sin_cos(begin + n * GOLDEN)
-            ray = along + away * (cosine[..., None] * across + sine[..., None] * upward)
+            sine, cosine = sin_cos(n * GOLDEN)
+            ray = along + away * (cosine * one + sine * other)
             hits[n] = view.cast(returns.origins, ray / np.sqrt((ray**2).sum(axis=-1, keepdims=True)))
         means, weights = _echoes(np.sort(hits, axis=0), self.resolution_m)
         strongest = np.argmax(weights, axis=0)

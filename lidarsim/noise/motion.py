@@ -33,7 +33,7 @@ class Motion:
     """How fast it turns, counter-clockwise seen from above, degrees a second."""
     corrected: bool = False
     """Whether the sensor knows where each ray was cast."""
-    poses: int = number(100, least=1, most=100_000)
+    poses: int = number(100, least=1, most=10_000)
     """Poses that the scan is divided into: rays between two are cast from one in their middle."""
 
     def __post_init__(self) -> None:

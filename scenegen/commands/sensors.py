@@ -24,10 +24,14 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
 
     Each goes into `scenegen generate --lidar NAME`, or into a recipe as `[lidar] sensor = "NAME"`.
     """
-    from scenegen.lidar import named_lidar
+    from scenegen.lidar import beam_table, named_lidar
 
-    chosen = names or (RASTER, *CATALOGUE)
-    found = {name: named_lidar(name) for name in chosen}
+    found = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
+    for name in names:
+        try:
+            beam_table(found[name])
+        except ValueError as error:
+            raise click.ClickException(f"{name}: {error}") from None
     rows = {name: _figures(sensor) for name, sensor in found.items()}
     if out is not None:
         from scenegen.files import write_whole

@@ -4,10 +4,11 @@ import dataclasses
 import math
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
-from lidarsim import BeamTable, Lidar
+from lidarsim import BeamTable, Lidar, MujocoEngine, Pose, cast
 from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS
 from lidarsim.sensors.catalogue import NAMED
 from lidarsim.sensors.device import Device
@@ -150,6 +151,16 @@ def test_the_tilt_is_the_rasters() -> None:
     raster = Lidar(rows=3, columns=4, vertical_fov_deg=30, pitch_deg=20)
     tilted = Spinning(elevations_deg=(-15, 0, 15), columns=4, clockwise=False, pitch_deg=20)
     np.testing.assert_allclose(tilted.directions_body, raster.directions_body, atol=1e-14)
+
+
+def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body() -> None:
+    """At a yaw of 90° the body's x axis is the world's y axis."""
+    sensor = Spinning(elevations_deg=(0.0,), columns=4, lever_arm_m=(0.5, 0.0, 0.2))
+    model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1" pos="1 7 3.2"/></worldbody></mujoco>')
+    scan = cast(MujocoEngine.of(model), sensor, Pose.level((1.0, 2.0, 3.0), yaw_rad=math.pi / 2))
+    assert scan.pose.position == pytest.approx([1.0, 2.5, 3.2])
+    assert scan.ranges[np.isfinite(scan.ranges)] == pytest.approx([3.5])
+    assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))
 
 
 IMPOSSIBLE: list[tuple[type, dict[str, Any], str]] = [

@@ -130,6 +130,7 @@ REFUSED = {
     "a name of the catalogue's": (("sensors", "taken.toml"), 1, "a name of its own"),
     "a sensor without beams": (("sensors", "none.toml"), 1, "one beam at least"),
     "a sensor that lacks its beams": (("sensors", "lacks.toml"), 1, "elevations_deg: is missing"),
+    "rays of no length": (("sensors", "table.toml"), 1, "a ray's direction has length 2"),
     "a range of 0": (("sensors", "blind.toml"), 1, "max_range_m = 0"),
     "a table in the file": (("sensors", "small.toml"), 1, "expected its parameters at the top"),
     "no such file": (("sensors", "absent.toml"), 1, "absent.toml"),
@@ -155,6 +156,8 @@ def test_what_cannot_be_ends_in_one_line(what: str, here: Path, capsys: pytest.C
     (here / "none.toml").write_text(LIDAR.replace("[-5.0, 5.0]", "[]"))
     (here / "lacks.toml").write_text(LIDAR.replace("elevations_deg = [-5.0, 5.0]", ""))
     (here / "blind.toml").write_text(LIDAR.replace("30.0", "0"))
+    np.save(here / "long.npy", np.array([[2.0, 0, 0, 0]]))
+    (here / "table.toml").write_text('sensor = "table"\nrays = "long.npy"')
     words, code, told = REFUSED[what]
     before = set(here.iterdir())
     ended, said, error = run(capsys, *words, *(("--quiet",) if words[0] == "generate" else ()))
