@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.errors import DatasetError
-from scenegen.files import write_whole
+from scenegen.files import make_parent, write_whole
 
 SUFFIXES = (".ply", ".npz", ".bin")
 """Kinds of files."""
@@ -45,4 +45,5 @@ def write_points(
         more = {} if intensity is None else {"intensity": intensity}
         np.savez_compressed(file, allow_pickle=False, points=points, **more, **about)
         content = file.getvalue()
+    make_parent(path)
     write_whole(path, content)

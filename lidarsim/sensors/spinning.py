@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.limits import MOST_RAYS
-from lidarsim.parameters import number
+from lidarsim.parameters import check, number
 from lidarsim.sensors.device import Device, pointing
 
 FINEST_DEG = 0.04
@@ -40,6 +40,7 @@ class Spinning(Device):
     """The sense of the turn, seen from above."""
 
     def __post_init__(self) -> None:
+        check(self)
         beams = len(self.elevations_deg)
         if not beams:
             raise ValueError("elevations_deg = []: a sensor has one beam at least; give the elevation of each, degrees")

@@ -34,9 +34,10 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
             raise click.ClickException(f"{name}: {error}") from None
     rows = {name: _figures(sensor) for name, sensor in found.items()}
     if out is not None:
-        from scenegen.files import write_whole
+        from scenegen.files import make_parent, write_whole
         from scenegen.pattern import draw_patterns
 
+        make_parent(out)
         write_whole(out, draw_patterns(list(found.values())))
     if as_json:
         print(json.dumps(rows))

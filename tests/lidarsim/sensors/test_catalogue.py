@@ -165,6 +165,7 @@ def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body() -> None:
 
 IMPOSSIBLE: list[tuple[type, dict[str, Any], str]] = [
     (Spinning, {"elevations_deg": (), "columns": 8}, "one beam at least"),
+    (Spinning, {"elevations_deg": 5, "columns": 8}, "elevations_deg = 5: expected a list"),
     (Spinning, {"elevations_deg": (0, 1), "columns": 8, "max_range_m": 0}, "max_range_m = 0"),
     (Spinning, {"elevations_deg": (0, 1), "columns": 8, "min_range_m": 200}, "less than max_range_m = 100"),
     (Spinning, {"elevations_deg": (0, 1)}, "expected one of the two"),
