@@ -86,7 +86,7 @@ class Coil(Windowed):
     """Elevation of the lowest points, degrees."""
     highest_deg: float = number(50.0, least=-90, most=90)
     """Elevation of the highest points, degrees."""
-    turns_hz: float = number(10 * (1 + math.sqrt(5)) / 2, least=0.1, most=1e4)
+    turns_hz: float = number(20.0, least=0.1, most=1e4)
     """Turns about the vertical a second."""
     swings_hz: float = number(1000 * math.sqrt(2), least=0.1, most=1e5)
     """Swings from the lowest to the highest point and back a second."""
