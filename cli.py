@@ -14,7 +14,10 @@ from scenegen.terminal.command import Commands, run_command
 
 MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
 PLACES = {
-    **{name: f"{MADE}.{name}:{name}" for name in ("generate", "inspect", "world", "verify", "publish")},
+    **{
+        name: f"{MADE}.{name}:{name}"
+        for name in ("generate", "inspect", "world", "verify", "publish", "sensors", "scan")
+    },
     **{name: f"{INFERRED}.{name}:{name}" for name in ("train", "complete", "export", "networks", "bench", "reproduce")},
     **{name: f"{MADE}.{name}:{name}" for name in ("doctor", "completion")},
 }

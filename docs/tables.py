@@ -7,6 +7,8 @@ A page asks for a table by two comments, between which it goes:
 
     <!-- parameters of scenegen.flight:Flight -->
     <!-- end -->
+
+`<!-- sensors -->` asks for the catalogue of sensors in the same way, and `<!-- stages -->` for the stages of noise.
 """
 
 import ast
@@ -18,7 +20,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from lidarsim.noise import STAGES
 from lidarsim.parameters import BOUNDS, Bounds
+from lidarsim.sensors import CATALOGUE, SENSORS
 
 PAGES = Path(__file__).parent
 ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)", re.S)
@@ -56,6 +62,31 @@ def table(kind: type) -> str:
     return "\n".join(lines) + "\n"
 
 
+def sensors() -> str:
+    """The catalogue: name with a link to its picture, rays of a scan, angles and range, and the figures' source."""
+    lines = ["| sensor | rays a scan | elevations, range | source |", "|---|---|---|---|"]
+    for name in CATALOGUE:
+        sensor = SENSORS.find(name)
+        x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
+        height = np.degrees(np.arctan2(z, np.hypot(x, y)))
+        rays, last = " × ".join(map(str, sensor.shape)), float(sensor.times_s.max())
+        seconds = f"in {last:.2g} s" if last else "at once"
+        angles = f"{height.min():.1f}° … {height.max():.1f}°, {sensor.min_range_m:g} … {sensor.max_range_m:g} m"
+        lines.append(f"| [{name}](pictures/sensors/{name}.png) | {rays}, {seconds} | {angles} | {sensor.source} |")
+    return "\n".join(lines) + "\n"
+
+
+def stages() -> str:
+    """The stages of noise: name, values with their defaults, and what they do."""
+    lines = ["| stage | values, in this order | what it does |", "|---|---|---|"]
+    for name in STAGES.known:
+        kind = STAGES.find(name)
+        values = ", ".join(f"`{item.name}` {_value(item.default).strip('`')}" for item in dataclasses.fields(kind))
+        does = " ".join((inspect.getdoc(kind) or "").replace("``", "`").split()).replace("|", "/")
+        lines.append(f"| `{name}` | {values} | {does} |")
+    return "\n".join(lines) + "\n"
+
+
 def _value(value: Any) -> str:
     """A default as TOML writes it."""
     if value is dataclasses.MISSING:
@@ -74,7 +105,12 @@ def filled(page: str) -> str:
         kind = getattr(importlib.import_module(found[2]), found[3])
         return f"{found[1]}{table(kind)}{found[4]}"
 
-    return ASKED.sub(fill, page)
+    page = ASKED.sub(fill, page)
+    for name, made in (("sensors", sensors), ("stages", stages)):
+        if (mark := f"<!-- {name} -->\n") in page:
+            before, _, rest = page.partition(mark)
+            page = f"{before}{mark}{made()}<!-- end -->{rest.partition('<!-- end -->')[2]}"
+    return page
 
 
 if __name__ == "__main__":

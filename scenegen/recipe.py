@@ -1,10 +1,8 @@
 """Recipes: every number that decides what a dataset holds, resolved, checked, and read from TOML."""
 
 import dataclasses
-import difflib
 import json
 import math
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,21 +11,19 @@ import numpy as np
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.parameters import check, number
-from lidarsim.sensors import RASTER, SENSORS
-from scenegen.errors import DatasetError, RecipeError, printable, short
-from scenegen.files import read_bounded
+from scenegen.errors import RecipeError, printable, short
 from scenegen.flight import Flight
+from scenegen.lidar import beam_table, sensor_of
 from scenegen.limits import (
     MOST_CANDIDATES,
-    MOST_DEPTH,
     MOST_DRAWS,
-    MOST_RECIPE_BYTES,
     MOST_SEARCHED,
     MOST_VOXELS,
     MOST_VOXELS_IN_FLIGHT,
 )
 from scenegen.recipes import find_kind
 from scenegen.recipes.kind import WorldKind
+from scenegen.tables import check_name, from_table, read_toml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +65,10 @@ class Recipe:
     grid: GridSpec = field(default_factory=GridSpec)
 
     def __post_init__(self) -> None:
+        if any(getattr(self.lidar, "lever_arm_m", ())):
+            raise ValueError("[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out")
         if not isinstance(self.lidar, Lidar | BeamTable):
-            object.__setattr__(self, "lidar", _beam_table(self.lidar))
+            object.__setattr__(self, "lidar", beam_table(self.lidar))
         grid, flight = self.grid, self.flight
         voxels = math.prod(grid.shape)
         if voxels > MOST_VOXELS:
@@ -114,33 +112,22 @@ class Recipe:
         return resolved
 
 
-def preset(kind: str, *, sensor: str | None = None) -> Recipe:
-    """The recipe of a kind as it comes, or with the `sensor` of that name. Raises RecipeError for an unknown kind,
-    suggesting the nearest."""
-    return make_recipe(kind, {} if sensor is None else {"lidar": {"sensor": sensor}}, where="preset")
+def preset(kind: str, *, lidar: Sensor | None = None) -> Recipe:
+    """The recipe of a kind as it comes, or with the sensor `lidar`. Raises RecipeError for an unknown kind, suggesting
+    the nearest."""
+    return make_recipe(kind, {}, where="preset", sensor=lidar)
 
 
-def read_recipe(path: Path, kind: str | None = None, *, sensor: str | None = None) -> Recipe:
+def read_recipe(path: Path, kind: str | None = None, *, lidar: Sensor | None = None) -> Recipe:
     """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar] and [grid] of what differs
-    from the preset. `kind` and `sensor`, where given, stand in for the file's.
+    from the preset. `kind` and `lidar`, where given, stand in for the file's; a file with a table [lidar] beside a
+    `lidar` is refused.
 
     A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its `[lidar] sensor` first.
     Raises RecipeError naming the file, the table and the parameter.
     """
     where = printable(path)
-    try:
-        text = read_bounded(path, MOST_RECIPE_BYTES).decode()
-        if any(line.count(".") > MOST_DEPTH for line in text.splitlines() if not line.lstrip().startswith("#")):
-            raise RecursionError  # dotted keys: tomllib's time grows with the square of their depth, or worse
-        tables = tomllib.loads(text)
-    except OSError as error:
-        raise RecipeError(f"{where}: cannot be read: {error.strerror}") from None
-    except DatasetError as error:
-        raise RecipeError(printable(error)) from None
-    except ValueError as error:  # TOMLDecodeError, and int()'s for thousands of digits
-        raise RecipeError(f"{where}: not valid TOML: {printable(error)}") from None
-    except RecursionError:
-        raise RecipeError(f"{where}: nested too deeply; expected tables of parameters") from None
+    tables = read_toml(path)
     named = tables.pop("kind", kind)
     if named is None:
         raise RecipeError(f'{where}: names no kind; add a line such as kind = "pillar", or give --kind')
@@ -148,13 +135,9 @@ def read_recipe(path: Path, kind: str | None = None, *, sensor: str | None = Non
         raise RecipeError(f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the two out")
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
-    lidar = tables.setdefault("lidar", {})
-    if sensor is not None and isinstance(lidar, dict) and lidar.setdefault("sensor", sensor) != sensor:
-        said = short(lidar["sensor"])
-        raise RecipeError(
-            f"{where}: [lidar] sensor = {said}, and --sensor {printable(sensor)}; leave one of the two out"
-        )
-    return make_recipe(named, tables, where=where, folder=path.parent)
+    if lidar is not None and "lidar" in tables:
+        raise RecipeError(f"{where}: has a table [lidar], and --lidar names a sensor, too; leave one of the two out")
+    return make_recipe(named, tables, where=where, folder=path.parent, sensor=lidar)
 
 
 def make_recipe(
@@ -176,14 +159,13 @@ def make_recipe(
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
     tables = tables | ({"lidar": {}} if sensor is not None else {})
     for name, table in tables.items():
-        _check_name(name, tuple(sorted(parts)), "table", where)
+        check_name(name, tuple(sorted(parts)), "table", where)
         if not isinstance(table, dict):
             raise RecipeError(f"{where}: {name} = {short(table)}: expected a table, [{name}], of parameters")
     given = {name: defaults.get(name, {}) | dict(tables.get(name, {})) for name in parts}
-    parts["lidar"] = _find_sensor(given["lidar"].pop("sensor", RASTER), where)
-    built = {name: _from_table(part, given[name], f"{where}: [{name}]", folder) for name, part in parts.items()}
-    if sensor is not None:
-        built["lidar"] = sensor
+    given_lidar = given.pop("lidar")
+    built = {name: from_table(parts[name], table, f"{where}: [{name}]", folder) for name, table in given.items()}
+    built["lidar"] = sensor if sensor is not None else sensor_of(given_lidar, f"{where}: [lidar]", folder)
     try:
         recipe = Recipe(kind=kind, **built)
         json.dumps(recipe.resolved())
@@ -192,48 +174,3 @@ def make_recipe(
     except ValueError as error:
         raise RecipeError(f"{where}: {error}") from None
     return recipe
-
-
-def _find_sensor(name: Any, where: str) -> type:
-    """The class of the sensor called `name`."""
-    try:
-        found = SENSORS.find(name if isinstance(name, str) else short(name))
-    except ValueError as error:
-        raise RecipeError(f"{where}: [lidar] {printable(error)}") from None
-    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
-        raise RecipeError(f"{where}: [lidar] sensor = {short(name)}: expected a dataclass, whose fields a recipe sets")
-    return found
-
-
-def _beam_table(sensor: Sensor) -> BeamTable:
-    """The rays of a user's own sensor. Raises ValueError, whatever its code raises."""
-    try:
-        return BeamTable.of(sensor)
-    except Exception as error:
-        said = printable(error) if isinstance(error, ValueError) else f"it fails: {printable(repr(error))}"
-        raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {said}") from None
-
-
-def _from_table(part: type, table: dict[str, Any], where: str, folder: Path) -> Any:
-    """An instance of the dataclass `part`, which checks its values; paths in `table` are relative to `folder`."""
-    fields = {item.name: item for item in dataclasses.fields(part)}
-    values = {}
-    for name, value in table.items():
-        _check_name(name, tuple(fields), "parameter", where)
-        is_path = fields[name].type in (Path, "Path") and isinstance(value, str)
-        values[name] = folder / value if is_path else value
-    for name, item in fields.items():
-        needed = item.default is item.default_factory is dataclasses.MISSING
-        if needed and name not in table:
-            raise RecipeError(f"{where} {name}: is missing, and has no default; give it a value")
-    try:
-        return part(**values)
-    except (ValueError, TypeError) as error:  # a user's own sensor may check its values in either way
-        raise RecipeError(f"{where} {printable(error)}") from None
-
-
-def _check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None:
-    if name not in known:
-        near = difflib.get_close_matches(str(name)[:100], known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        raise RecipeError(f"{where}: unknown {what} {short(name)}; {hint}")

@@ -32,7 +32,13 @@ def examples(tmp_path: Path) -> Path:
     text = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8")
     for content, name in re.findall(r"```\w+\n(# (\S+)\n.*?)```", text, re.DOTALL):
         (tmp_path / name).write_text(content, encoding="utf-8")
-    assert {path.name for path in tmp_path.iterdir()} == {"my_sensor.py", "my.toml", "my_engine.py", "make.py"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "my_sensor.py",
+        "my.toml",
+        "my_lidar.toml",
+        "my_engine.py",
+        "make.py",
+    }
     recipe = tmp_path / "my.toml"
     recipe.write_text(recipe.read_text().replace("petals = 5.7\n", SMALL))
     return tmp_path

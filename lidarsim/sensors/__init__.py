@@ -41,9 +41,27 @@ class Sensor(Protocol):
         ...
 
 
+FAMILIES = {
+    "raster": "lidarsim.sensors.raster:Lidar",
+    "table": "lidarsim.sensors.table:BeamFile",
+    "spinning": "lidarsim.sensors.spinning:Spinning",
+    "rosette": "lidarsim.sensors.nonrepetitive:Rosette",
+    "coil": "lidarsim.sensors.nonrepetitive:Coil",
+    "pinhole": "lidarsim.sensors.pinhole:Pinhole",
+}
+"""Families: dataclasses whose fields are the parameters."""
+CATALOGUE = {
+    **{f"velodyne-{name.lower().replace('_', '-')}": name for name in ("VLP_16", "HDL_32E", "HDL_64E")},
+    **{f"ouster-os{n}-{beams}": f"OS{n}_{beams}" for n in (0, 1, 2) for beams in (32, 64, 128)},
+    **{"hesai-xt-32": "XT_32", "hesai-qt-128": "QT_128"},
+    **{"robosense-helios-1615": "HELIOS_1615", "robosense-helios-16p": "HELIOS_16P"},
+    **{"livox-mid-360": "MID_360", "livox-avia": "AVIA", "realsense-d435": "D435", "realsense-d455": "D455"},
+}
+"""Sensors that people have: names, each with its object in `lidarsim.sensors.catalogue`."""
+
 SENSORS = Registry(
     "sensor",
-    {"raster": "lidarsim.sensors.raster:Lidar", "table": "lidarsim.sensors.table:BeamFile"},
+    FAMILIES | {name: f"lidarsim.sensors.catalogue:{place}" for name, place in CATALOGUE.items()},
     needs={
         "shape": "a tuple of counts, such as (16, 120)",
         "directions_body": "unit vectors (*shape, 3) in the body frame",
@@ -51,6 +69,7 @@ SENSORS = Registry(
         "max_range_m": "metres",
     },
 )
-"""Sensors by name, for a recipe's ``[lidar] sensor = "…"``: frozen dataclasses whose fields are the parameters."""
+"""Sensors by name, for a recipe's ``[lidar] sensor = "…"``: families, and sensors of the catalogue, whose fields a
+recipe changes."""
 RASTER = "raster"
 """The sensor of a recipe that names none."""

@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
-from lidarsim.sensors import SENSORS
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
-from scenegen.terminal.options import json_option, out_option, quiet_option, seed_option, workers_option
+from scenegen.terminal.options import (
+    json_option,
+    lidar_option,
+    out_option,
+    quiet_option,
+    seed_option,
+    workers_option,
+)
 from scenegen.terminal.progress import Progress, announce_compilation, note
 from scenegen.terminal.show import flat, per_split, rejections, say, show_table
 from scenegen.terminal.types import Named, ShardRange
@@ -28,9 +34,7 @@ NETWORK_EDGE = 8
 @click.option("--kind", type=Named(KINDS), help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.")
 @click.option("--scene", type=click.Path(path_type=Path), help="An MJCF file of your own world, or a folder of them.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
-@click.option(
-    "--sensor", type=Named(SENSORS), help="The recipe's [lidar] sensor: a name as there.  [default: the recipe's]"
-)
+@lidar_option("The sensor", "  [default: the recipe's]")
 @click.option(
     "--engine",
     type=Named(ENGINES),
@@ -118,6 +122,7 @@ def generate(
 def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Plan":
     """What the options ask for, resolved."""
     from scenegen.dataset.build import plan_dataset
+    from scenegen.lidar import named_lidar
     from scenegen.recipe import preset, read_recipe
     from scenegen.source import DrawnWorlds, Source, read_scenes
 
@@ -127,8 +132,8 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
     if kind is not None and scene is not None:
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     named = kind if scene is None else "scene"
-    sensor = options["sensor"]
-    recipe = preset(named, sensor=sensor) if file is None else read_recipe(file, named, sensor=sensor)
+    lidar = None if options["lidar"] is None else named_lidar(options["lidar"])
+    recipe = preset(named, lidar=lidar) if file is None else read_recipe(file, named, lidar=lidar)
     source: Source
     if scene is not None:
         source = read_scenes(scene, counts, seed=seed, allow_unseen=options["allow_unseen"])

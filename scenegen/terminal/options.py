@@ -11,9 +11,10 @@ import rich_click as click
 from click.core import ParameterSource
 
 from lidarsim.parameters import BOUNDS, Bounds
+from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
 from scenegen.limits import MOST_WORKERS
-from scenegen.terminal.types import DatasetPath, Number, OutputFile
+from scenegen.terminal.types import DatasetPath, Named, Number, OutputFile
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -59,6 +60,19 @@ def out_option(help: str, default: Path | None = None, *, file: bool = False) ->
     kind = OutputFile() if file else click.Path(path_type=Path)
     names = ("--output", "--out") if file else ("--out", "--output")
     return click.option("-o", *names, "out", type=kind, default=default, show_default=True, help=help)
+
+
+def lidar_option(what: str, default: str = "") -> Callable[[Function], Function]:
+    """--lidar, or --sensor: a sensor's name, a TOML file of one, or module:Object; the parameter is `lidar`."""
+    told = f"{what}: a name (`scenegen sensors` lists them), a .toml file, or MODULE:CLASS.{default}"
+    return click.option("--lidar", "--sensor", "lidar", type=Named(SENSORS, file=".toml"), help=told)
+
+
+noise_option = click.option(
+    "--noise",
+    metavar="STAGE:VALUE…,…",
+    help="Faults of the sensor, such as range:0.02,dropout:0.05, or datasheet for what it comes with.  [default: none]",
+)
 
 
 def options_of(config: type, prefix: str = "", **helps: str) -> Callable[[Function], Function]:

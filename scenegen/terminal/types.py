@@ -11,13 +11,15 @@ from lidarsim.registry import Registry
 
 
 class Named(click.ParamType):
-    """The name of something in a registry, or a user's own as module:Object."""
+    """The name of something in a registry, or a user's own as module:Object, or, with `file`, a file that ends so."""
 
-    def __init__(self, registry: Registry):
-        self.registry, self.name = registry, registry.what
+    def __init__(self, registry: Registry, *, file: str | None = None):
+        self.registry, self.name, self.file = registry, registry.what, file
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """The name, if it can be one; a user's own is imported later."""
+        if self.file is not None and value.endswith(self.file):
+            return str(value)
         if ":" not in value and value not in self.registry.known:
             self.fail(self.registry.unknown(value), param, ctx)
         return str(value)
@@ -79,6 +81,22 @@ class Number(click.ParamType):
         if not self.bounds.hold(number):
             self.fail(f"{value} is not {self.bounds}", param, ctx)
         return number
+
+
+class Numbers(click.ParamType):
+    """So many finite numbers, with commas between them."""
+
+    def __init__(self, name: str, count: int):
+        self.name, self.count = name, count
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, ...]:
+        """The numbers."""
+        parts = str(value).split(",")
+        if len(parts) != self.count:
+            self.fail(
+                f"{str(value)[:60]!r}: expected {self.name}, {self.count} numbers with commas between", param, ctx
+            )
+        return tuple(Number().convert(part, param, ctx) for part in parts)
 
 
 class ShardRange(click.ParamType):

@@ -55,6 +55,7 @@ def test_json_and_quiet_and_dry_run_print_what_they_say(
 def test_an_engine_and_a_sensor_are_taken_by_name(
     small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    small.write_text(SMALL.replace("[lidar]\nrows = 8\ncolumns = 24\n", ""))
     words = ("generate", "--recipe", small, "--n", 3, "--val", 0, "--test", 0, "--workers", 1, "--out", tmp_path / "d")
     named = (*words, "--quiet", "--engine", "mujoco", "--sensor", "raster")
     assert run(capsys, *named) == (0, "", "")

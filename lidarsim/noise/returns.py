@@ -1,0 +1,111 @@
+"""What stages pass on, and what they may ask of the world."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.engines import Engine
+from lidarsim.pose import Pose
+from lidarsim.scan import Scan
+from lidarsim.sensors import Sensor
+
+GREY = 0.5
+"""The albedo of a surface of which nothing else is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Returns:
+    """The returns of one scan, one or two echoes a ray."""
+
+    ranges: NDArray[np.float64]
+    """(echoes, *shape), metres; ``inf`` where nothing returned."""
+    origins: NDArray[np.float64]
+    """(*shape, 3): where every ray began, in the world."""
+    directions: NDArray[np.float64]
+    """(*shape, 3): where it went."""
+    told_origins: NDArray[np.float64]
+    """(*shape, 3): where the sensor takes it to have begun; `origins`, unless it moves unawares."""
+    told_directions: NDArray[np.float64]
+    """(*shape, 3): where the sensor takes it to have gone."""
+    intensity: NDArray[np.float64] | None = None
+    """(echoes, *shape), from 0 to 1; None where no stage gives it."""
+
+    @classmethod
+    def of(cls, scan: Scan) -> "Returns":
+        """The returns of a clean scan, one echo a ray."""
+        directions = scan.directions
+        origins = np.broadcast_to(scan.pose.position, directions.shape)
+        return cls(scan.ranges.astype(np.float64)[None], origins, directions, origins, directions)
+
+    def points(self, echo: int = 0) -> NDArray[np.float64]:
+        """Where the sensor takes the returns of one echo to be, (M, 3) in the world, in ray order."""
+        hit = np.isfinite(self.ranges[echo])
+        return self.told_origins[hit] + self.ranges[echo][hit][:, None] * self.told_directions[hit]
+
+    def but(self, **changes: NDArray[np.float64]) -> "Returns":
+        """The same with other values; an intensity is 0 where nothing returns any more."""
+        changed = dataclasses.replace(self, **changes)
+        if changed.intensity is None:
+            return changed
+        return dataclasses.replace(changed, intensity=np.where(np.isfinite(changed.ranges), changed.intensity, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The sensor in its world."""
+
+    engine: Engine
+    sensor: Sensor
+    pose: Pose
+    albedo: NDArray[np.float64] | None = None
+    """(geoms,): what share of light every geom of the model reflects, see `albedo_of`; `GREY` for all where None."""
+
+    def cast(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Clean ranges (*shape) of rays that begin at origins (*shape, 3); ``inf`` beyond the sensor's range."""
+        ranges = np.empty(directions.shape[:-1])
+        for group, origin in _by_origin(origins):
+            ranges[group] = np.asarray(
+                self.engine.cast(origin[None], directions[group][None], self.sensor.max_range_m)
+            ).reshape(ranges[group].shape)
+        return ranges
+
+    def surfaces(self, returns: Returns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Cosine of the angle between ray and normal, and albedo, (*shape) each, of what the rays meet first; 0 where
+        that is nothing. Raises ValueError for an engine that cannot tell."""
+        hits = getattr(self.engine, "hits", None)
+        if hits is None:
+            raise ValueError(
+                f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use the engine analytic"
+            )
+        cosine, albedo = np.zeros(returns.directions.shape[:-1]), np.zeros(returns.directions.shape[:-1])
+        for group, origin in _by_origin(returns.origins):
+            directions = returns.directions[group]
+            found = hits(origin[None], directions[None], self.sensor.max_range_m)
+            geoms = found.geoms.reshape(cosine[group].shape)
+            met = np.abs((found.normals.reshape(directions.shape) * directions).sum(axis=-1))
+            cosine[group] = np.where(geoms >= 0, np.nan_to_num(met), 0.0)
+            light = np.full(geoms.shape, GREY) if self.albedo is None else self.albedo[geoms]
+            albedo[group] = np.where(geoms >= 0, light, 0.0)
+        return cosine, albedo
+
+
+def albedo_of(model: mujoco.MjModel) -> NDArray[np.float64]:
+    """What share of light every geom reflects, (ngeom,): the brightness of its material's colour, or of its own without
+    one, by the weights of ITU-R BT.709. Textures are not looked at."""
+    colour = model.geom_rgba[:, :3].astype(np.float64)
+    dressed = model.geom_matid >= 0
+    colour[dressed] = model.mat_rgba[model.geom_matid[dressed], :3]
+    return np.clip((0.2126 * colour[:, 0] + 0.7152 * colour[:, 1]) + 0.0722 * colour[:, 2], 0.0, 1.0)
+
+
+def _by_origin(origins: NDArray[np.float64]) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
+    """The rays that share an origin, as a mask (*shape), and that origin (3,)."""
+    flat = origins.reshape(-1, 3)
+    if (flat == flat[0]).all():
+        return [(np.ones(origins.shape[:-1], np.bool_), flat[0])]
+    places, which = np.unique(flat, axis=0, return_inverse=True)
+    which = which.reshape(origins.shape[:-1])
+    return [(which == n, place) for n, place in enumerate(places)]

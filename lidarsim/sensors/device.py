@@ -1,0 +1,101 @@
+"""What sensors that are sold have in common: a name, a source of their figures, a mount, and limits of range."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.elementary import sin_cos
+from lidarsim.limits import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS
+from lidarsim.parameters import check, number
+from lidarsim.pose import rotate
+
+MOST_TEXT = 300
+"""Characters of a sensor's name, source or noise."""
+ABOUT = ("name", "source", "noise")
+"""Fields that say something of a sensor and change none of its rays."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Device:
+    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and `times_s`."""
+
+    name: str = ""
+    """What it is called; the catalogue's names are taken."""
+    source: str = ""
+    """The document that its figures come from."""
+    noise: str = ""
+    """Its faults by that document, as a chain of `lidarsim.noise`: what `--noise datasheet` adds."""
+    max_range_m: float = number(100.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
+    """Farthest return, metres; nothing is returned beyond."""
+    min_range_m: float = number(0.0, least=0, most=MOST_RANGE_M)
+    """Nearest return, metres. Clean scans hold nearer ones, too; the noise stage `near` takes them out."""
+    pitch_deg: float = number(0.0, least=-90, most=90)
+    """How far the sensor is turned nose down as a rigid body, degrees."""
+    lever_arm_m: tuple[float, float, float] = number((0.0, 0.0, 0.0), least=-100, most=100)
+    """Where the sensor is on the body, x y z in the body frame, metres."""
+
+    def __post_init__(self) -> None:
+        check(self)
+        for item in ABOUT:
+            if len(said := getattr(self, item)) > MOST_TEXT or not said.isprintable():
+                raise ValueError(f"{item} = {said[:40]!a}: expected {MOST_TEXT} printable characters at most")
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError(
+                f"min_range_m = {self.min_range_m:g}: expected less than max_range_m = {self.max_range_m:g}"
+            )
+        if not 0 < math.prod(self.shape) <= MOST_RAYS:
+            raise ValueError(f"{' × '.join(map(str, self.shape))} rays: expected from 1 to {MOST_RAYS}")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How the rays are ordered."""
+        raise NotImplementedError
+
+    @property
+    def directions_sensor(self) -> NDArray[np.float64]:
+        """Unit vectors (*shape, 3) in the sensor frame: x forward, y left, z up."""
+        raise NotImplementedError
+
+    @property
+    def times_s(self) -> NDArray[np.float64]:
+        """When each ray is cast, (*shape), seconds after the scan begins."""
+        raise NotImplementedError
+
+    @cached_property
+    def directions_body(self) -> NDArray[np.float64]:
+        """`directions_sensor` turned nose down by `pitch_deg`; the same bits on every processor."""
+        sin_half, cos_half = sin_cos(np.radians(self.pitch_deg) / 2)
+        directions = rotate([float(cos_half), 0.0, float(sin_half), 0.0], self.directions_sensor)
+        directions.setflags(write=False)
+        return directions
+
+    @property
+    def made_by(self) -> str:
+        """The name, and the fields that are not as they come: ``velodyne-vlp-16(rate_hz=20.0)``."""
+        from lidarsim.sensors.catalogue import NAMED  # which imports this module
+
+        usual = NAMED.get(self.name)
+        given = [
+            f"{item.name}={getattr(self, item.name)!r}"
+            for item in dataclasses.fields(self)
+            if item.name not in ABOUT
+            and getattr(self, item.name) != (getattr(usual, item.name) if usual else item.default)
+        ]
+        made = f"{self.name or type(self).__name__.lower()}({', '.join(given)})".removesuffix("()")
+        return made if len(made) <= MOST_TEXT else f"{made[: MOST_TEXT - 3]}..."
+
+    def __str__(self) -> str:
+        tilt = f", {self.pitch_deg:g}° nose down" if self.pitch_deg else ""
+        rays = " × ".join(map(str, self.shape))
+        return f"{rays} rays of {self.name or type(self).__name__.lower()}{tilt}, up to {self.max_range_m:g} m"
+
+
+def pointing(elevation_deg: NDArray[np.float64], azimuth_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors (..., 3) of angles (...) that broadcast: up from the horizon, and from x towards y."""
+    sin_e, cos_e = sin_cos(np.radians(elevation_deg))
+    sin_a, cos_a = sin_cos(np.radians(azimuth_deg))
+    return np.stack(np.broadcast_arrays(cos_e * cos_a, cos_e * sin_a, sin_e), axis=-1)

@@ -1,0 +1,84 @@
+"""`scenegen scan`: one scan of a world, as a cloud of points."""
+
+import json
+from pathlib import Path
+
+import rich_click as click
+
+from lidarsim.engines import ENGINES
+from lidarsim.sensors import RASTER
+from scenegen.terminal.options import json_option, lidar_option, noise_option, out_option, quiet_option, seed_option
+from scenegen.terminal.show import show_table
+from scenegen.terminal.types import Named, Numbers
+
+
+@click.command()
+@click.argument("world", type=click.Path(path_type=Path))
+@click.option("--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees.")
+@click.option("--flight", is_flag=True, help="A viewpoint of a random flight instead.")
+@lidar_option("The sensor", "  [default: raster]")
+@noise_option
+@click.option("--engine", type=Named(ENGINES), default="analytic", show_default=True, help="What casts the rays.")
+@click.option(
+    "--frame",
+    type=click.Choice(["body", "world"]),
+    default="body",
+    show_default=True,
+    help="Frame of the points: the body when the scan begins, or the world.",
+)
+@seed_option("What the noise, and the flight, are drawn by.")
+@out_option("The file to write: .ply, .npz or .bin.", Path("scan.ply"), file=True)
+@json_option
+@quiet_option
+def scan(
+    world: Path,
+    pose: tuple[float, ...] | None,
+    flight: bool,
+    lidar: str | None,
+    noise: str | None,
+    engine: str,
+    frame: str,
+    seed: int,
+    out: Path,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Scan the world of an MJCF file once, and write the returns as points."""
+    if (pose is None) != flight:
+        raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
+    import math
+
+    import numpy as np
+
+    from lidarsim import Pose
+    from lidarsim.pose import rotate
+    from scenegen.lidar import named_lidar, named_noise
+    from scenegen.points import check_suffix, write_points
+    from scenegen.single import pose_in_flight, read_world, scan_world
+
+    check_suffix(out)
+    sensor = named_lidar(lidar or RASTER)
+    chain = named_noise(noise, sensor)
+    found = read_world(world)
+    at = pose_in_flight(found, seed=seed) if pose is None else Pose.level(pose[:3], math.radians(pose[3]))
+    seen = scan_world(found, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
+    echoes = range(len(seen.ranges))
+    points = np.concatenate([seen.points(echo) for echo in echoes])
+    if frame == "body":
+        back = at.quaternion * (1.0, -1.0, -1.0, -1.0)
+        points = rotate(back, points - at.position)
+    intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
+    about = {"ranges": seen.ranges, "times_s": sensor.times_s, "position": at.position, "quaternion": at.quaternion}
+    write_points(out, points, intensity, about | {"lidar": str(sensor), "noise": str(chain), "frame": frame})
+    rows = {
+        "file": str(out),
+        "lidar": str(sensor),
+        "noise": str(chain) or "none",
+        "position": [round(float(value), 3) for value in at.position],
+        "rays": int(sensor.times_s.size),
+        "returns": len(points),
+    }
+    if as_json:
+        print(json.dumps(rows))
+    elif not quiet:
+        show_table(rows)

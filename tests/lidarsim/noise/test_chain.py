@@ -1,0 +1,146 @@
+"""Chains: their text, their order, their streams of chance, and what bounds them."""
+
+import dataclasses
+import itertools
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from lidarsim import AnalyticEngine, Lidar, Pose, cast
+from lidarsim.noise import STAGES
+from lidarsim.noise.beam import Divergence
+from lidarsim.noise.chain import Noise
+from lidarsim.noise.losses import Dropout
+from lidarsim.noise.ranges import Range
+from lidarsim.sensors.catalogue import NAMED
+
+ENGINE = AnalyticEngine.of(
+    mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="plane" size="9 9 1"/><geom size="1" pos="4 0 1"/></worldbody></mujoco>'
+    )
+)
+SCAN = cast(ENGINE, Lidar(), Pose.level((0.0, 0.0, 2.0)))
+
+
+def test_no_noise_gives_the_clean_bits() -> None:
+    clean = Noise().observe(SCAN, ENGINE, rng=np.random.default_rng(0))
+    assert clean.ranges[0].astype(np.float32).tobytes() == SCAN.ranges.tobytes()
+    np.testing.assert_array_equal(clean.points(), SCAN.points())
+
+
+def test_a_text_becomes_stages_and_they_become_it() -> None:
+    chain = Noise.parse("divergence:2.5:returns=last, range:0.01:share=0.002,dropout")
+    assert chain.stages == (Divergence(mrad=2.5, returns="last"), Range(sigma_m=0.01, share=0.002), Dropout())
+    assert str(chain) == "divergence:mrad=2.5:returns=last,range:sigma_m=0.01:share=0.002,dropout"
+
+
+@pytest.mark.parametrize("name", STAGES.known)
+def test_every_stage_reads_back_from_its_text(name: str) -> None:
+    stage = STAGES.find(name)()
+    for item in dataclasses.fields(stage):
+        value = getattr(stage, item.name)
+        other = {bool: not value, str: "dual"}.get(type(value), 7 if item.name in ("rays", "poses") else 0.25)
+        changed = dataclasses.replace(stage, **{item.name: other})
+        assert Noise.parse(str(Noise((changed,)))).stages == (changed,)
+    assert str(Noise((stage,))) == name
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_the_noise_of_a_data_sheet_is_a_chain(name: str) -> None:
+    chain = Noise.parse("datasheet", NAMED[name])
+    assert Noise.parse(NAMED[name].noise) == chain
+    assert 0 < chain.bound_m(10.0) < 10
+
+
+def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_before_it() -> None:
+    def ranges(text: str, seed: int = 1) -> np.ndarray:
+        return Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(seed)).ranges
+
+    assert ranges("range,dropout:0.2").tobytes() == ranges("range,dropout:0.2").tobytes()
+    assert ranges("range").tobytes() != ranges("range", seed=2).tobytes()
+    both, one = ranges("range,dropout:0.2"), ranges("range")
+    left = np.isfinite(both)
+    assert 0 < left.sum() < np.isfinite(one).sum()
+    assert (both[left] == one[left]).all()
+
+
+@pytest.mark.parametrize(
+    "text", ["range:0.05:share=0.01", "range,quantise:0.1,dropout,far", "grazing,faint,near:3,depth"]
+)
+def test_no_return_moves_further_than_the_bound(text: str) -> None:
+    chain = Noise.parse(text)
+    told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
+    left = np.isfinite(told)
+    assert left.sum() > 50
+    assert np.isfinite(SCAN.ranges[left]).all()
+    assert np.abs(told[left] - SCAN.ranges[left]).max() <= chain.bound_m(SCAN.lidar.max_range_m)
+    assert chain.bound_m(10.0) == sum(stage.bound_m(10.0) for stage in chain.stages)
+    assert Noise.parse("range,spurious").bound_m(10.0) == math.inf
+
+
+def test_stages_that_cast_come_first_and_once() -> None:
+    ranks = {"motion": 0, "divergence": 1, "range": 2, "dropout": 2}
+    for pair in itertools.product(ranks, repeat=2):
+        fits = ranks[pair[0]] < ranks[pair[1]] or ranks[pair[0]] == ranks[pair[1]] == 2
+        if fits:
+            Noise.parse(",".join(pair))
+        else:
+            with pytest.raises(ValueError, match="put motion first, then divergence"):
+                Noise.parse(",".join(pair))
+
+
+@pytest.fixture
+def standing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    before = list(sys.path)
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    sys.path[:] = before
+    sys.modules.pop("my_noise", None)
+
+
+def test_a_stage_of_ones_own(standing: Path) -> None:
+    (standing / "my_noise.py").write_text("""
+from dataclasses import dataclass
+from typing import ClassVar
+@dataclass(frozen=True, kw_only=True)
+class Shift:
+    order: ClassVar[int] = 2
+    by_m: float = 0.1
+    def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges + self.by_m)
+    def bound_m(self, max_range_m): return abs(self.by_m)
+""")
+    chain = Noise.parse("my_noise:Shift:0.5,range:0")
+    told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
+    assert str(chain) == "my_noise:Shift:by_m=0.5,range:sigma_m=0.0"
+    left = np.isfinite(told)
+    np.testing.assert_allclose(told[left], SCAN.ranges[left] + 0.5, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "an empty stage; expected stages, as"),
+        ("range,", "an empty stage"),
+        ("rnage:0.02", "did you mean 'range'"),
+        ("rnage", "did you mean 'range'"),
+        ("range:20", "noise stage range: sigma_m = 20: expected a finite number from 0 to 1"),
+        ("range:nan", "sigma_m = nan"),
+        ("range:0.1:0.2:0.3:0.4", "expected values of sigma_m, share, quadratic_per_m"),
+        ("range:sigma=1", "'sigma=1'"),
+        ("range:0.1:sigma_m=0.2", "each once"),
+        ("divergence:returns=best", "'strongest' or 'first' or 'last' or 'dual'"),
+        ("dropout:1.5", "share = 1.5"),
+        ("datasheet", "comes with none"),
+        ("my_absent:Fog", "there is no module my_absent"),
+        (",".join(["dropout"] * 21), "20 at most"),
+    ],
+)
+def test_a_text_that_is_none_is_told_of_in_one_line(text: str, told: str) -> None:
+    with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
+        Noise.parse(text)
+    assert told in str(error.value)

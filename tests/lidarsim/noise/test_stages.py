@@ -1,0 +1,284 @@
+"""Every stage against the distribution that it states: moments, and a statistical test with a fixed seed."""
+
+import dataclasses
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import stats
+
+from lidarsim import AnalyticEngine, BeamTable, MujocoEngine, Pose, Scan, cast
+from lidarsim.noise import Stage
+from lidarsim.noise.beam import Divergence
+from lidarsim.noise.chain import Noise
+from lidarsim.noise.light import Intensity
+from lidarsim.noise.losses import Dropout, Faint, Far, Grazing, Spurious
+from lidarsim.noise.motion import Motion
+from lidarsim.noise.ranges import Depth, Near, Quantise, Range
+from lidarsim.noise.returns import Returns, View, albedo_of
+
+RAYS = 20_000
+REACH_M = 50.0
+LEVEL = Pose.level((0.0, 0.0, 0.0))
+
+
+class Nowhere:
+    """An engine that meets nothing: for stages that ask it nothing."""
+
+    @classmethod
+    def of(cls, model: Any, data: Any = None) -> "Nowhere":
+        return cls()
+
+    def cast(self, origins: Any, directions: Any, max_range_m: float) -> np.ndarray:
+        raise AssertionError("asked")
+
+
+def ahead(count: int, reach_m: float = REACH_M) -> BeamTable:
+    """A sensor whose rays all go straight ahead."""
+    return BeamTable(rays=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), max_range_m=reach_m)
+
+
+def world(*geoms: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{''.join(geoms)}</worldbody></mujoco>")
+
+
+def applied(stage: Stage, ranges: Any, sensor: Any = None, seed: int = 5) -> np.ndarray:
+    """What a stage makes of ranges (n,) straight ahead."""
+    ranges = np.asarray(ranges, np.float32)
+    scan = Scan(ranges, LEVEL, sensor or ahead(len(ranges)))
+    return Noise((stage,)).observe(scan, Nowhere(), rng=np.random.default_rng(seed)).ranges[0]
+
+
+@pytest.mark.parametrize("at_m", [2.0, 10.0])
+@pytest.mark.parametrize("stage", [Range(sigma_m=0.03), Range(sigma_m=0.0, share=0.01), Range(quadratic_per_m=0.002)])
+def test_range_noise_is_normal_with_the_stated_deviation(stage: Range, at_m: float) -> None:
+    moved = applied(stage, np.full(RAYS, at_m)) - at_m
+    sigma = stage.sigma_m + stage.share * at_m + stage.quadratic_per_m * at_m**2
+    assert abs(moved.mean()) < 4 * sigma / math.sqrt(RAYS)
+    assert moved.std() == pytest.approx(sigma, rel=0.02)
+    assert stats.kstest(moved / sigma, "norm").pvalue > 0.01
+    assert np.abs(moved).max() <= stage.bound_m(at_m) + 1e-12
+    assert stage.bound_m(at_m) == pytest.approx(4 * sigma)
+
+
+def test_depth_noise_grows_with_the_square_of_the_depth_and_not_of_the_range() -> None:
+    tilt = math.radians(40)
+    rays = np.array([[math.cos(tilt), side * math.sin(tilt), 0.0, 0.0] for side in (-1, 1)] * (RAYS // 2))
+    sensor, stage = BeamTable(rays=rays, max_range_m=REACH_M), Depth(quadratic_per_m=0.005)
+    moved = applied(stage, np.full(RAYS, 8.0), sensor) - 8.0
+    depth = 8.0 * math.cos(tilt)
+    in_depth = moved * math.cos(tilt)
+    assert in_depth.std() == pytest.approx(0.005 * depth**2, rel=0.02)
+    assert stats.kstest(in_depth / (0.005 * depth**2), "norm").pvalue > 0.01
+
+
+def test_what_noise_moves_out_of_reach_is_lost() -> None:
+    kept = applied(Range(sigma_m=0.5), np.full(RAYS, REACH_M))
+    assert np.isfinite(kept).mean() == pytest.approx(0.5, abs=0.02)
+    assert kept[np.isfinite(kept)].max() <= REACH_M
+    assert applied(Range(sigma_m=0.5), np.full(RAYS, 0.01)).min() > 0
+    assert np.isinf(applied(Range(), np.full(9, np.inf))).all()
+
+
+def test_quantised_ranges_are_the_nearest_steps() -> None:
+    ranges = np.random.default_rng(1).uniform(1, 40, RAYS).astype(np.float32).astype(float)
+    steps = applied(Quantise(step_m=0.05), ranges)
+    np.testing.assert_allclose(steps / 0.05, np.rint(steps / 0.05), atol=1e-9)
+    off = steps - ranges
+    assert np.abs(off).max() <= Quantise(step_m=0.05).bound_m(REACH_M) + 1e-9
+    assert stats.kstest(off / 0.05 + 0.5, "uniform").pvalue > 0.01
+
+
+def test_nothing_returns_from_nearer_than_the_least_range() -> None:
+    assert applied(Near(min_range_m=0.3), [0.1, 0.299, 0.31, 7.0]).tolist() == [np.inf, np.inf, np.float32(0.31), 7.0]
+
+
+@pytest.mark.parametrize(
+    ("stage", "at_m", "share"),
+    [
+        (Dropout(share=0.05), 3.0, 0.05),
+        (Dropout(share=1.0), 3.0, 1.0),
+        (Far(share=0.8), 25.0, 0.2),
+        (Far(power=1), 25.0, 0.25),
+    ],
+)
+def test_returns_are_lost_with_the_stated_probability(stage: Stage, at_m: float, share: float) -> None:
+    left = applied(stage, np.full(RAYS, at_m))
+    lost = int(np.isinf(left).sum())
+    assert stats.binomtest(lost, RAYS, share).pvalue > 0.01
+    assert (left[np.isfinite(left)] == at_m).all()
+    runs = np.flatnonzero(np.diff(np.isinf(left)))  # a lost one tells nothing of the next
+    assert len(runs) == pytest.approx(2 * share * (1 - share) * RAYS, rel=0.1, abs=1)
+
+
+def wall(turn_deg: float, grey: float = 0.4) -> str:
+    """A wide wall 10 m ahead, its normal turned by `turn_deg` away from the sensor."""
+    return f'<geom type="box" size="0.5 60 60" pos="10 0 0" euler="0 0 {turn_deg}" rgba="{grey} {grey} {grey} 1"/>'
+
+
+def seen(stage: Stage, *geoms: str, rays: int = RAYS) -> Returns:
+    """What rays straight ahead return of some geoms."""
+    model = world(*geoms)
+    engine = AnalyticEngine.of(model)
+    scan = cast(engine, ahead(rays), LEVEL)
+    return Noise((stage,)).observe(scan, engine, rng=np.random.default_rng(3), albedo=albedo_of(model))
+
+
+@pytest.mark.parametrize(("turn_deg", "share"), [(0, 0.0), (60, 0.0), (80, 0.5), (85, 0.75)])
+def test_flat_angles_are_lost_with_the_stated_probability(turn_deg: float, share: float) -> None:
+    lost = int(np.isinf(seen(Grazing(from_deg=70), wall(turn_deg)).ranges).sum())
+    assert stats.binomtest(lost, RAYS, share).pvalue > 0.01
+
+
+def test_faint_returns_are_lost_beyond_a_range_that_grows_with_albedo_and_cosine() -> None:
+    # 10 % reflectivity head on is found up to 5.5 m, so 0.4 up to 11 m, and 0.4 at 60° up to 7.8 m
+    assert np.isfinite(seen(Faint(range_m=5.5, softness=0), wall(0)).ranges).all()
+    assert np.isinf(seen(Faint(range_m=5.5, softness=0), wall(60)).ranges).all()
+    assert np.isinf(seen(Faint(range_m=5.5, softness=0), wall(0, grey=0.1)).ranges).all()
+    found = int(np.isfinite(seen(Faint(range_m=4.5, softness=0.1), wall(0)).ranges).sum())
+    reach = 4.5 * math.sqrt(0.4 / 0.1)
+    assert stats.binomtest(found, RAYS, float(stats.norm.sf((9.5 / reach - 1) / 0.1))).pvalue > 0.01
+
+
+@pytest.mark.parametrize("turn_deg", [0, 30, 60])
+def test_intensity_is_albedo_times_cosine(turn_deg: float) -> None:
+    clean = seen(Intensity(), wall(turn_deg), rays=9).intensity
+    assert clean == pytest.approx(np.full((1, 9), 0.4 * math.cos(math.radians(turn_deg))), abs=1e-6)
+    noisy = seen(Intensity(sigma=0.01), wall(turn_deg)).intensity
+    assert noisy is not None
+    off = noisy[0] - 0.4 * math.cos(math.radians(turn_deg))
+    assert stats.kstest(off / 0.01, "norm").pvalue > 0.01
+    lost = Noise((Intensity(), Dropout(share=0.5)))
+    model = world(wall(0))
+    engine = AnalyticEngine.of(model)
+    left = lost.observe(cast(engine, ahead(99), LEVEL), engine, rng=np.random.default_rng(0))
+    assert left.intensity is not None
+    assert ((left.intensity > 0) == np.isfinite(left.ranges)).all()
+
+
+def test_colours_are_those_of_materials_or_of_geoms() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><asset><material name="m" rgba="1 1 1 1"/></asset><worldbody>'
+        '<geom size="1" material="m" rgba="0 0 0 1"/><geom size="1" rgba="0 1 0 1"/>'
+        '<geom size="1" rgba="0 0 0 1"/></worldbody></mujoco>'
+    )
+    assert albedo_of(model) == pytest.approx([1.0, 0.7152, 0.0])
+
+
+@pytest.mark.parametrize("at_m", [10.0, np.inf])
+def test_spurious_returns_are_even_along_the_way(at_m: float) -> None:
+    told = applied(Spurious(share=0.3), np.full(RAYS, at_m))
+    chosen = told != at_m
+    assert stats.binomtest(int(chosen.sum()), RAYS, 0.3).pvalue > 0.01
+    assert stats.kstest(told[chosen] / min(at_m, REACH_M), "uniform").pvalue > 0.01
+
+
+def edge(near_m: float, far_m: float, covered: float) -> tuple[str, str]:
+    """A wall at `far_m`, and one at `near_m` whose upper edge lies so that it stands `covered` m above
+    the axis."""
+    return (
+        f'<geom type="box" size="0.5 60 60" pos="{far_m + 0.5} 0 0"/>',
+        f'<geom type="box" size="0.01 60 30" pos="{near_m + 0.01} 0 {covered - 30}"/>',
+    )
+
+
+def test_a_cone_over_an_edge_returns_the_near_the_far_or_a_mixed_range() -> None:
+    def told(**values: Any) -> np.ndarray:
+        return seen(Divergence(mrad=10, rays=200, **values), *edge(10.0, 20.0, 0.0), rays=20).ranges
+
+    assert told(returns="first")[0] == pytest.approx(np.full(20, 10.0), abs=1e-3)
+    assert told(returns="last")[0] == pytest.approx(np.full(20, 20.0), abs=1e-3)
+    mixed = told(resolution_m=50)[0]
+    assert mixed == pytest.approx(np.full(20, 15.0), abs=0.5)  # the edge goes through the axis
+    dual = told(returns="dual")
+    assert dual.shape == (2, 20)
+    both = np.sort(dual[:, np.isfinite(dual[1])], axis=0)
+    assert both.size
+    np.testing.assert_allclose(both, np.broadcast_to([[10.0], [20.0]], both.shape), atol=1e-3)
+
+
+@pytest.mark.parametrize("aside", [-0.02, -0.01, 0.01, 0.02])
+def test_the_share_of_a_cone_on_either_side_of_an_edge_is_that_of_a_disk(aside: float) -> None:
+    """The mixed range is the mean by area: a chord cuts a disk of radius 0.05 at 10 m."""
+    stage = Divergence(mrad=10, rays=500, resolution_m=50)
+    told = float(seen(stage, *edge(10.0, 20.0, aside), rays=10).ranges.mean())
+    x = aside / 0.05
+    near = 0.5 + (x * math.sqrt(1 - x * x) + math.asin(x)) / math.pi
+    assert told == pytest.approx(10 * near + 20 * (1 - near), abs=0.1)
+
+
+def test_the_strongest_echo_is_the_one_of_most_light() -> None:
+    stage = Divergence(mrad=10, rays=100)
+    assert seen(stage, *edge(10.0, 20.0, -0.02), rays=5).ranges[0] == pytest.approx(np.full(5, 20.0), abs=1e-3)
+    assert seen(stage, *edge(10.0, 20.0, 0.02), rays=5).ranges[0] == pytest.approx(np.full(5, 10.0), abs=1e-3)
+    alone = seen(dataclasses.replace(stage, returns="dual"), wall(0), rays=5)
+    assert np.isinf(alone.ranges[1]).all()
+    assert np.isinf(seen(stage, rays=5).ranges).all()
+
+
+def turning(rays: int = 200, scan_s: float = 0.1) -> BeamTable:
+    """A horizontal turn, one ray after the other."""
+    angle = 2 * math.pi * np.arange(rays) / rays
+    columns = (np.cos(angle), np.sin(angle), np.zeros(rays), scan_s * np.arange(rays) / rays)
+    return BeamTable(rays=np.stack(columns, axis=-1), max_range_m=REACH_M)
+
+
+ROOM = [f'<geom type="box" size="{s}" pos="{p}"/>' for s, p in (("1 20 5", "11 0 0"), ("1 20 5", "-11 0 0"))]
+ROOM += [f'<geom type="box" size="20 1 5" pos="0 {side} 0"/>' for side in (11, -11)]
+
+
+@pytest.mark.parametrize("engine_of", [AnalyticEngine.of, MujocoEngine.of])
+@pytest.mark.parametrize("turned", [0.0, 200.0])
+def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(engine_of: Any, turned: float) -> None:
+    """The room is 20 m wide: a point on a wall has 10 m for its greater coordinate."""
+    engine = engine_of(world(*ROOM))
+    motion = Motion(forward_mps=8.0, left_mps=-2.0, yaw_rate_deg_s=turned, poses=400)
+    pose = Pose.level((1.0, -2.0, 0.5), yaw_rad=0.4)
+    scan = cast(engine, turning(), pose)
+
+    def off(stage: Motion) -> np.ndarray:
+        told = Noise((stage,)).observe(scan, engine, rng=np.random.default_rng(0))
+        return np.abs(np.abs(told.points()[:, :2]).max(axis=1) - 10.0)
+
+    assert off(dataclasses.replace(motion, corrected=True)).max() < 1e-6
+    assert off(motion).max() > 0.2
+    assert off(Motion(forward_mps=0.0)).max() < 1e-5
+
+
+def test_a_ray_along_the_motion_is_shorter_by_the_way_flown() -> None:
+    """One ray at 0.1 s, straight at the wall 10 m ahead, at 3 m/s; and beside it, turned by the yaw meanwhile."""
+    sensor = BeamTable(rays=np.array([[1.0, 0, 0, 0.0], [1.0, 0, 0, 0.1]]), max_range_m=REACH_M)
+    engine = AnalyticEngine.of(world(*ROOM))
+    scan = cast(engine, sensor, LEVEL)
+
+    def told(stage: Motion) -> np.ndarray:
+        return Noise((stage,)).observe(scan, engine, rng=np.random.default_rng(0)).ranges[0]
+
+    assert told(Motion(forward_mps=3.0, poses=10_000)) == pytest.approx([10.0, 9.7], abs=1e-4)
+    assert told(Motion(forward_mps=0.0, yaw_rate_deg_s=300, poses=10_000))[1] == pytest.approx(
+        10 / math.cos(math.radians(30)), abs=1e-2
+    )
+
+
+@pytest.mark.parametrize("rate", [0.0, 40.0, -90.0])
+def test_the_arc_of_a_motion_is_the_sum_of_small_steps(rate: float) -> None:
+    motion = Motion(forward_mps=3.0, left_mps=1.0, up_mps=-0.5, yaw_rate_deg_s=rate)
+    heading, place, step = 0.0, np.zeros(3), 1e-4
+    for _ in range(10_000):
+        middle = heading + math.radians(rate) * step / 2
+        c, s = math.cos(middle), math.sin(middle)
+        place += step * np.array([3 * c - 1 * s, 3 * s + 1 * c, -0.5])
+        heading += math.radians(rate) * step
+    there, turn = motion.moved(1.0)
+    assert there == pytest.approx(place, abs=1e-6)
+    assert turn == pytest.approx(heading)
+
+
+def test_a_stage_that_asks_for_surfaces_needs_an_engine_that_knows_them() -> None:
+    model = world(wall(0))
+    engine = MujocoEngine.of(model)
+    with pytest.raises(ValueError, match="use the engine analytic"):
+        Noise((Grazing(),)).observe(cast(engine, ahead(3), LEVEL), engine, rng=np.random.default_rng(0))
+    assert View(engine, ahead(3), LEVEL).albedo is None

@@ -1,0 +1,191 @@
+"""Every sensor of the catalogue against figures of its document, measured on its rays; and sensors that cannot be."""
+
+import dataclasses
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from lidarsim import BeamTable, Lidar, MujocoEngine, Pose, cast
+from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS
+from lidarsim.sensors.catalogue import NAMED
+from lidarsim.sensors.device import Device
+from lidarsim.sensors.nonrepetitive import Coil, Rosette
+from lidarsim.sensors.pinhole import Pinhole
+from lidarsim.sensors.spinning import Spinning
+
+SPINNING = {
+    # beams, lowest and highest beam in degrees, degrees from column to column at 10 Hz, points a second
+    "velodyne-vlp-16": (16, -15.0, 15.0, 0.199, 0.289e6),
+    "velodyne-hdl-32e": (32, -30.67, 10.67, 0.166, 0.695e6),
+    "velodyne-hdl-64e": (64, -24.33, 2.0, 0.1728, 1.333e6),
+    **{f"ouster-os0-{n}": (n, -45.0, 45.0, 360 / 1024, n * 10240) for n in (32, 64, 128)},
+    **{f"ouster-os1-{n}": (n, -22.5, 22.5, 360 / 1024, n * 10240) for n in (32, 64, 128)},
+    **{f"ouster-os2-{n}": (n, -11.25, 11.25, 360 / 1024, n * 10240) for n in (32, 64, 128)},
+    "hesai-xt-32": (32, -16.0, 15.0, 0.18, 0.64e6),
+    "hesai-qt-128": (128, -52.6, 52.6, 0.4, 1.152e6),
+    "robosense-helios-1615": (32, -16.0, 15.0, 0.2, 0.576e6),
+    "robosense-helios-16p": (16, -15.0, 15.0, 0.2, 0.288e6),
+}
+RANGES_M = {"velodyne-vlp-16": 100, "velodyne-hdl-64e": 120, "ouster-os0-64": 50, "ouster-os1-64": 120}
+RANGES_M |= {"ouster-os2-64": 240, "hesai-xt-32": 120, "hesai-qt-128": 50, "livox-mid-360": 70, "livox-avia": 450}
+
+
+def angles_deg(sensor: Device) -> tuple[np.ndarray, np.ndarray]:
+    """Elevation and azimuth of every ray."""
+    x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
+    return np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
+
+
+def test_the_registry_and_the_catalogue_hold_the_same_sensors() -> None:
+    assert set(CATALOGUE) == set(NAMED)
+    assert set(SENSORS.known) == set(FAMILIES) | set(CATALOGUE)
+    assert {name for name in NAMED if isinstance(NAMED[name], Spinning)} == set(SPINNING)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_sensor_has_unit_rays_rising_times_and_a_source(name: str) -> None:
+    sensor = SENSORS.find(name)
+    assert sensor.name == name
+    assert len(sensor.source) > 20
+    table = BeamTable.of(sensor)
+    assert (table.shape, table.made_by) == (sensor.shape, name)
+    assert sensor.times_s.min() >= 0
+    assert (np.diff(sensor.times_s, axis=-1) >= 0).all()
+    assert 0 <= sensor.min_range_m < sensor.max_range_m == RANGES_M.get(name, sensor.max_range_m)
+    rays = sensor.directions_body.reshape(-1, 3)
+    assert len(np.unique(rays @ (1.0, 1e3, 1e6))) > 0.999 * len(rays)  # hardly two look the same way
+
+
+@pytest.mark.parametrize("name", SPINNING)
+def test_a_spinning_sensors_rays_are_as_documented(name: str) -> None:
+    beams, low, high, step_deg, points_hz = SPINNING[name]
+    sensor = NAMED[name]
+    assert isinstance(sensor, Spinning)
+    elevation, azimuth = angles_deg(sensor)
+    assert sensor.shape[0] == beams
+    assert (elevation.min(), elevation.max()) == pytest.approx((low, high), abs=0.01)
+    assert np.ptp(elevation, axis=1).max() < 1e-9  # a beam keeps its elevation
+    assert len(np.unique(elevation[:, 0].round(6))) == beams
+    steps = np.diff(np.unwrap(np.radians(azimuth), axis=1), axis=1)
+    np.testing.assert_allclose(np.degrees(steps), -step_deg, rtol=2e-3)  # clockwise from above
+    np.testing.assert_allclose(steps.sum(axis=1), -2 * math.pi, rtol=5e-3)  # a turn, but for its last column
+    assert elevation.size * sensor.rate_hz == pytest.approx(points_hz, rel=3e-3)
+    assert sensor.times_s.max() < 1 / sensor.rate_hz
+
+
+@pytest.mark.parametrize(
+    ("name", "firing", "gap_us"), [("velodyne-vlp-16", [-15, 1, -13, 3], 2.304), ("hesai-xt-32", [15, 14, 13], 1.512)]
+)
+def test_beams_fire_in_the_documented_order_while_the_head_turns(name: str, firing: list[int], gap_us: float) -> None:
+    sensor = NAMED[name]
+    elevation, azimuth = angles_deg(sensor)
+    order = np.argsort(sensor.times_s[:, 0])
+    assert elevation[order, 0][: len(firing)] == pytest.approx(firing)
+    assert np.diff(sensor.times_s[order, 0]) == pytest.approx(np.full(len(order) - 1, gap_us * 1e-6))
+    turned = np.unwrap(np.radians(azimuth[order, 5]))
+    assert np.diff(turned) == pytest.approx(np.full(len(order) - 1, -2 * math.pi * 10 * gap_us * 1e-6))
+
+
+def test_at_twice_the_rate_a_fixed_cycle_gives_half_the_columns() -> None:
+    vlp, ouster = NAMED["velodyne-vlp-16"], NAMED["ouster-os1-64"]
+    assert dataclasses.replace(vlp, rate_hz=20.0).shape == (16, vlp.shape[1] // 2)
+    assert dataclasses.replace(vlp, rate_hz=20.0).made_by == "velodyne-vlp-16(rate_hz=20.0)"
+    fast = dataclasses.replace(ouster, rate_hz=20.0)
+    assert fast.shape == ouster.shape
+    assert fast.times_s.max() == pytest.approx(ouster.times_s.max() / 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "points_hz", "up"), [("livox-mid-360", 2e5, (-7, 52)), ("livox-avia", 2.4e5, (-38.6, 38.6))]
+)
+def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(name: str, points_hz: float, up: Any) -> None:
+    sensor = NAMED[name]
+    elevation, azimuth = angles_deg(sensor)
+    assert sensor.shape == (points_hz / 10,)
+    assert sensor.times_s[-1] == pytest.approx(0.1, rel=1e-3)
+    assert (elevation.min(), elevation.max()) == pytest.approx(up, abs=0.5)
+    assert elevation.min() >= up[0] - 1e-9
+    assert elevation.max() <= up[1] + 1e-9
+    wide = 35.2 if name == "livox-avia" else 180
+    assert np.abs(azimuth).max() <= wide + 1e-9
+    assert np.abs(azimuth).max() > wide - 0.5
+
+    def cells(seed: int, window_s: float) -> set[tuple[int, int]]:
+        up, around = angles_deg(dataclasses.replace(sensor, seed=seed, window_s=window_s))
+        return set(zip(np.floor(up).astype(int).tolist(), np.floor(around).astype(int).tolist(), strict=True))
+
+    one, other = cells(1, 0.02), cells(2, 0.02)
+    assert len(one & other) < 0.8 * len(one)
+    assert one < cells(1, 0.1)
+    again = dataclasses.replace(sensor, seed=1)
+    np.testing.assert_array_equal(again.directions_body, dataclasses.replace(sensor, seed=1).directions_body)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5])
+def test_a_rosette_fills_the_ring_between_the_difference_and_the_sum_of_its_prisms(share: float) -> None:
+    half = math.radians(20)
+    rosette = Rosette(horizontal_fov_deg=40, vertical_fov_deg=40, second_share=share, window_s=1.0)
+    away = np.arccos(np.clip(rosette.directions_body[:, 0], -1, 1))
+    assert away.max() == pytest.approx(half, rel=1e-3)
+    assert away.min() == pytest.approx((1 - 2 * share) * half, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["realsense-d435", "realsense-d455"])
+def test_a_depth_cameras_rays_meet_a_plane_in_a_square_grid(name: str) -> None:
+    sensor = NAMED[name]
+    assert isinstance(sensor, Pinhole)
+    picture = sensor.directions_body[..., 1:] / sensor.directions_body[..., :1]
+    across, down = -np.diff(picture[..., 0], axis=1), -np.diff(picture[..., 1], axis=0)
+    np.testing.assert_allclose(across, across[0, 0])
+    np.testing.assert_allclose(down, down[0, 0])
+    # half a pixel lies beyond the outermost rays
+    assert 2 * math.degrees(math.atan(picture[0, 0, 0] + across[0, 0] / 2)) == pytest.approx(87)
+    assert 2 * math.degrees(math.atan(picture[0, 0, 1] + down[0, 0] / 2)) == pytest.approx(58)
+    np.testing.assert_allclose(picture, -picture[::-1, ::-1], atol=1e-12)
+
+
+def test_the_tilt_is_the_rasters() -> None:
+    raster = Lidar(rows=3, columns=4, vertical_fov_deg=30, pitch_deg=20)
+    tilted = Spinning(elevations_deg=(-15, 0, 15), columns=4, clockwise=False, pitch_deg=20)
+    np.testing.assert_allclose(tilted.directions_body, raster.directions_body, atol=1e-14)
+
+
+def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body() -> None:
+    """At a yaw of 90° the body's x axis is the world's y axis."""
+    sensor = Spinning(elevations_deg=(0.0,), columns=4, lever_arm_m=(0.5, 0.0, 0.2))
+    model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1" pos="1 7 3.2"/></worldbody></mujoco>')
+    scan = cast(MujocoEngine.of(model), sensor, Pose.level((1.0, 2.0, 3.0), yaw_rad=math.pi / 2))
+    assert scan.pose.position == pytest.approx([1.0, 2.5, 3.2])
+    assert scan.ranges[np.isfinite(scan.ranges)] == pytest.approx([3.5])
+    assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))
+
+
+IMPOSSIBLE: list[tuple[type, dict[str, Any], str]] = [
+    (Spinning, {"elevations_deg": (), "columns": 8}, "one beam at least"),
+    (Spinning, {"elevations_deg": 5, "columns": 8}, "elevations_deg = 5: expected a list"),
+    (Spinning, {"elevations_deg": (0, 1), "columns": 8, "max_range_m": 0}, "max_range_m = 0"),
+    (Spinning, {"elevations_deg": (0, 1), "columns": 8, "min_range_m": 200}, "less than max_range_m = 100"),
+    (Spinning, {"elevations_deg": (0, 1)}, "expected one of the two"),
+    (Spinning, {"elevations_deg": (0, 1, 1), "columns": 8}, "two beams point the same way"),
+    (Spinning, {"elevations_deg": (0, 1), "columns": 8, "azimuth_offsets_deg": (0.5,)}, "1 numbers for 2 beams"),
+    (Spinning, {"elevations_deg": tuple(np.radians(range(-15, 16, 2))), "columns": 8}, "look like radians"),
+    (Spinning, {"elevations_deg": (0, 1), "columns": 900, "horizontal_fov_deg": 6.2832}, "a turn in radians"),
+    (Spinning, {"elevations_deg": (0, 1), "columns": 1000, "firing_times_s": (0.0, 0.5)}, "within the cycle"),
+    (Spinning, {"elevations_deg": (0, 1), "columns": 1_000_000}, "2 × 1000000 rays"),
+    (Spinning, {"elevations_deg": (0, 91), "columns": 8}, "from -90 to 90"),
+    (Pinhole, {"horizontal_fov_deg": 1.5}, "from 4 to 170"),
+    (Pinhole, {"vertical_fov_deg": 1.0}, "expected degrees"),
+    (Coil, {"lowest_deg": -0.12, "highest_deg": 0.9}, "expected degrees"),
+    (Rosette, {"window_s": 1e-9}, "0 rays: expected from 1"),
+    (Pinhole, {"name": "a\nb"}, "printable"),
+]
+
+
+@pytest.mark.parametrize(("family", "values", "told"), IMPOSSIBLE, ids=[told for _, _, told in IMPOSSIBLE])
+def test_an_impossible_sensor_is_told_of_in_one_line(family: type, values: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
+        family(**values)
+    assert told in str(error.value)
