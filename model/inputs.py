@@ -65,7 +65,7 @@ def _observed(scan: PointScan) -> NDArray[np.bool_]:
 
 
 def _free(scan: PointScan) -> NDArray[np.bool_]:
-    """Of rays that returned something, alone: points say nothing of the others."""
+    """Only of rays that returned something: points say nothing of the others."""
     return crossed(scan.sensor, scan.points, scan.grid, scan.origin) & ~_observed(scan)
 
 

@@ -24,7 +24,7 @@ MOST_WRITTEN = 4096
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 """Attitude, w x y z, of solids that are given none."""
 COLUMNS = (slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 14))
-"""Of a table of solids: sizes, position, attitude and colour."""
+"""The numbers of a row: a solid's sizes, position, attitude and colour."""
 _PLACE = "    <light "
 """Where MuJoCo's writer puts the geoms: before this."""
 

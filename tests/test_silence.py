@@ -106,6 +106,7 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "completion": [("bash",)],
     "export": [("run", "-o", "e.onnx")],
     "networks": [()],
+    "reproduce": [("--scale", "0.001", "--dry-run", "--device", "cpu", *ONE)],
     "sensors": [("velodyne-vlp-16", "-o", "p.png")],
     "scan": [("w.xml", "--flight", "--noise", "range:0.02", "-o", "s.ply")],
 }

@@ -17,14 +17,14 @@ class Run:
     """One training run. Runs of a study differ in what stands here, and in nothing else."""
 
     name: str
-    """Of its folder, and its row."""
+    """What its folder and its row are called."""
     asks: str
     """What it is for."""
     network: Mapping[str, Any] = field(default_factory=dict)
     loss: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     share: float = 1.0
-    """Of the study's budget of maps."""
+    """Its part of the study's budget of maps."""
 
     def config(self, maps: int) -> TrainConfig:
         """The run's settings at a study's budget of `maps` seen."""

@@ -124,9 +124,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 def _dataset(folder: Path, kind: str, config: ReproduceConfig, workers: int, shown: "Progress") -> Path:
     """Made, or gone on with; shards that are damaged are made again."""
     recipe = preset(kind)
-    plan = plan_dataset(
-        folder, recipe, DrawnWorlds(recipe), seed=config.seed, counts=config.counts, compact=True, engine="analytic"
-    )
+    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=config.seed, counts=config.counts, compact=True)
     with shown:
         build(
             plan,
@@ -219,7 +217,7 @@ def _measure(
 
 
 def _digest(found: dict[str, Any]) -> str:
-    """Of all but itself."""
+    """The SHA-256 of all but itself."""
     text = json.dumps({name: value for name, value in found.items() if name != "sha256"}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -36,11 +36,14 @@ MADE = {
     "networks": (),
     "bench": ("d", "--quick", "--workers", "1", "--quiet", "--method", "returns", "--out", "out"),
     "publish": ("d", "--repo", "ada/d", "--dry-run", "--quick", "--workers", "1", "--quiet", "--out", "out"),
+    "reproduce": ("--dry-run", "--scale", "0.001", "--workers", "1", "--quiet", "--device", "cpu", "--out", "out"),
+    "sensors": ("velodyne-vlp-16", "--out", "out.png"),
+    "scan": ("w.xml", "--pose", "0,0,2,0", "--lidar", "velodyne-vlp-16", "-o", "out.ply"),
     "doctor": (),
     "completion": ("bash",),
 }
 """Commands as they work; what a case changes comes after, and so holds."""
-DEAR = {"networks", "doctor", "export", "train", "publish"}
+DEAR = {"networks", "doctor", "export", "train", "publish", "reproduce"}
 """Commands that take seconds: their cases break one option in a way that cannot pass."""
 KEPT = ("pipe", "loop")
 """Neither files nor folders: nothing replaces them, even where it is asked to."""
@@ -53,6 +56,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     valid.put("d", here)
     valid.put("recipe.toml", here)
     valid.put("n.safetensors", here)
+    (here / "w.xml").write_text('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
     os.mkfifo(here / "pipe")
     (here / "loop").symlink_to("loop")
     (here / "file").write_text("the user's own\n")
@@ -60,7 +64,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     name = random.choice(sorted(app.registry.known))
     command = app.find(name)
     words = [name, *MADE.get(name, ())]
-    done, asked = [], ["out"]
+    done, asked = [], ["out", "out.png", "out.ply"]
     for _ in range(random.choice((1, 1, 2))):
         parameter = random.choice(
             [p for p in command.params if p.name not in ("as_json", "quiet", "dry_run")] or [None]

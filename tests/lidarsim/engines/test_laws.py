@@ -146,7 +146,7 @@ def test_ranges_that_are_none_are_told_of(ranges: np.ndarray, told: str) -> None
 BAD_RAYS = [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0], [-np.inf, np.nan, 0], [2, 0, 0], [1e-200, 0, 0], [1e200, 0, 0]]
 
 
-@pytest.mark.parametrize("name", ENGINES.known)
+@pytest.mark.parametrize("name", PROCESSORS)
 def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(name: str) -> None:
     engine = made(name, model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"'))
     good, down = [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]
@@ -157,7 +157,7 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
         np.testing.assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
 
 
-@pytest.mark.parametrize("name", ENGINES.known)
+@pytest.mark.parametrize("name", PROCESSORS)
 @pytest.mark.parametrize("shape", [shape for shape in SIZES if shape != "plane"])
 def test_from_inside_a_solid_rays_return_where_they_come_out(name: str, shape: str) -> None:
     model = model_of(f'type="{shape}" size="{SIZES[shape]}" euler="10 20 30"')
@@ -169,7 +169,7 @@ def test_from_inside_a_solid_rays_return_where_they_come_out(name: str, shape: s
     np.testing.assert_allclose(4.0 - back, out[0], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ENGINES.known)
+@pytest.mark.parametrize("name", PROCESSORS)
 @pytest.mark.parametrize(
     "world", ["<mujoco/>", '<mujoco><worldbody><geom size="1" rgba="1 1 1 0"/></worldbody></mujoco>']
 )
