@@ -12,7 +12,7 @@ class ReproduceConfig:
 
     scale: float = number(1.0, above=0, most=1)
     """Share of all samples, maps and trials."""
-    maps: int = number(100_000, least=1, most=MOST_MAPS)
+    maps: int = number(20_000, least=1, most=MOST_MAPS)
     """Maps that every network sees, at scale 1."""
     seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the datasets, the goals and the intervals."""

@@ -16,9 +16,10 @@ from scenegen.model.training.loop import Step, optimizer_of
 
 SAMPLE_S, SAMPLE_BYTES = 0.006, 15e3
 """A sample of a compact dataset, one core: docs/log.md."""
-ROW_S = 1.5
-"""A row of the bench with its study, by map and core, planning included."""
+ROW_S = 0.3
+"""A row of the bench with its study, by map and core, planning included: docs/log.md."""
 RUN_BYTES = 10e6
+"""What a run's folder takes."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,10 +10,18 @@ import pytest
 
 import scenegen.model.training.loop
 from scenegen.errors import DatasetError
-from scenegen.model.config import TrainConfig
+from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import epoch_batches
 from tests.model.training.runs import SMALL, train
+
+TINY = dataclasses.replace(SMALL, network=NetworkConfig(width=1, heads=1, variant="occ"), batch=12)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Curves take longer than rounds."""
+    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
 
 
 class Counted:
@@ -79,7 +87,7 @@ def test_rounds_see_the_passes_one_after_the_other(interval: int | None) -> None
 
 
 def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
-    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    undrawn: None, folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Losses that never fall after round 2, and patience 2: the rate falls from round 5 on, over as many rounds."""
     losses = iter([3.0, 2.0, *[2.5] * 20])
@@ -89,15 +97,15 @@ def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
         return found(*args) | {"loss": next(losses)}
 
     monkeypatch.setattr(scenegen.model.training.loop, "validate", stalling)
-    config = dataclasses.replace(SMALL, epochs=100, patience=2, decay_share=0.5)
+    config = dataclasses.replace(TINY, epochs=100, patience=2, decay_share=0.5)
     rows = train(folders, config, tmp_path / "run", device="cpu")
     steps = rows[0]["maps"]
     assert [row["maps"] / steps for row in rows] == list(range(1, 9))
 
 
-def test_a_budget_grows_from_where_the_rate_was_level(folders: list[Path], tmp_path: Path) -> None:
+def test_a_budget_grows_from_where_the_rate_was_level(undrawn: None, folders: list[Path], tmp_path: Path) -> None:
     """A run of 2 rounds that goes on to 4 ends with the weights of a run of 4, and keeps what 2 gave."""
-    short, long = (dataclasses.replace(SMALL, epochs=n, warmup_share=0.0, schedule="decay") for n in (2, 4))
+    short, long = (dataclasses.replace(TINY, epochs=n, warmup_share=0.0, decay_share=0.5) for n in (2, 4))
     straight = train(folders, long, tmp_path / "straight", device="cpu")
     train(folders, short, tmp_path / "grown", device="cpu")
     earlier = (tmp_path / "grown" / "best.safetensors").read_bytes()

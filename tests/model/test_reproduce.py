@@ -1,0 +1,80 @@
+"""The study from a seed to its report: what is refused, what is kept, and, on request, all of it at 1/50."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from scenegen.errors import DatasetError
+from scenegen.model.checkpoint import load_tensors
+from scenegen.model.reproduce.config import ReproduceConfig
+from scenegen.model.reproduce.estimate import estimate
+from scenegen.model.reproduce.report import to_markdown
+from scenegen.model.reproduce.runs import RUNS, SEEDS
+from scenegen.model.reproduce.stages import STUDY, TEXT, begin, runs
+from tests.command_line import run as command
+
+
+def test_runs_differ_in_what_they_are_for() -> None:
+    """Names are unique, settings are possible and pairwise different, and verdicts have their seeds."""
+    assert len({run.name for run in RUNS}) == len(RUNS)
+    configs = [run.config(20_000) for run in RUNS]
+    assert len(set(configs)) == len(RUNS)
+    for name in ("occ", "tudf", "proposed"):
+        assert {f"{name}-s{seed}" for seed in SEEDS} <= {run.name for run in RUNS}
+    assert {config.maps for config in configs} == {20_000, 5_000}
+
+
+def test_a_study_goes_on_with_its_own_settings_alone(tmp_path: Path) -> None:
+    begin(tmp_path / "study", ReproduceConfig(scale=0.5))
+    begin(tmp_path / "study", ReproduceConfig(scale=0.5, only=("occ-s0",)))
+    with pytest.raises(DatasetError, match=r"begun with other settings \(scale is 0.5 there, 1.0 asked for\)"):
+        begin(tmp_path / "study", ReproduceConfig())
+    (tmp_path / "file").touch()
+    with pytest.raises(DatasetError, match="file"):
+        begin(tmp_path / "file" / "study", ReproduceConfig())
+    with pytest.raises(DatasetError, match="--only occ: no such run; known are occ-s0, "):
+        runs(ReproduceConfig(only=("occ",)))
+
+
+def test_estimates_grow_with_what_is_to_be_done() -> None:
+    small, large = (
+        estimate(config, runs(config), device="cpu", workers=2)
+        for config in (ReproduceConfig(scale=0.02, only=("occ-s0",)), ReproduceConfig(scale=0.02))
+    )
+    assert small.map_s > 0
+    assert large.train_s / large.map_s == pytest.approx(21.25 * small.train_s / small.map_s, rel=0.01)
+    assert large.generate_s == small.generate_s
+    assert large.bench_s > small.bench_s
+    assert large.bytes > small.bytes
+    assert set(large.words()) == {"time", "disk", "on"}
+
+
+@pytest.mark.slow
+def test_a_fiftieth_of_the_study_ends_within_ten_minutes_and_goes_on_where_it_was(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """All of it by the command; then what is damaged is made again, and all else is kept."""
+    begun, out = time.monotonic(), tmp_path / "study"
+    words = ["reproduce", "--scale", "0.02", "--device", "cpu", "--out", out, "--quiet"]
+    assert command(capsys, *words)[0] == 0
+    assert time.monotonic() - begun < 600
+    first = json.loads((out / STUDY).read_text())
+    assert set(first["runs"]) == {run.name for run in RUNS}
+    assert (out / TEXT).read_text() == to_markdown(first)
+    assert {said["verdict"] for said in first["verdicts"].values()} <= {"confirmed", "refuted", "undecided"}
+    held = {path: path.stat().st_mtime_ns for path in out.rglob("best.safetensors")}
+    damaged = out / "runs" / "occ-s0" / "best.safetensors"
+    weights = load_tensors(damaged)[0]
+    damaged.write_bytes(b"damaged")
+    bench = out / "bench" / "pillar.json"
+    bench.write_text(bench.read_text()[:-100])
+    assert command(capsys, *words)[0] == 0
+    again = json.loads((out / STUDY).read_text())
+    assert [again[part] for part in ("claims", "verdicts", "reports")] == [
+        first[part] for part in ("claims", "verdicts", "reports")
+    ]
+    assert {path for path in held if path.stat().st_mtime_ns != held[path]} == {damaged}
+    assert all(torch.equal(weights[name], values) for name, values in load_tensors(damaged)[0].items())
