@@ -18,6 +18,8 @@ from scenegen.terminal.streams import lost_output, open_streams
 
 EXTRAS = {"torch": "train", "safetensors": "train"}
 """Packages that commands need beyond the core, and the extra that brings each."""
+MOST_REPEATED = 1000
+"""Characters of a line about words that a user gave: it repeats them."""
 
 
 class Commands(click.RichGroup):
@@ -102,7 +104,7 @@ def _end(error: BaseException) -> tuple[int, str]:
     match error:
         case click.UsageError():
             name = error.ctx.command_path if error.ctx else "scenegen"
-            return 2, f"{error.format_message()} (see {name} --help)"
+            return 2, f"{error.format_message()[:MOST_REPEATED]} (see {name} --help)"
         case click.ClickException():
             return 1, error.format_message()
         case click.Abort() | KeyboardInterrupt() | StoppedError():
