@@ -23,11 +23,14 @@ HERE = Path(__file__).parents[1]
 def serve(kind: str, engine: str) -> None:
     """Write the shards whose numbers come through the standard input, and answer a line of JSON for each: processor
     seconds, samples, bytes, and the samples' digests."""
+    import scenegen.workers
     from scenegen.dataset.build import plan_dataset
     from scenegen.dataset.shard import write_shard
     from scenegen.recipe import preset
     from scenegen.source import DrawnWorlds
 
+    if keep_memory := getattr(scenegen.workers, "keep_memory", None):  # as the command does, in checkouts that have it
+        keep_memory()
     recipe = preset(kind)
     counts = {"train": 100_000, "val": 0, "test": 0}
     chosen: dict[str, Any] = {"engine": engine} if engine else {}

@@ -81,6 +81,9 @@ def generate(
     if talk:
         announce_compilation()
     from scenegen.dataset.build import build, check_folder
+    from scenegen.workers import keep_memory
+
+    keep_memory()
 
     plan = _plan(counts, options, talk=talk)
     shard_range = options["split_range"]

@@ -1,8 +1,5 @@
 """A shard: the unit of work, of writing and of recovery. One file of samples and one archive of their worlds."""
 
-import contextlib
-import ctypes
-import functools
 import hashlib
 import io
 import json
@@ -28,8 +25,6 @@ from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA, Sample, shape_of, stored_fields
 from scenegen.source import Source
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""The C library's names for the most free memory that it keeps, and the least that it takes from the system apart."""
 _LEVEL = 1
 """The level of compression: the next one saves a hundredth, the one after takes four times as long (docs/log.md)."""
 
@@ -112,7 +107,6 @@ def write_shard(spec: ShardSpec) -> ShardReport:
 
     A shard is made in memory: a few megabytes, whatever the dataset's size. Raises GenerationError, DatasetError.
     """
-    _keep_memory()
     rejected, digests, numbers, documents = Rejections(), list[bytes](), list[int](), dict[str, bytes]()
     with h5py.File(spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20) as file:
         packed = _create(file, spec)
@@ -146,16 +140,6 @@ def write_shard(spec: ShardSpec) -> ShardReport:
     write_whole(spec.file, samples)
     sums = file_digest(samples), file_digest(worlds)
     return _report(spec, min(numbers), sums, len(samples) + len(worlds), rejected, own)
-
-
-@functools.cache
-def _keep_memory() -> None:
-    """Have up to 64 MB of freed memory stay with this process, for the next shard takes as much: pages that are
-    given back and taken anew cost the system time (docs/log.md)."""
-    with contextlib.suppress(AttributeError, OSError):  # elsewhere than with glibc, it stays as it is
-        library = ctypes.CDLL(None)
-        library.mallopt(M_MMAP_THRESHOLD, 32 << 20)
-        library.mallopt(M_TRIM_THRESHOLD, 64 << 20)
 
 
 def _create(file: h5py.File, spec: ShardSpec) -> dict[str, h5py.h5d.DatasetID]:
