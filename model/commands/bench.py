@@ -24,7 +24,7 @@ from scenegen.terminal.options import (
     quiet_option,
     workers_option,
 )
-from scenegen.terminal.progress import Progress, announce_compilation
+from scenegen.terminal.progress import Progress, announce_compilation, note
 from scenegen.terminal.show import say, show_figures
 from scenegen.terminal.types import Named
 
@@ -87,6 +87,7 @@ def bench(
         workers=workers,
         command=shlex.join(["scenegen", *sys.argv[1:]]),
         progress=lambda label: Progress(label, shown=talk),
+        warn=note if talk else lambda line: None,
         **options,
     )
     if as_json:
@@ -109,10 +110,11 @@ def run_bench(
     workers: int,
     command: str,
     progress: Callable[[str], Progress],
+    warn: Callable[[str], None] = lambda line: None,
     **given: Any,
 ) -> dict[str, Any]:
     """Measure as the `BenchConfig` of what is `given` says, write ``report.json`` and ``report.md`` into `out`, and
-    return the report.
+    return the report. `warn` is told of networks that meet another sensor than in training.
 
     Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown method.
     """
@@ -139,6 +141,10 @@ def run_bench(
         for dataset in datasets:
             predicted.check(dataset, config.split)
         methods.append(predicted)
+    for dataset in datasets:
+        for method in methods:
+            if warning := getattr(method, "unlike", lambda lidar: "")(dataset.lidar):
+                warn(f"note: {dataset.folder}: {warning}")
     results = []
     for dataset in datasets:
         with progress(dataset.manifest.kind) as shown:

@@ -7,7 +7,7 @@ import rich_click as click
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.terminal.options import device_option, out_option, quiet_option, split_option
-from scenegen.terminal.progress import Progress
+from scenegen.terminal.progress import Progress, note
 from scenegen.terminal.show import say
 from scenegen.terminal.types import DatasetPath, Number
 
@@ -44,6 +44,7 @@ def complete(
 ) -> None:
     """Complete a dataset's split, or one scan (.ply, .xyz, .npy: points in metres, z up, sensor at the origin)."""
     from scenegen.dataset.locate import locate
+    from scenegen.dataset.read import Dataset
     from scenegen.files import make_parent
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
@@ -58,6 +59,8 @@ def complete(
     if found.is_dir():
         with Progress("complete", shown=not quiet) as progress:
             predict_split(completer, found, split, out, batch=batch, on_start=progress.start, on_done=progress.count)
+        if not quiet and (warning := completer.unlike(Dataset(found).lidar)):
+            note(f"note: {warning}")
     else:
         used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())
         if not quiet:

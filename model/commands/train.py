@@ -1,5 +1,6 @@
 """`scenegen train`: options become a configuration, and the run is reported."""
 
+import dataclasses
 import json
 import os
 import shlex
@@ -13,6 +14,7 @@ import rich_click as click
 from scenegen import stream
 from scenegen.commands.datasets import find_datasets
 from scenegen.limits import MOST_SAMPLES, MOST_SEED
+from scenegen.model.commands.weights import Weights
 from scenegen.model.config import PROTOCOLS, LossConfig, NetworkConfig, TrainConfig
 from scenegen.terminal import stops
 from scenegen.terminal.options import (
@@ -90,6 +92,9 @@ class Weighted(click.ParamType):
     width="Channels at the first level.",
     stem_stride="Where resolution is halved first; 1 is slower, and sees finer.",
 )
+@click.option(
+    "--weights", type=Weights(), help="Begin with a network's weights: a bundled name, a file, a run's folder, hf://…"
+)
 @options_of(LossConfig, "lambda-", occupancy="Weight of occupancy in the objective.", tudf="Weight of distances in it.")
 @options_of(
     LossConfig,
@@ -141,6 +146,7 @@ def train(
 
     first = int(os.environ.get("RANK", "0")) == 0
     talk = first and not (quiet or as_json)
+    weights = None if options["weights"] is None else _weights(options)
     try:
         options |= {name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)}
         config = TrainConfig(
@@ -167,6 +173,7 @@ def train(
             device=str(chosen),
             workers=workers,
             command=shlex.join(["scenegen", *sys.argv[1:]]),
+            weights=weights,
             watcher=Watcher(on_start=shown.on_start, on_step=shown.on_step, on_epoch=shown.on_epoch, stop=stop),
         )
     best = kept(rows, config.choose)
@@ -200,6 +207,19 @@ def _samples(
     if datasets:
         return training, opened(find_datasets(datasets, shown=talk), "val")
     return training, [stream(parts, seed=seed, split="val", samples=count or VAL_MAPS)]
+
+
+def _weights(options: dict[str, Any]) -> Path:
+    """The file of --weights, whose network stands for the options of one; these must not be given, too."""
+    from scenegen.model.checkpoint import load_network
+    from scenegen.model.completion.completer import locate
+
+    names = [item.name for item in dataclasses.fields(NetworkConfig) if item.name in options]
+    if given := [name for name in names if was_given(name)]:
+        raise click.UsageError(f"--weights brings its network; leave out what else says of one: {', '.join(given)}")
+    path = locate(options["weights"])
+    options |= vars(load_network(path)[0].config)
+    return path
 
 
 class _Shown:

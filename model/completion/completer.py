@@ -15,9 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lidarsim import GridSpec
+from lidarsim import GridSpec, Lidar
 from scenegen.dataset.locate import client_output, without_tokens
-from scenegen.errors import needs
+from scenegen.dataset.manifest import differences
+from scenegen.dataset.sensor import entry_of
+from scenegen.errors import needs, printable
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, bundled
@@ -26,6 +28,8 @@ from scenegen.model.network import Output
 from scenegen.model.runtime import load_onnx
 
 HUB = "hf://"
+MOST_SAID = 300
+"""Characters that are said of how two sensors differ."""
 Maps: TypeAlias = NDArray[Any] | Tensor
 NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 """What a run's folder, or a repository, calls its network."""
@@ -114,6 +118,13 @@ class Completer:
         if grid != self.grid:
             raise ValueError(f"{self.name} completes maps on {self.grid}, these are on {grid}")
 
+    def unlike(self, lidar: Any) -> str:
+        """How the sensor `lidar` differs from the one that the network learned from, in one line; "" where it does not.
+
+        Networks of earlier commits name none: they learned from the paper's.
+        """
+        return unlike(self.name, self.about, lidar)
+
     def _checked(self, name: str, maps: Maps) -> Tensor:
         """An input as a tensor, if it can be one."""
         given = maps if isinstance(maps, Tensor) else torch.from_numpy(np.ascontiguousarray(maps))
@@ -137,6 +148,15 @@ class Completer:
         probability = None if output.logits is None else output.logits.sigmoid()
         tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
         return probability, tudf
+
+
+def unlike(name: str, about: Mapping[str, Any], lidar: Any) -> str:
+    """See `Completer.unlike`, of the network called `name` that `about` tells of."""
+    learned, met = about.get("lidar") or entry_of(Lidar()), entry_of(lidar)
+    if learned == met:
+        return ""
+    said = "; ".join(differences(learned, met))[:MOST_SAID].replace("there", "in training").replace("asked for", "here")
+    return f"{name} was trained on another sensor, so expect worse completions: {printable(said)}"
 
 
 def called(name: str | Path, path: Path) -> str:

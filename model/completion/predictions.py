@@ -88,6 +88,8 @@ def predict_scan(
     used = f"{inside} of {len(points)} points used, {len(points) - len(returned)} without a return, " + (
         f"{len(returned) - inside} outside the map"
     )
+    if "free" in completer.inputs:
+        used += "; of rays without a return nothing is known, so less is free than in training"
     if not inside:
         raise DatasetError(
             f"{scan}: {used}, a map of {completer.grid.extent_m} m around the sensor at {place.tolist()}; "

@@ -1,12 +1,14 @@
 """A network as a row of the bench: it travels to worker processes by name, and each opens it once."""
 
 from functools import cache
+from typing import Any
 
 import torch
 
 from scenegen.dataset.read import Split
 from scenegen.errors import DatasetError, printable
-from scenegen.model.completion.completer import Completer, called, locate
+from scenegen.model.checkpoint import load_network
+from scenegen.model.completion.completer import Completer, called, locate, unlike
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.inputs import of_sample
 from scenegen.model.runtime import examine
@@ -25,9 +27,16 @@ class Pretrained:
     def __init__(self, weights: str):
         self._path = locate(weights)
         if self._path.suffix == ".onnx":  # the workers must not start processes of their own
-            examine(self._path)
+            self.about = examine(self._path)[1].about
+        else:
+            self.about = load_network(self._path)[2]
+        """What is known of its training."""
         self.name = printable(called(weights, self._path))
         """How the network is called in tables, in one line."""
+
+    def unlike(self, lidar: Any) -> str:
+        """See `Completer.unlike`."""
+        return unlike(self.name, self.about, lidar)
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises DatasetError for another grid."""

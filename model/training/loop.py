@@ -1,6 +1,7 @@
 """Train a completion network: one plain loop, seeded, that can be interrupted anywhere and goes on."""
 
 import dataclasses
+import hashlib
 import math
 import platform
 import time
@@ -16,8 +17,10 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from scenegen.checkout import commit
-from scenegen.dataset.manifest import installed, software
+from scenegen.dataset.manifest import differences, installed, software
+from scenegen.dataset.sensor import entry_of
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
+from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.config import VARIANTS, TrainConfig
 from scenegen.model.losses import objective
 from scenegen.model.network import Network, Output
@@ -64,10 +67,12 @@ def train(
     workers: int = 0,
     command: str = "",
     watcher: Watcher | None = None,
+    weights: Path | None = None,
 ) -> list[dict[str, float]]:
     """Train on the samples in `training`, validate on those in `checking`, keep the best network in `out`.
 
     A run with the same settings that `out` holds already goes on where it was; one that is finished stays as it is.
+    The first weights are random, or those of the network in the file `weights`, which must be of `config.network`.
     Under ``torchrun`` every process takes its part of each batch. Returns the figures of every epoch. Raises
     DatasetError, CheckpointError, TrainingError, and StoppedError when `watcher` asks to stop; whatever is raised, the
     last good state stays in `out`.
@@ -84,10 +89,13 @@ def train(
         precision = resolve_precision(config.precision, where)
         torch.manual_seed(config.seed)
         network = Network(config.network).placed(where)
-        optimizer = optimizer_of(network, config)
         settings = describe(maps, config, precision)
+        if weights is not None:
+            settings["weights"] = _begin_from(weights, network)
+        optimizer = optimizer_of(network, config)
         versions = software() | {"python": platform.python_version()} | {name: installed(name) for name in PACKAGES}
         about = {"command": command, "commit": commit(), "versions": versions, "device": device_name(where)}
+        about["lidar"] = entry_of(maps.sources[0].lidar)
         group.first_alone(lambda: folder.open({"settings": settings, **about}))
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, where, precision, group)
@@ -257,6 +265,16 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> dict[st
         **dataclasses.asdict(config),
         "precision": str(precision).removeprefix("torch."),
     }
+
+
+def _begin_from(weights: Path, network: Network) -> str:
+    """Give `network` the weights in a file, and return the file's SHA-256. Raises CheckpointError for another one."""
+    found = load_network(weights)[0]
+    if found.config != network.config:
+        unlike = "; ".join(differences(dataclasses.asdict(found.config), dataclasses.asdict(network.config)))
+        raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
+    network.load_state_dict(found.state_dict())
+    return hashlib.sha256(weights.read_bytes()).hexdigest()
 
 
 def _diverged(maps: Maps, batch: list[tuple[int, int]], progress: Progress, losses: dict[str, float]) -> str:

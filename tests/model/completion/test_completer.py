@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from lidarsim import GridSpec
+from lidarsim import GridSpec, Lidar
+from scenegen.dataset.sensor import entry_of
 from scenegen.model.checkpoint import CheckpointError, save_network
-from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.completer import Completer, unlike
 from scenegen.model.completion.protocol import PredictionError
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
@@ -166,3 +167,12 @@ def test_bundled_networks_complete_the_papers_grid(name: str) -> None:
     if found.tudf is not None:
         assert found.tudf[55, 35:45, 15:25].mean() < 0.5 < found.tudf[45, 35:45, 15:25].mean()
     assert completer.about["figures"]["val_iou"] > 0.2
+
+
+def test_a_network_says_where_a_sensor_is_not_that_of_its_training() -> None:
+    """Networks of earlier commits name none: theirs was the paper's."""
+    paper, own = Lidar(), Lidar(rows=8, max_range_m=30.0)
+    assert unlike("net", {}, paper) == unlike("net", {"lidar": entry_of(own)}, own) == ""
+    said = unlike("net", {}, own)
+    assert said.startswith("net was trained on another sensor")
+    assert "rows is 16 in training, 8 here; max_range_m is 10.0 in training, 30.0 here" in said

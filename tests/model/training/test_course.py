@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 import scenegen.model.training.loop
 from scenegen.errors import DatasetError
+from scenegen.model.checkpoint import CheckpointError, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import epoch_batches
@@ -101,6 +103,21 @@ def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
     rows = train(folders, config, tmp_path / "run", device="cpu")
     steps = rows[0]["maps"]
     assert [row["maps"] / steps for row in rows] == list(range(1, 9))
+
+
+def test_a_run_begins_with_given_weights_of_its_own_network(undrawn: None, folders: list[Path], tmp_path: Path) -> None:
+    """With a rate of next to nothing, it ends with them."""
+    once, still = (dataclasses.replace(TINY, epochs=1, lr=lr, seed=seed) for lr, seed in ((1e-2, 0), (1e-30, 1)))
+    train(folders, once, tmp_path / "first", device="cpu")
+    weights = tmp_path / "first" / "best.safetensors"
+    train(folders, still, tmp_path / "second", device="cpu", weights=weights)
+    first, second = (load_tensors(tmp_path / name / "best.safetensors")[0] for name in ("first", "second"))
+    learned = [name for name in first if not name.endswith(("running_mean", "running_var", "num_batches_tracked"))]
+    assert all(torch.equal(first[name], second[name]) for name in learned)
+    with pytest.raises(CheckpointError, match=r"variant is .* there"):
+        train(folders, SMALL, tmp_path / "third", device="cpu", weights=weights)
+    with pytest.raises(DatasetError, match="begun with other settings"):
+        train(folders, still, tmp_path / "second", device="cpu")
 
 
 def test_a_budget_grows_from_where_the_rate_was_level(undrawn: None, folders: list[Path], tmp_path: Path) -> None:
