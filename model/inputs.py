@@ -86,6 +86,13 @@ def of_scan(names: Sequence[str], scan: PointScan) -> dict[str, NDArray[Any]]:
     return {name: INPUTS[name].of_scan(scan) for name in names}
 
 
+def centres(observed: NDArray[np.bool_], grid: GridSpec) -> PointScan:
+    """A scan that observes just the voxels `observed` (*grid.shape): a point at the centre of each, metres from the
+    map's centre, where the sensor is."""
+    sensor = np.zeros(3)
+    return PointScan(points=grid.centres(grid.origin_at(sensor))[observed], sensor=sensor, grid=grid)
+
+
 def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:
     """A map (X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z, mirrored in y from 4 on.
 

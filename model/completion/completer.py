@@ -23,9 +23,10 @@ from scenegen.errors import needs, printable
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, bundled
-from scenegen.model.inputs import INPUTS
+from scenegen.model.inputs import INPUTS, centres, of_sample, of_scan
 from scenegen.model.network import Output
 from scenegen.model.runtime import load_onnx
+from scenegen.sample import Sample
 
 HUB = "hf://"
 MOST_SAID = 300
@@ -81,16 +82,21 @@ class Completer:
 
         return cls(forward, grid, name=title, inputs=network.config.inputs, about=about, batch=batch)
 
-    def __call__(self, maps: Maps | Mapping[str, Maps]) -> Prediction:
+    def __call__(self, maps: Sample | Maps | Mapping[str, Maps]) -> Prediction:
         """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
 
-        `maps` are the observed voxels, or a named batch where the network has other `inputs`: numpy or torch, numbers 0
-        and 1 or bool where an input is binary. What comes back has the same shape and is float32, numpy for numpy and
-        torch for torch (on the same device); distances are metres, at most the truncation; what the network's variant
-        does not predict is None. Raises ValueError where an input is missing, for another grid, or for values that an
-        input cannot hold; PredictionError where the network says NaN, or what is no probability or distance.
+        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the observed voxels alone, from
+        which other inputs are then derived as from a scan of points, one at the centre of each, seen from the map's:
+        less than a sample tells, and completed worse. Numpy or torch, numbers 0 and 1 or bool where an input is binary.
+        What comes back has the same shape and is float32, numpy for numpy and torch for torch (on the same device);
+        distances are metres, at most the truncation; what the network's variant does not predict is None. Raises
+        ValueError where an input is missing, for another grid, or for values that an input cannot hold; PredictionError
+        where the network says NaN, or what is no probability or distance.
         """
-        batch: Mapping[str, Maps] = maps if isinstance(maps, Mapping) else {"observed": maps}
+        if isinstance(maps, Sample):
+            batch: Mapping[str, Maps] = of_sample(self.inputs, maps, self.grid, None)
+        else:
+            batch = maps if isinstance(maps, Mapping) else self._derived(maps)
         if missing := [name for name in self.inputs if name not in batch]:
             raise ValueError(f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not given")
         given = {name: self._checked(name, batch[name]) for name in self.inputs}
@@ -103,7 +109,7 @@ class Completer:
         parts = [self._complete(dict(zip(flat, part, strict=True))) for part in zip(*split, strict=True)]
         joined = [None if part[0] is None else torch.cat(part).reshape(shape) for part in zip(*parts, strict=True)]
         check_prediction(Prediction(*joined), shape, self.name)
-        first = batch[self.inputs[0]]
+        first = batch[self.inputs[0]] if isinstance(maps, Sample | Mapping) else maps
         if isinstance(first, Tensor):
             return Prediction(*(None if part is None else part.to(first.device) for part in joined))
         return Prediction(*(None if part is None else part.numpy(force=True) for part in joined))
@@ -124,6 +130,17 @@ class Completer:
         Networks of earlier commits name none: they learned from the paper's.
         """
         return unlike(self.name, self.about, lidar)
+
+    def _derived(self, observed: Maps) -> dict[str, Maps]:
+        """All inputs of maps of which the observed voxels alone are known."""
+        seen = self._checked("observed", observed)
+        if self.inputs == ("observed",):
+            return {"observed": observed}
+        flat = seen.reshape(-1, *self.grid.shape).bool().numpy(force=True)
+        found = [of_scan(self.inputs, centres(one, self.grid)) for one in flat]
+        return {
+            name: torch.from_numpy(np.stack([one[name] for one in found])).reshape(seen.shape) for name in self.inputs
+        }
 
     def _checked(self, name: str, maps: Maps) -> Tensor:
         """An input as a tensor, if it can be one."""

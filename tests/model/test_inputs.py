@@ -17,7 +17,7 @@ from scenegen.model.config import NetworkConfig, Thresholds, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, Metric
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.pretrained import Pretrained
-from scenegen.model.inputs import INPUTS, Input, PointScan, of_scan
+from scenegen.model.inputs import INPUTS, Input, PointScan, centres, of_scan
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.loop import train
@@ -59,7 +59,16 @@ def test_free_space_and_a_new_metric_go_all_the_way(
     ):
         np.testing.assert_allclose(found.occupancy_probability, expected, atol=1e-5)
     with pytest.raises(ValueError, match="run takes observed, free; free is not given"):
-        completer(sample.observed)
+        completer({"observed": sample.observed})
+    np.testing.assert_allclose(completer(sample).occupancy_probability, expected, atol=1e-5)
+    both = np.stack([sample.observed, sample.observed])
+    alone = completer(both).tudf
+    assert alone.shape == both.shape
+    assert np.array_equal(alone[0], alone[1])
+    rays = of_scan(BOTH, centres(sample.observed, grid))
+    assert np.array_equal(rays["observed"], sample.observed)
+    assert rays["free"].sum() < sample.free.sum()
+    np.testing.assert_allclose(completer(rays).tudf, alone[0], atol=1e-5)
 
     np.save(tmp_path / "scan.npy", grid.centres(sample.origin)[sample.observed])
     predict_scan(completer, tmp_path / "scan.npy", tmp_path / "s.h5", sensor=sample.position, thresholds=Thresholds())
