@@ -1,5 +1,6 @@
 """Where a network computes, in which precision, and together with which other processes."""
 
+import math
 import os
 import platform
 from collections.abc import Callable
@@ -11,7 +12,12 @@ import torch
 import torch.distributed as dist
 from torch import nn
 
+from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
+from scenegen.model.config import LEVELS
+
+FEWEST_CELLS = 32
+"""Cells of the coarsest level from which bfloat16 is sound on a CPU: 8 are not, 18 are."""
 
 
 class TrainingError(ScenegenError):
@@ -42,13 +48,18 @@ def choose_device(name: str) -> torch.device:
     return device
 
 
-def resolve_precision(precision: str, device: torch.device) -> torch.dtype:
-    """The type that `precision` means on `device`."""
+def resolve_precision(precision: str, device: torch.device, shape: tuple[int, ...] = GridSpec().shape) -> torch.dtype:
+    """The type that `precision` means on `device`, for maps of `shape`.
+
+    On a CPU "auto" is float32 for maps whose coarsest level has but a few cells: there oneDNN's gradient of a
+    convolution's filters in bfloat16 depends on what its memory held before (docs/log.md).
+    """
     if precision != "auto":
         return torch.bfloat16 if precision == "bfloat16" else torch.float32
     if device.type == "cuda":
         return torch.bfloat16 if torch.cuda.is_bf16_supported(including_emulation=False) else torch.float32
     native = device.type == "cpu" and getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)()
+    native = native and math.prod(edge // 2**LEVELS for edge in shape) >= FEWEST_CELLS
     return torch.bfloat16 if native else torch.float32
 
 

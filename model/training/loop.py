@@ -86,7 +86,7 @@ def train(
         if VARIANTS[config.network.variant].columns:
             config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
         check_maps(maps, checks, config, group.size)
-        precision = resolve_precision(config.precision, where)
+        precision = resolve_precision(config.precision, where, maps.grid.shape)
         torch.manual_seed(config.seed)
         network = Network(config.network).placed(where)
         settings = describe(maps, config, precision)

@@ -1,6 +1,7 @@
 """Several processes train one network, and devices have names."""
 
 import dataclasses
+import math
 import os
 import socket
 import subprocess
@@ -13,7 +14,7 @@ import torch
 from scenegen.model.checkpoint import load_network, load_tensors, save_tensors
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
-from scenegen.model.training.device import Group, device_name
+from scenegen.model.training.device import Group, autocast, device_name, resolve_precision
 from scenegen.model.training.loop import Step
 from tests.model.training.runs import SMALL, elsewhere
 
@@ -83,3 +84,20 @@ def test_a_gpu_is_called_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
     assert device_name(torch.device("cuda", 1)) == "GPU 1"
     assert "threads" in device_name(torch.device("cpu"))
+
+
+def test_maps_of_a_few_cells_are_not_trained_in_bfloat16_unasked() -> None:
+    """Where every pass is repeated among freed memory full of NaN, gradients stay finite."""
+    cpu = torch.device("cpu")
+    assert resolve_precision("auto", cpu, (16, 16, 16)) == torch.float32
+    assert resolve_precision("bfloat16", cpu, (16, 16, 16)) == torch.bfloat16
+    usual = resolve_precision("auto", cpu)
+    layer = torch.nn.Conv3d(32, 32, 3, padding=1)
+    for _ in range(20):
+        junk = [torch.full((1 << size,), math.nan) for size in range(4, 18) for _ in range(6)]
+        del junk
+        layer.zero_grad()
+        with autocast(cpu, usual):
+            found = layer(torch.ones(4, 32, 4, 4, 2))  # as many cells as are let pass
+        found.float().sum().backward()
+        assert layer.weight.grad.isfinite().all()
