@@ -30,7 +30,7 @@ class Prediction:
     uncertainty: Uncertainty | None = None
     """What tells how sure the method is; None where nothing does, as of a network that was not calibrated."""
     grid: GridSpec | None = None
-    """The map's, where `uncertainty` needs it: of distances that are derived."""
+    """The map's, where `uncertainty` needs distances that are derived."""
 
     def __post_init__(self) -> None:
         if self.occupancy_probability is None and self.tudf is None:
@@ -74,8 +74,7 @@ class Prediction:
         if self.uncertainty is None:
             raise UncertaintyError("no bounds: the network is not calibrated; run `scenegen calibrate` on it")
         probability, tudf = _plain(self.occupancy_probability), _plain(self.tudf)
-        if tudf is None:
-            assert self.grid is not None
+        if tudf is None and self.grid is not None:
             maps = probability.reshape(-1, *self.grid.shape)
             derived = [Prediction(one).distance(Thresholds(), self.grid) for one in maps]
             tudf = np.stack(derived).reshape(probability.shape)

@@ -128,7 +128,10 @@ def _count(
     """Scores and logits of a map's unknown voxels."""
     classes = classify(sample, lidar=split.dataset.lidar, grid=grid)
     unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
-    distance, chance = said.distance(Thresholds(), grid), None if probability is None else corrected(probability, weight)
+    distance, chance = (
+        said.distance(Thresholds(), grid),
+        None if probability is None else corrected(probability, weight),
+    )
     scores = fit.count_scores(distance, chance, sample.tudf, unknown, grid)
     if probability is None:
         return scores, np.zeros((1, 2), np.int64)

@@ -25,8 +25,9 @@ WHO = ("world", "viewpoint")
 
 @dataclass(frozen=True)
 class Predicted:
-    """Predictions in an HDF5 file: `occupancy_probability` and/or `tudf`, float32 (N, *grid.shape), where there are some
-    `probability`, calibrated, and `tudf_low`, bounds of the attribute `risk`; and who is who: attribute `dataset` (the dataset's digest), `world` and `viewpoint`, int64 (N,), and `split`, an attribute."""
+    """Predictions in an HDF5 file: `occupancy_probability` and/or `tudf`, float32 (N, *grid.shape); where there are
+    some, `probability`, calibrated, and `tudf_low`, bounds of the attribute `risk`; and who is who: attribute `dataset`
+    (the dataset's digest), `world` and `viewpoint`, int64 (N,), and `split`, an attribute."""
 
     path: Path
     name: str = field(default="predicted")
@@ -94,7 +95,11 @@ def _check_file(
 def _check_arrays(file: h5py.File, split: str, names: list[tuple[int, int]], shape: tuple[int, ...]) -> None:
     links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS, *SURE)}
     held = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
-    if not set(WHO) <= set(held) or not set(PARTS) & set(held) or any(link is not None for name, link in links.items() if name not in held):
+    if (
+        not set(WHO) <= set(held)
+        or not set(PARTS) & set(held)
+        or any(link is not None for name, link in links.items() if name not in held)
+    ):
         raise DatasetError(
             f"expected world, viewpoint, and at least one of {', '.join(PARTS)}, none of them a link; found {held}"
         )
@@ -150,6 +155,4 @@ def _pairs(file: h5py.File) -> list[tuple[int, int]]:
 def _prediction(file: h5py.File, row: int) -> Prediction:
     parts = {name: file[name][row].astype(np.float32) for name in PARTS | SURE if name in file}
     sure = {name: parts.pop(name) for name in SURE if name in parts}
-    return Prediction(
-        **parts, uncertainty=Given(**sure, risk=float(file.attrs.get("risk", RISK))) if sure else None
-    )
+    return Prediction(**parts, uncertainty=Given(**sure, risk=float(file.attrs.get("risk", RISK))) if sure else None)

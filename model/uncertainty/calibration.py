@@ -78,7 +78,12 @@ class Calibration:
         numbers += [margin for row in self.margins for margin in row]
         if not all(isinstance(one, int | float) and math.isfinite(one) for one in numbers):
             raise ValueError("holds what is no finite number")
-        positive = [self.worlds, self.class_weight, self.step_m, *([] if self.temperature is None else [self.temperature])]
+        positive = [
+            self.worlds,
+            self.class_weight,
+            self.step_m,
+            *([] if self.temperature is None else [self.temperature]),
+        ]
         if min(positive) <= 0 or not all(0 < one < 1 for one in (*self.risks, *self.chances)):
             raise ValueError("holds a weight, temperature, step, risk or probability out of its range")
         if sorted(self.risks, reverse=True) != list(self.risks) or sorted(self.chances) != list(self.chances):
@@ -125,6 +130,17 @@ class Calibration:
         raise UncertaintyError(
             f"risk = {risk:g}: {self.worlds} validation worlds give {least}; calibrate on more worlds"
         )
+
+    def for_paths(self, risk: float) -> float:
+        """The greatest risk of bounds on which a share `risk` of the planned paths collides at most: risk as one number,
+        to plan by. Raises UncertaintyError where no bounds are so sure, or it was not measured."""
+        for held, collided in zip(self.risks, self.path_risks, strict=False):
+            if collided <= risk + CLOSE:
+                return held
+        least = (
+            f"down to {self.path_risks[-1]:.3g}" if self.path_risks else "nothing: it was calibrated with --trials 0"
+        )
+        raise UncertaintyError(f"risk of paths = {risk:g}: the calibration promises {least}")
 
     def low(
         self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float

@@ -45,7 +45,7 @@ def count_logits(
 
 
 def fit_temperature(counts: NDArray[np.int64]) -> float:
-    """The temperature (Guo et al. 2017) at which the counted logits (logits, 2) have the least negative log-likelihood."""
+    """The temperature (Guo et al. 2017) at which counted logits (logits, 2) have the least negative log-likelihood."""
 
     def loss(log_temperature: float) -> float:
         scaled = _logits() / math.exp(log_temperature)
@@ -101,9 +101,7 @@ def shape(counts: NDArray[np.int64], risk: float) -> NDArray[np.int64]:
     return np.where(summed[:, -1] > 0, enough.argmax(axis=1), last)
 
 
-def _added(
-    summed: NDArray[np.int64], shapes: NDArray[np.int64], groups: NDArray[np.float64], risk: float
-) -> int:
+def _added(summed: NDArray[np.int64], shapes: NDArray[np.int64], groups: NDArray[np.float64], risk: float) -> int:
     """The fewest steps which, added to each world's `shapes` (worlds, bins), cover enough of all `groups` (groups,
     bins); `summed` (worlds, bins, steps) are sums of scores up to each."""
     last = summed.shape[2] - 1

@@ -25,7 +25,12 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
         "iou-by-range.png": ("from the sensor, m", "IoU", _range("iou")),
         "near-mae-by-range.png": ("from the sensor, m", "Near-MAE, m", _range("near_mae")),
         "near-mae-by-visibility.png": ("", "Near-MAE, m", _visibility),
-        "reliability.png": ("said (dotted), class weight inverted (solid)", "occupied", _reliability),
+        "reliability.png": (
+            "said (dotted), class weight inverted (solid), calibrated (dashed)",
+            "occupied",
+            _reliability,
+        ),
+        "risk.png": ("collided (solid: by risk; dotted: by a fixed threshold)", "success", _risk),
         "fates.png": ("share of trials", "", _fates),
     }
     return {name: _picture(report, *panel) for name, panel in panels.items()}
@@ -92,13 +97,24 @@ def _visibility(axes: Any, name: str, study: Any, colour: str) -> None:
 
 
 def _reliability(axes: Any, name: str, study: Any, colour: str) -> None:
-    """The probability as said, thin, and with the class weight inverted."""
+    """The probability as said, thin, with the class weight inverted, and calibrated."""
     axes.axline((0, 0), slope=1, color="grey", linewidth=0.5)
     if study["reliability"] is None:
         return
-    for reading, style in (("said", {"alpha": 0.4, "linestyle": ":"}), ("corrected", {"label": name})):
+    styles = {"said": {"alpha": 0.4, "linestyle": ":"}, "corrected": {"label": name}, "calibrated": {"linestyle": "--"}}
+    for reading, style in styles.items():
+        if reading not in study["reliability"]["map"]:
+            continue
         bins = study["reliability"]["map"][reading]["bins"]
         axes.plot([one["said"] for one in bins], [one["occupied"] for one in bins], color=colour, marker=".", **style)
+
+
+def _risk(axes: Any, name: str, study: Any, colour: str) -> None:
+    """What the careful planner gains for what it risks, over the risk of its bounds and over fixed thresholds."""
+    for by, style in (("risk", {"linestyle": "-", "label": name}), ("", {"linestyle": ":", "alpha": 0.6})):
+        rows = [row for row in study["risk"]["settings"] if (row["by"] == "risk") == bool(by) and row["success"]["n"]]
+        points = sorted((row["collided"]["mean"], row["success"]["mean"]) for row in rows)
+        axes.plot(*zip(*points, strict=True) if points else ((), ()), color=colour, marker=".", **style)
 
 
 def _fates(axes: Any, name: str, study: Any, colour: str) -> None:
