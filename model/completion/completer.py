@@ -110,7 +110,7 @@ class Completer:
             parted = [None if part is None else part.to(first.device) for part in joined]
         else:
             parted = [None if part is None else part.numpy(force=True) for part in joined]
-        return Prediction(*parted, uncertainty=self.calibration, grid=self.grid)
+        return Prediction(parted[0], parted[1], uncertainty=self.calibration, grid=self.grid)
 
     def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network takes other inputs."""

@@ -132,8 +132,8 @@ class Calibration:
         )
 
     def for_paths(self, risk: float) -> float:
-        """The greatest risk of bounds on which a share `risk` of the planned paths collides at most: risk as one number,
-        to plan by. Raises UncertaintyError where no bounds are so sure, or it was not measured."""
+        """The greatest risk of bounds on which a share `risk` of planned paths collides at most: risk as one number, to
+        plan by. Raises UncertaintyError where no bounds are so sure, or it was not measured."""
         for held, collided in zip(self.risks, self.path_risks, strict=False):
             if collided <= risk + CLOSE:
                 return held

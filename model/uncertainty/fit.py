@@ -39,9 +39,9 @@ def count_logits(
 ) -> NDArray[np.int64]:
     """How many of a map's `unknown` voxels have which logit, the class weight inverted: (logits, 2), free and occupied
     ones apart. The arrays have one shape."""
-    at = (corrected_logit(probability[unknown], class_weight) + MOST_LOGIT) / LOGIT
-    at = np.clip(at.astype(np.int64), 0, len(_logits()) - 1) * 2 + occupied[unknown]
-    return np.bincount(at, minlength=2 * len(_logits())).reshape(-1, 2)
+    steps = (corrected_logit(probability[unknown], class_weight) + MOST_LOGIT) / LOGIT
+    at = np.clip(steps.astype(np.int64), 0, len(_logits()) - 1)
+    return np.bincount(2 * at + occupied[unknown], minlength=2 * len(_logits())).reshape(-1, 2)
 
 
 def fit_temperature(counts: NDArray[np.int64]) -> float:

@@ -9,6 +9,8 @@ from scenegen.model.evaluation.study.report import at
 
 LINES = {"edt": "-", "tudf": "--", "min": ":"}
 """How the fields are told apart."""
+SHARES = {"success": "-", "collided": ":", "abstained": "--"}
+"""What becomes of the careful planner's trials, and how lines tell it."""
 Draw = Callable[[Any, str, Any, str], None]
 """Draws one method's part: axes, its name, its study and row of reconstruction, its colour."""
 
@@ -31,6 +33,12 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
             _reliability,
         ),
         "risk.png": ("collided (solid: by risk; dotted: by a fixed threshold)", "success", _risk),
+        "success-by-risk.png": (
+            "risk of the bounds",
+            "success; collided (dotted); abstained (dashed)",
+            _by_risk(SHARES),
+        ),
+        "length-by-risk.png": ("risk of the bounds", "length, m", _by_risk({"length": "-"})),
         "fates.png": ("share of trials", "", _fates),
     }
     return {name: _picture(report, *panel) for name, panel in panels.items()}
@@ -101,7 +109,11 @@ def _reliability(axes: Any, name: str, study: Any, colour: str) -> None:
     axes.axline((0, 0), slope=1, color="grey", linewidth=0.5)
     if study["reliability"] is None:
         return
-    styles = {"said": {"alpha": 0.4, "linestyle": ":"}, "corrected": {"label": name}, "calibrated": {"linestyle": "--"}}
+    styles: dict[str, dict[str, Any]] = {
+        "said": {"alpha": 0.4, "linestyle": ":"},
+        "corrected": {"label": name},
+        "calibrated": {"linestyle": "--"},
+    }
     for reading, style in styles.items():
         if reading not in study["reliability"]["map"]:
             continue
@@ -109,10 +121,24 @@ def _reliability(axes: Any, name: str, study: Any, colour: str) -> None:
         axes.plot([one["said"] for one in bins], [one["occupied"] for one in bins], color=colour, marker=".", **style)
 
 
+def _by_risk(shown: Mapping[str, str]) -> Draw:
+    """Figures of the careful planner, each in its style, over the risk of the bounds that it plans on."""
+
+    def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
+        rows = [row for row in study["risk"]["settings"] if row["by"] == "risk"]
+        for n, (told, dashes) in enumerate(shown.items()):
+            label = None if n else name
+            _line(axes, [(row["value"], row[told]) for row in rows], color=colour, linestyle=dashes, label=label)
+        axes.set_xscale("log")
+
+    return draw_method
+
+
 def _risk(axes: Any, name: str, study: Any, colour: str) -> None:
     """What the careful planner gains for what it risks, over the risk of its bounds and over fixed thresholds."""
-    for by, style in (("risk", {"linestyle": "-", "label": name}), ("", {"linestyle": ":", "alpha": 0.6})):
-        rows = [row for row in study["risk"]["settings"] if (row["by"] == "risk") == bool(by) and row["success"]["n"]]
+    styles: dict[bool, dict[str, Any]] = {True: {"linestyle": "-", "label": name}, False: {"linestyle": ":"}}
+    for by_risk, style in styles.items():
+        rows = [row for row in study["risk"]["settings"] if (row["by"] == "risk") == by_risk and row["success"]["n"]]
         points = sorted((row["collided"]["mean"], row["success"]["mean"]) for row in rows)
         axes.plot(*zip(*points, strict=True) if points else ((), ()), color=colour, marker=".", **style)
 

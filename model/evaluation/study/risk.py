@@ -101,14 +101,14 @@ def risk_of(
     ]
     collided = trials[:, :, TOLD.index("collided")].reshape(-1)
     repeated = np.repeat(worlds, len(chosen))
-    paths = {}
+    paths: dict[str, list[dict[str, Any]]] = {}
     for n, name in enumerate(CHANCES, start=len(TOLD)):
         said = trials[:, :, n].reshape(-1)
         paths[name] = []
         for low, high in pairwise(EDGES):
             inside = (said >= low) & ((said < high) | (high == EDGES[-1]))
             if inside.any():
-                values = {"said": float(said[inside].mean()), "paths": int(inside.sum())}
-                values["collided"] = figure(collided[inside], repeated[inside], rng=rng)
+                had = figure(collided[inside], repeated[inside], rng=rng)
+                values = {"said": float(said[inside].mean()), "paths": int(inside.sum()), "collided": had}
                 paths[name].append({"from": low, "to": high, **values})
     return {"settings": rows, "paths": paths}
