@@ -58,8 +58,10 @@ def calibrate(
     if "occupancy" in network.config.tasks:
         try:
             weight = float(about["settings"]["loss"]["occupied_weight"])
+            if not weight > 0:
+                raise ValueError
         except (KeyError, TypeError, ValueError):
-            raise CheckpointError(f"{weights}: does not tell the class weight of its loss; train it again") from None
+            raise CheckpointError(f"{weights}: tells of no class weight above 0 of its loss; train it again") from None
     method, datasets = Pretrained(str(weights)), [Dataset(folder) for folder in folders]
     about = {name: value for name, value in about.items() if name != KEY}
     for dataset in datasets:

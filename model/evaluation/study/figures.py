@@ -129,7 +129,8 @@ def _by_risk(shown: Mapping[str, str]) -> Draw:
         for n, (told, dashes) in enumerate(shown.items()):
             label = None if n else name
             _line(axes, [(row["value"], row[told]) for row in rows], color=colour, linestyle=dashes, label=label)
-        axes.set_xscale("log")
+        if rows:
+            axes.set_xscale("log")
 
     return draw_method
 

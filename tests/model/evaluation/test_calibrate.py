@@ -67,7 +67,9 @@ def test_bounds_of_others_are_a_row_of_the_study(dataset: Dataset, weights: Path
         file["tudf_low"] = 0.5 * np.array([sample.tudf for sample in dataset.split("test")])
         file.attrs["risk"] = 0.1
     Predicted(tmp_path / "p.h5").check(dataset, "test")
-    report = report_of(dataset, tmp_path / "bench", names=(), predictions=tmp_path / "p.h5", study=True, variants=FEW)
+    report = report_of(
+        dataset, tmp_path / "bench", names=("truth",), predictions=tmp_path / "p.h5", study=True, variants=FEW
+    )
     (row,) = report["study"]["pillar"]["predicted"]["bounds"]["risks"]
     assert (row["risk"], row["unobserved"]["coverage"]["mean"]) == (0.1, 1.0)
     (planned,) = (one for one in report["study"]["pillar"]["predicted"]["risk"]["settings"] if one["by"] == "risk")
@@ -84,9 +86,10 @@ def test_what_cannot_be_calibrated_is_said(
     dataset: Dataset, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network, grid, _ = load_network(weights)
-    save_network(tmp_path / "odd.safetensors", network, grid, {})
-    with pytest.raises(CheckpointError, match="does not tell the class weight"):
-        calibrate(tmp_path / "odd.safetensors", [dataset.folder], weights)
+    for about in ({}, {"settings": {"loss": {"occupied_weight": 0}}}):
+        save_network(tmp_path / "odd.safetensors", network, grid, about)
+        with pytest.raises(CheckpointError, match="no class weight above 0"):
+            calibrate(tmp_path / "odd.safetensors", [dataset.folder], weights)
     save_network(tmp_path / "odd.safetensors", network, grid, TRAINED | {KEY: {"worlds": -1}})
     with pytest.raises(CheckpointError, match="its calibration is damaged"):
         Completer.from_pretrained(tmp_path / "odd.safetensors")
