@@ -11,6 +11,7 @@ import torch
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
+from scenegen.model.commands import bench
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.config import NetworkConfig
@@ -60,7 +61,10 @@ def test_a_file_carries_its_calibration(dataset: Dataset, weights: Path, tmp_pat
         np.testing.assert_allclose(file["probability"][0], said.probability, atol=1e-5)
 
 
-def test_bounds_of_others_are_a_row_of_the_study(dataset: Dataset, weights: Path, tmp_path: Path) -> None:
+def test_bounds_of_others_are_a_row_of_the_study(
+    dataset: Dataset, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench, "draw_study", lambda report: {})
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
     with h5py.File(tmp_path / "p.h5", "a") as file:
