@@ -18,7 +18,10 @@ PLACES = {
         name: f"{MADE}.{name}:{name}"
         for name in ("generate", "inspect", "world", "verify", "publish", "sensors", "scan")
     },
-    **{name: f"{INFERRED}.{name}:{name}" for name in ("train", "complete", "export", "networks", "bench", "reproduce")},
+    **{
+        name: f"{INFERRED}.{name}:{name}"
+        for name in ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce")
+    },
     **{name: f"{MADE}.{name}:{name}" for name in ("doctor", "completion")},
 }
 

@@ -26,6 +26,7 @@ from scenegen.model.config import BUNDLED, bundled
 from scenegen.model.inputs import INPUTS, centres, of_sample, of_scan
 from scenegen.model.network import Output
 from scenegen.model.runtime import load_onnx
+from scenegen.model.uncertainty.calibration import Calibration
 from scenegen.sample import Sample
 
 HUB = "hf://"
@@ -56,6 +57,11 @@ class Completer:
         """What it has to be shown of a map: names of `scenegen.model.inputs`."""
         self.about = dict(about or {})
         """What is known of its training: settings, versions, validation figures."""
+        try:
+            self.calibration = Calibration.of(self.about, grid)
+            """What tells how sure a prediction is; None for a network that was not calibrated."""
+        except ValueError as error:
+            raise CheckpointError(f"{name}: {error}") from None
         self._forward = forward
         self._batch = batch
 
@@ -111,8 +117,10 @@ class Completer:
         check_prediction(Prediction(*joined), shape, self.name)
         first = batch[self.inputs[0]] if isinstance(maps, Sample | Mapping) else maps
         if isinstance(first, Tensor):
-            return Prediction(*(None if part is None else part.to(first.device) for part in joined))
-        return Prediction(*(None if part is None else part.numpy(force=True) for part in joined))
+            parted = [None if part is None else part.to(first.device) for part in joined]
+        else:
+            parted = [None if part is None else part.numpy(force=True) for part in joined]
+        return Prediction(parted[0], parted[1], uncertainty=self.calibration, grid=self.grid)
 
     def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network takes other inputs."""

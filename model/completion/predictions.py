@@ -16,9 +16,10 @@ from scenegen.files import open_bounded, whole, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.points import read_points
-from scenegen.model.completion.protocol import PARTS, Prediction
+from scenegen.model.completion.protocol import PARTS, SURE, Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, of_sample, of_scan
+from scenegen.model.uncertainty.calibration import RISK
 from scenegen.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
@@ -104,7 +105,9 @@ def predict_scan(
         return used
     with whole(out) as draft, h5py.File(draft, "w") as file:
         file.attrs.update({"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m})
-        for name, values in (maps | {name: getattr(prediction, name) for name in PARTS}).items():
+        if prediction.uncertainty is not None:
+            file.attrs["risk"] = RISK
+        for name, values in (maps | {name: getattr(prediction, name) for name in PARTS | SURE}).items():
             if values is not None:
                 file[name] = values
     return used
@@ -135,7 +138,9 @@ def _names_a_method(path: Path) -> bool:
 
 
 def _write(file: h5py.File, prediction: Prediction, row: int, total: int) -> None:
-    for name in PARTS:
+    if prediction.uncertainty is not None:
+        file.attrs["risk"] = RISK
+    for name in PARTS | SURE:
         values: Any = getattr(prediction, name)
         if values is None:
             continue

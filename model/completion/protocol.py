@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
 from scenegen.model.config import Thresholds
+from scenegen.model.uncertainty.calibration import CLOSE, RISK, Given, Uncertainty, UncertaintyError
 from scenegen.truth import distance_field
 
 
@@ -26,6 +27,10 @@ class Prediction:
     """float32 (*shape), numpy or torch: the probability of being occupied, from 0 to 1."""
     tudf: Any = None
     """float32 (*shape), numpy or torch: distance to the nearest occupied voxel's centre, metres."""
+    uncertainty: Uncertainty | None = None
+    """What tells how sure the method is; None where nothing does, as of a network that was not calibrated."""
+    grid: GridSpec | None = None
+    """The map's, where `uncertainty` needs distances that are derived."""
 
     def __post_init__(self) -> None:
         if self.occupancy_probability is None and self.tudf is None:
@@ -45,6 +50,46 @@ class Prediction:
             return np.minimum(self.tudf, np.float32(grid.truncation_m))
         return distance_field(self.occupied(thresholds), grid)
 
+    @property
+    def probability(self) -> Any:
+        """float32 (*shape), numpy or torch: the calibrated probability of being occupied; None where there is none.
+        `occupancy_probability` is what the paper's thresholds are for."""
+        if self.uncertainty is None:
+            return None
+        return self._as_given(self.uncertainty.chance(_plain(self.occupancy_probability)))
+
+    @property
+    def tudf_low(self) -> Any:
+        """`low` at a risk of `RISK`; None where there is no such bound."""
+        held = () if self.uncertainty is None else self.uncertainty.risks
+        return self.low(RISK) if any(risk <= RISK + CLOSE for risk in held) else None
+
+    def low(self, risk: float) -> Any:
+        """float32 (*shape), numpy or torch: distances that the truth falls below in at most a share `risk` of unknown
+        voxels, metres; 0 where nothing can be said. Of the whole map at the paper's thresholds, where the method
+        predicts no distances.
+
+        Raises UncertaintyError where the method gives no bounds, or none of so small a risk.
+        """
+        if self.uncertainty is None:
+            raise UncertaintyError("no bounds: the network is not calibrated; run `scenegen calibrate` on it")
+        probability, tudf = _plain(self.occupancy_probability), _plain(self.tudf)
+        if tudf is None and self.grid is not None:
+            maps = probability.reshape(-1, *self.grid.shape)
+            derived = [Prediction(one).distance(Thresholds(), self.grid) for one in maps]
+            tudf = np.stack(derived).reshape(probability.shape)
+        return self._as_given(self.uncertainty.low(tudf, probability, risk))
+
+    def _as_given(self, values: NDArray[np.float32] | None) -> Any:
+        """As torch, on their device, where the predictions are."""
+        given = self.occupancy_probability if self.tudf is None else self.tudf
+        return values if values is None or isinstance(given, np.ndarray) else given.new_tensor(values)
+
+
+def _plain(values: Any) -> Any:
+    """numpy of numpy or torch."""
+    return values if values is None or isinstance(values, np.ndarray) else values.numpy(force=True)
+
 
 class PredictionError(ScenegenError):
     """A method says of a map what no completion can be."""
@@ -52,6 +97,8 @@ class PredictionError(ScenegenError):
 
 PARTS = {"occupancy_probability": ("a probability from 0 to 1", 1.0), "tudf": ("a distance of at least 0", np.inf)}
 """Parts of a prediction: what each voxel's number is, and the most it may be."""
+SURE = {"probability": PARTS["occupancy_probability"], "tudf_low": PARTS["tudf"]}
+"""Parts that only a method with an uncertainty has, in the same way."""
 
 
 def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction:
@@ -64,8 +111,9 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
         raise PredictionError(
             f"{who}: gives {type(found).__name__}, expected a scenegen.model.completion.protocol.Prediction"
         )
-    for name, (what, most) in PARTS.items():
-        values = getattr(found, name)
+    given = isinstance(found.uncertainty, Given)  # what is computed here holds what it should
+    for name, (what, most) in (PARTS | SURE if given else PARTS).items():
+        values = getattr(found if name in PARTS else found.uncertainty, name)
         if values is None:
             continue
         if tuple(getattr(values, "shape", ())) != tuple(shape):

@@ -67,6 +67,10 @@ class StudyConfig:
     """Values of d_s, metres."""
     class_weight: float = number(LossConfig().occupied_weight, above=0)
     """The weight of occupied voxels in the loss by which networks were trained, which is inverted for calibration."""
+    fixed_probabilities: tuple[float, ...] = number((0.1, 0.3, 0.5, 0.7, 0.85), least=0, most=1)
+    """Thresholds of probability beside which a planner by risk is set."""
+    fixed_distances_m: tuple[float, ...] = number((0.2, 0.4, 0.6), least=0)
+    """Those of methods that predict distances alone, metres."""
     range_step_m: float = number(1.0, above=0)
     """Width of the bins of distance from the sensor, metres."""
     clearance_step_m: float = number(0.25, above=0)

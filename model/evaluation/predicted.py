@@ -14,7 +14,8 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, GuardError, printable, short
 from scenegen.files import open_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
-from scenegen.model.completion.protocol import PARTS, Prediction, PredictionError, check_prediction
+from scenegen.model.completion.protocol import PARTS, SURE, Prediction, PredictionError, check_prediction
+from scenegen.model.uncertainty.calibration import RISK, Given
 from scenegen.sample import Sample
 from scenegen.workers import guarded
 
@@ -24,8 +25,9 @@ WHO = ("world", "viewpoint")
 
 @dataclass(frozen=True)
 class Predicted:
-    """Predictions in an HDF5 file: `occupancy_probability` and/or `tudf`, float32 (N, *grid.shape), and who is who:
-    attribute `dataset` (the dataset's digest), `world` and `viewpoint`, int64 (N,), and `split`, an attribute."""
+    """Predictions in an HDF5 file: `occupancy_probability` and/or `tudf`, float32 (N, *grid.shape); where there are
+    some, `probability`, calibrated, and `tudf_low`, bounds of the attribute `risk`; and who is who: attribute `dataset`
+    (the dataset's digest), `world` and `viewpoint`, int64 (N,), and `split`, an attribute."""
 
     path: Path
     name: str = field(default="predicted")
@@ -78,6 +80,9 @@ def _check_file(
                 )
             if said[1] != split:
                 raise DatasetError(f"predicts split {short(said[1])}, expected {split!r}")
+            risk = file.attrs.get("risk", RISK)
+            if not (np.ndim(risk) == 0 and np.asarray(risk).dtype.kind in "fiu" and 0 < risk < 1):
+                raise DatasetError(f"attribute `risk` is {short(risk)}, expected a number between 0 and 1")
             _check_arrays(file, split, names, shape)
             for row in range(len(names)):
                 check_prediction(_prediction(file, row), shape, f"row {row}")
@@ -88,9 +93,13 @@ def _check_file(
 
 
 def _check_arrays(file: h5py.File, split: str, names: list[tuple[int, int]], shape: tuple[int, ...]) -> None:
-    links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS)}
+    links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS, *SURE)}
     held = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
-    if not set(WHO) < set(held) or any(link is not None for name, link in links.items() if name not in held):
+    if (
+        not set(WHO) <= set(held)
+        or not set(PARTS) & set(held)
+        or any(link is not None for name, link in links.items() if name not in held)
+    ):
         raise DatasetError(
             f"expected world, viewpoint, and at least one of {', '.join(PARTS)}, none of them a link; found {held}"
         )
@@ -144,4 +153,6 @@ def _pairs(file: h5py.File) -> list[tuple[int, int]]:
 
 
 def _prediction(file: h5py.File, row: int) -> Prediction:
-    return Prediction(**{name: file[name][row].astype(np.float32) for name in PARTS if name in file})
+    parts = {name: file[name][row].astype(np.float32) for name in PARTS | SURE if name in file}
+    sure = {name: parts.pop(name) for name in SURE if name in parts}
+    return Prediction(**parts, uncertainty=Given(**sure, risk=float(file.attrs.get("risk", RISK))) if sure else None)

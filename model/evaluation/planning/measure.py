@@ -62,12 +62,24 @@ def follow(
     config: PlanConfig,
 ) -> Measurement:
     """Refine what `plan_path` gave on the predicted distances, and judge it in the truth; see `run_trial`."""
+    refined = None if plan.waypoints is None else refine(plan.waypoints, tudf_pred, grid, config)
+    return judge(plan, refined, occupancy_truth, tudf_truth, grid, config)
+
+
+def judge(
+    plan: Plan,
+    refined: NDArray[np.float64] | None,
+    occupancy_truth: NDArray[np.bool_],
+    tudf_truth: NDArray[np.floating],
+    grid: GridSpec,
+    config: PlanConfig,
+) -> Measurement:
+    """Judge in the truth the path `refined` (n, 3) that was made of what `plan_path` gave; see `run_trial`."""
     initial, reason = plan
-    if initial is None:
+    if initial is None or refined is None:
         return Measurement(success=False, waypoints_clear=False, cause=reason)
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
-    refined = refine(initial, tudf_pred, grid, config)
     gap, smooth = config.sample_m, config.clearance == "trilinear"
     hit, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m, gap, smooth)
     cause: Cause | None = None
@@ -83,6 +95,15 @@ def follow(
         cause=cause,
         hit=None if hit < 0 else hit,
     )
+
+
+def met(path: NDArray[np.float64], grid: GridSpec, config: PlanConfig) -> NDArray[np.int64]:
+    """The voxels, counted in C order, each once, that hold the points at which a path (n, 3) is judged."""
+    legs = np.diff(path, axis=0)
+    pieces = np.maximum(np.ceil(np.linalg.norm(legs, axis=1) / config.sample_m - 1e-9), 1).astype(np.int64)
+    parts = [path[n] + legs[n] * (np.arange(1, count + 1) / count)[:, None] for n, count in enumerate(pieces)]
+    index = np.floor(np.concatenate([path[:1], *parts]) / grid.voxel_m).astype(np.int64)
+    return np.unique(np.ravel_multi_index(tuple(index.T), grid.shape, mode="clip"))
 
 
 @kernel

@@ -1,5 +1,7 @@
 """Whether probabilities are what they say: of voxels said to be occupied with p, a share of p should be."""
 
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,44 +12,70 @@ from scenegen.model.evaluation.statistics import interval
 
 BINS = 20
 """Bins of probability, equally wide."""
-REGIONS = ("map", "unobserved")
-"""Voxels of the whole map, and the unknown ones among them."""
-READINGS = ("said", "corrected")
-"""The probability as it was said; and with the class weight of the loss inverted."""
-COUNTS = ("voxels", "said", "occupied")
-"""Sums over the voxels in a bin: how many, their probabilities, how many are occupied."""
+REGIONS = ("map", "unobserved", "near", "said_near", "seen", "unseen")
+"""Voxels of the whole map; the unknown ones among them; and of these, those near an obstacle, those predicted to be,
+those whose nearest obstacle returned something, and those whose nearest obstacle within the truncation did not."""
+READINGS = ("said", "corrected", "calibrated")
+"""The probability as it was said; with the class weight of the loss inverted; and as the method's calibration has it,
+where there is one."""
+COUNTS = ("voxels", "said", "occupied", "nll", "brier")
+"""Sums over the voxels in a bin: how many, their probabilities, how many are occupied; the negative logarithms of what
+was said of that which is, and the squared errors."""
+SMALLEST = 1e-7
+"""What a probability of 0 counts as where its logarithm is taken."""
+
+
+def regions(
+    unknown: NDArray[np.bool_],
+    distance: NDArray[np.float32],
+    true: NDArray[np.float32],
+    seen: NDArray[np.float32],
+    *,
+    near_m: float,
+    truncation_m: float,
+) -> NDArray[np.uint8]:
+    """Which of `REGIONS` every voxel belongs to, a bit for each, from predicted and true distances and those to the
+    obstacles that returned something; the grids have one shape."""
+    bits = np.ones(unknown.shape, np.uint8)
+    parts = (unknown, unknown & (true <= near_m), unknown & (distance < near_m))
+    met = unknown & (true < truncation_m - 1e-6)
+    for n, part in enumerate((*parts, met & (seen <= true), met & (seen > true)), start=1):
+        bits |= part.astype(np.uint8) << n
+    return bits
 
 
 def count(
-    probability: NDArray[np.float32], occupancy: NDArray[np.bool_], unknown: NDArray[np.bool_], weight: float
+    readings: Sequence[NDArray[np.float32]], occupancy: NDArray[np.bool_], bits: NDArray[np.uint8]
 ) -> NDArray[np.float64]:
-    """The counts of one map, (regions, readings, BINS, counts); the grids have one shape.
-
-    A network trained with `weight` on occupied voxels, where a free one has 1, minimises its loss by saying
-    w q / (w q + 1 - q) of a voxel that is occupied with probability q. Inverted: q = p / (p + w (1 - p)).
-    """
+    """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first so many `READINGS`;
+    the grids have one shape, and `bits` tell the `regions`."""
     counts = np.zeros((len(REGIONS), len(READINGS), BINS, len(COUNTS)))
-    _count(probability.reshape(-1), occupancy.reshape(-1), unknown.reshape(-1), weight, counts)
+    for n, said in enumerate(readings):
+        _count(said.reshape(-1), occupancy.reshape(-1), bits.reshape(-1), counts[:, n])
     return counts
 
 
 @kernel
-def _count(probability, occupancy, unknown, weight, counts):
-    bins = counts.shape[2]
+def _count(probability, occupancy, bits, counts):
+    parts, bins, _ = counts.shape
     for v in range(len(probability)):
-        p = float(probability[v])
-        for reading in range(2):
-            q = p if reading == 0 else p / (p + weight * (1.0 - p))
-            b = min(int(q * bins), bins - 1)
-            for region in range(2 if unknown[v] else 1):
-                counts[region, reading, b, 0] += 1.0
-                counts[region, reading, b, 1] += q
-                counts[region, reading, b, 2] += occupancy[v]
+        q = float(probability[v])
+        b = min(int(q * bins), bins - 1)
+        right = q if occupancy[v] else 1.0 - q
+        nll, brier = -math.log(max(right, SMALLEST)), (1.0 - right) ** 2
+        for region in range(parts):
+            if bits[v] >> region & 1:
+                counts[region, b, 0] += 1.0
+                counts[region, b, 1] += q
+                counts[region, b, 2] += occupancy[v]
+                counts[region, b, 3] += nll
+                counts[region, b, 4] += brier
 
 
 def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64], *, rng: np.random.Generator) -> dict[str, Any]:
-    """The reliability of N maps of `worlds` (N,): by region and reading, the expected calibration error, which is the
-    mean over voxels of |occupied - said| by bin, with its 95 % interval, and the bins that hold voxels.
+    """The reliability of N maps of `worlds` (N,): by region and reading, the bins that hold voxels; and over all voxels
+    the negative log-likelihood, the Brier score, and the expected calibration error, which is the mean of
+    |occupied - said| by bin, with 95 % intervals. Readings that nobody gave, and regions without voxels, are left out.
 
     `counts` (N, regions, readings, BINS, counts) are those of `count`.
     """
@@ -56,7 +84,12 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64], *, rng: 
         for n, reading in enumerate(READINGS):
             maps = counts[:, r, n]
             total = maps.sum(axis=0)
-            low, high = interval(maps.reshape(len(maps), -1), worlds, _ece, rng=rng)
+            if not total[:, 0].any():
+                continue
+            figures = {}
+            for name, of in SCORES.items():
+                low, high = interval(maps.reshape(len(maps), -1), worlds, of, rng=rng)
+                figures[name] = {"mean": float(of(total.reshape(1, -1))[0]), "low": low, "high": high}
             bins = [
                 {
                     "from": b / BINS,
@@ -65,16 +98,31 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64], *, rng: 
                     "said": p / voxels,
                     "occupied": o / voxels,
                 }
-                for b, (voxels, p, o) in enumerate(total.tolist())
+                for b, (voxels, p, o, *_) in enumerate(total.tolist())
                 if voxels
             ]
-            ece = float(_ece(total.reshape(1, -1))[0])
-            found.setdefault(region, {})[reading] = {"ece": ece, "low": low, "high": high, "bins": bins}
+            ece = figures.pop("ece")
+            found.setdefault(region, {})[reading] = {"ece": ece.pop("mean"), **ece, **figures, "bins": bins}
     return found
 
 
 def _ece(sums: NDArray[np.float64]) -> NDArray[np.float64]:
     """Expected calibration errors (k,) of sums (k, BINS * counts); NaN of no voxels."""
-    voxels, said, occupied = np.moveaxis(sums.reshape(len(sums), BINS, len(COUNTS)), -1, 0)
+    voxels, said, occupied = np.moveaxis(sums.reshape(len(sums), BINS, len(COUNTS)), -1, 0)[:3]
     whole = voxels.sum(axis=1)
     return np.where(whole > 0, np.abs(said - occupied).sum(axis=1) / np.maximum(whole, 1), np.nan)
+
+
+def _mean(name: str) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Means over voxels (k,) of a count, of sums (k, BINS * counts); NaN of no voxels."""
+
+    def of(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+        total = sums.reshape(len(sums), BINS, len(COUNTS)).sum(axis=1)
+        voxels, value = total[:, 0], total[:, COUNTS.index(name)]
+        return np.where(voxels > 0, value / np.maximum(voxels, 1), np.nan)
+
+    return of
+
+
+SCORES = {"ece": _ece, "nll": _mean("nll"), "brier": _mean("brier")}
+"""What probabilities are judged by."""

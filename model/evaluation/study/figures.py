@@ -9,6 +9,8 @@ from scenegen.model.evaluation.study.report import at
 
 LINES = {"edt": "-", "tudf": "--", "min": ":"}
 """How the fields are told apart."""
+SHARES = {"success": "-", "collided": ":", "abstained": "--"}
+"""What becomes of the careful planner's trials, and how lines tell it."""
 Draw = Callable[[Any, str, Any, str], None]
 """Draws one method's part: axes, its name, its study and row of reconstruction, its colour."""
 
@@ -25,7 +27,18 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
         "iou-by-range.png": ("from the sensor, m", "IoU", _range("iou")),
         "near-mae-by-range.png": ("from the sensor, m", "Near-MAE, m", _range("near_mae")),
         "near-mae-by-visibility.png": ("", "Near-MAE, m", _visibility),
-        "reliability.png": ("said (dotted), class weight inverted (solid)", "occupied", _reliability),
+        "reliability.png": (
+            "said (dotted), class weight inverted (solid), calibrated (dashed)",
+            "occupied",
+            _reliability,
+        ),
+        "risk.png": ("collided (solid: by risk; dotted: by a fixed threshold)", "success", _risk),
+        "success-by-risk.png": (
+            "risk of the bounds",
+            "success; collided (dotted); abstained (dashed)",
+            _by_risk(SHARES),
+        ),
+        "length-by-risk.png": ("risk of the bounds", "length, m", _by_risk({"length": "-"})),
         "fates.png": ("share of trials", "", _fates),
     }
     return {name: _picture(report, *panel) for name, panel in panels.items()}
@@ -92,13 +105,43 @@ def _visibility(axes: Any, name: str, study: Any, colour: str) -> None:
 
 
 def _reliability(axes: Any, name: str, study: Any, colour: str) -> None:
-    """The probability as said, thin, and with the class weight inverted."""
+    """The probability as said, thin, with the class weight inverted, and calibrated."""
     axes.axline((0, 0), slope=1, color="grey", linewidth=0.5)
     if study["reliability"] is None:
         return
-    for reading, style in (("said", {"alpha": 0.4, "linestyle": ":"}), ("corrected", {"label": name})):
+    styles: dict[str, dict[str, Any]] = {
+        "said": {"alpha": 0.4, "linestyle": ":"},
+        "corrected": {"label": name},
+        "calibrated": {"linestyle": "--"},
+    }
+    for reading, style in styles.items():
+        if reading not in study["reliability"]["map"]:
+            continue
         bins = study["reliability"]["map"][reading]["bins"]
         axes.plot([one["said"] for one in bins], [one["occupied"] for one in bins], color=colour, marker=".", **style)
+
+
+def _by_risk(shown: Mapping[str, str]) -> Draw:
+    """Figures of the careful planner, each in its style, over the risk of the bounds that it plans on."""
+
+    def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
+        rows = [row for row in study["risk"]["settings"] if row["by"] == "risk"]
+        for n, (told, dashes) in enumerate(shown.items()):
+            label = None if n else name
+            _line(axes, [(row["value"], row[told]) for row in rows], color=colour, linestyle=dashes, label=label)
+        if rows:
+            axes.set_xscale("log")
+
+    return draw_method
+
+
+def _risk(axes: Any, name: str, study: Any, colour: str) -> None:
+    """What the careful planner gains for what it risks, over the risk of its bounds and over fixed thresholds."""
+    styles: dict[bool, dict[str, Any]] = {True: {"linestyle": "-", "label": name}, False: {"linestyle": ":"}}
+    for by_risk, style in styles.items():
+        rows = [row for row in study["risk"]["settings"] if (row["by"] == "risk") == by_risk and row["success"]["n"]]
+        points = sorted((row["collided"]["mean"], row["success"]["mean"]) for row in rows)
+        axes.plot(*zip(*points, strict=True) if points else ((), ()), color=colour, marker=".", **style)
 
 
 def _fates(axes: Any, name: str, study: Any, colour: str) -> None:

@@ -12,10 +12,13 @@ from lidarsim import GridSpec
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.reconstruction import measure
-from scenegen.model.evaluation.study import calibration
+from scenegen.model.evaluation.study import calibration, risk
+from scenegen.model.evaluation.study.bounds import JUDGED, PARTS, judge_bounds
 from scenegen.model.evaluation.study.planning import fields_of, run_variants, variants
 from scenegen.model.evaluation.visibility import UNOBSERVED
+from scenegen.model.uncertainty.calibration import corrected
 from scenegen.sample import Sample
+from scenegen.truth import distance_field
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -28,6 +31,16 @@ class Study:
     """([N,] ...): see `calibration.count`; None where no probability is predicted."""
     trials: NDArray[np.float64]
     """(trials, variants, columns): see `run_variants`."""
+    risks: tuple[float, ...]
+    """The risks of the method's bounds; () for none."""
+    bounds: NDArray[np.float64]
+    """([N,] risks, regions, figures): see `judge_bounds`."""
+    ause: NDArray[np.float64]
+    """([N]): of the bounds; NaN without any."""
+    settings: tuple[risk.Setting, ...]
+    """What the careful planner goes by."""
+    careful: NDArray[np.float64]
+    """(trials, settings, figures): see `run_settings`."""
 
 
 def study_map(
@@ -46,10 +59,24 @@ def study_map(
     `distance`; `classes` tells how each voxel was seen (`classify`), `seen` what returned (`seen_occupancy`)."""
     truth = sample.occupancy, sample.tudf
     bins, edges = ranges(grid, config.variants.range_step_m)
+    unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
+    bits = calibration.regions(
+        unknown,
+        distance,
+        sample.tudf,
+        distance_field(seen, grid),
+        near_m=config.reconstruction.near_m,
+        truncation_m=grid.truncation_m,
+    )
     reliability = None
-    if said.occupancy_probability is not None:
-        unknown, weight = np.isin(classes, UNOBSERVED), config.variants.class_weight
-        reliability = calibration.count(said.occupancy_probability, sample.occupancy, unknown, weight)
+    if probability is not None:
+        readings = (probability, corrected(probability, config.variants.class_weight), said.probability)
+        reliability = calibration.count([one for one in readings if one is not None], sample.occupancy, bits)
+    risks = () if said.uncertainty is None else said.uncertainty.risks
+    judged, sparse = np.empty((0, len(PARTS), len(JUDGED))), np.nan
+    if risks:
+        judged, sparse = judge_bounds(said, distance, sample.tudf, bits)
+    settings = risk.settings(said, config.variants)
     chosen, fields = variants(config.plan, config.variants), fields_of(said, occupied, grid)
     return Study(
         by_range=measure(
@@ -57,17 +84,30 @@ def study_map(
         )[2:],
         reliability=reliability,
         trials=run_variants(chosen, occupied, fields, truth, seen, goals, grid, config.plan),
+        risks=risks,
+        bounds=judged,
+        ause=np.array(sparse),
+        settings=settings,
+        careful=risk.run_settings(settings, said, truth, goals, grid, config.plan),
     )
 
 
 def stack(parts: Sequence[Study], turns: Sequence[tuple[int, int]]) -> Study:
     """The studies of all maps as one, with those trials that `turns` name, each (trial, map)."""
     counted = [part.reliability for part in parts]
-    trials = np.array([parts[n].trials[turn] for turn, n in turns])
+    trials, careful = (
+        np.array([getattr(parts[n], name)[turn] for turn, n in turns]).reshape(-1, *getattr(parts[0], name).shape[1:])
+        for name in ("trials", "careful")
+    )
     return Study(
         by_range=np.array([part.by_range for part in parts]),
         reliability=np.array(counted) if all(one is not None for one in counted) else None,
-        trials=trials.reshape(-1, *parts[0].trials.shape[1:]),
+        trials=trials,
+        risks=parts[0].risks,
+        bounds=np.array([part.bounds for part in parts]),
+        ause=np.array([part.ause for part in parts]),
+        settings=parts[0].settings,
+        careful=careful,
     )
 
 

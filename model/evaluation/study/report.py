@@ -9,9 +9,11 @@ import numpy as np
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.statistics import figure
-from scenegen.model.evaluation.study.calibration import READINGS, REGIONS, reliability
+from scenegen.model.evaluation.study.bounds import JUDGED, PARTS, bounds_of
+from scenegen.model.evaluation.study.calibration import READINGS, SCORES, reliability
 from scenegen.model.evaluation.study.maps import Study, ranges
 from scenegen.model.evaluation.study.planning import COLUMNS, FATES, SEARCHES, Variant, variants
+from scenegen.model.evaluation.study.risk import CHANCES, TOLD, risk_of
 from scenegen.model.evaluation.tables import head, interval, line
 
 if TYPE_CHECKING:
@@ -20,11 +22,13 @@ if TYPE_CHECKING:
 VARIED = {"search": "what A* asks", "clearance_weight": "λ_c", "safety_m": "d_s, metres"}
 """The choices of a row of ``planning`` besides its field: names and titles."""
 SUCCESS, FATE = COLUMNS.index("success"), COLUMNS.index("fate")
+SHOWN = ("map", "unobserved", "seen", "unseen")
+"""Regions over which the tables show probabilities."""
 
 
 def study_of(result: "DatasetResult", rng: np.random.Generator) -> dict[str, Any]:
     """What was studied on one dataset, by method: ``planning``, a row a variant; ``success_by_clearance``;
-    ``by_range``; ``reliability``. Figures are {mean, std, low, high, n}, as in the report's tables."""
+    ``by_range``; ``reliability``; ``bounds``; ``risk``. Figures are {mean, std, low, high, n}, as in the tables."""
     return {name: _method(found, result, rng) for name, found in result.methods.items()}
 
 
@@ -45,6 +49,8 @@ def _method(found: "MethodResult", result: "DatasetResult", rng: np.random.Gener
         "reliability": None
         if counted is None
         else {"class_weight": config.class_weight, **reliability(counted, result.worlds, rng=rng)},
+        "bounds": bounds_of(study.bounds, study.ause, study.risks, result.worlds, rng) if study.risks else None,
+        "risk": risk_of(study.careful, study.settings, result.trial_worlds, rng),
     }
 
 
@@ -100,12 +106,44 @@ def study_lines(study: Mapping[str, Any]) -> list[str]:
     for name, found in study.items():
         for row in at(found["planning"], usual):
             lines.append(line(f"{name}, {row['field']}", (str(row["fates"][fate]) for fate in FATES)))
-    kinds = [(region, reading) for region in REGIONS for reading in READINGS]
-    lines += ["", "### Expected calibration error", "", *head([f"{region}, {reading}" for region, reading in kinds])]
+    return lines + _probability_lines(study) + _bounds_lines(study) + _risk_lines(study)
+
+
+def _probability_lines(study: Mapping[str, Any]) -> list[str]:
+    lines = ["", "### Probabilities", "", "| method, voxels, reading | ECE | NLL | Brier |", "|---|---|---|---|"]
     for name, found in study.items():
-        if (held := found["reliability"]) is not None:
-            errors = (held[region][reading] for region, reading in kinds)
-            lines.append(line(name, (f"{one['ece']:.4f} {interval(one, '.4f')}" for one in errors)))
+        held = found["reliability"] or {}
+        for region, reading in ((region, reading) for region in SHOWN for reading in READINGS):
+            if (one := held.get(region, {}).get(reading)) is not None:
+                figures = ({**one, "mean": one["ece"]}, *(one[score] for score in list(SCORES)[1:]))
+                cells = (f"{figure['mean']:.4f} {interval(figure, '.4f')}" for figure in figures)
+                lines.append(line(f"{name}, {region}, {reading}", cells))
+    return lines
+
+
+def _bounds_lines(study: Mapping[str, Any]) -> list[str]:
+    lines: list[str] = []
+    for name, found in study.items():
+        if (held := found["bounds"]) is None:
+            continue
+        lines += ["", f"### Bounds of {name}: coverage, and width in metres", ""]
+        lines += [f"AUSE {brief(held['ause'])}", "", *head([f"risk {row['risk']:g}" for row in held["risks"]])]
+        for part in PARTS:
+            cells = [[row[part][judged] for judged in JUDGED] for row in held["risks"]]
+            shown = [", ".join("–" if one["mean"] is None else f"{one['mean']:.3f}" for one in pair) for pair in cells]
+            lines.append(line(part, shown))
+    return lines
+
+
+def _risk_lines(study: Mapping[str, Any]) -> list[str]:
+    names = ("promised", *TOLD, *CHANCES)
+    lines = ["", "### The careful planner", "", *head(names)]
+    for name, found in study.items():
+        for row in found["risk"]["settings"]:
+            promised = "–" if row["promised"] is None else f"{row['promised']:.3f}"
+            lines.append(
+                line(f"{name}, {row['by']} {row['value']:g}", (promised, *(brief(row[one]) for one in names[1:])))
+            )
     return lines
 
 

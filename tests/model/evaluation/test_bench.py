@@ -189,7 +189,7 @@ def test_a_study_stands_beside_tables_that_it_does_not_change(dataset: Dataset, 
     text = (tmp_path / "study" / "report.md").read_text()
     assert "### What became of trials" in text
     assert "### What became of trials" not in (tmp_path / "plain" / "report.md").read_text()
-    assert len(list((tmp_path / "study").glob("*.png"))) == 8
+    assert len(list((tmp_path / "study").glob("*.png"))) == 11
     with pytest.raises(ValueError, match="no study; run bench with --study"):
         draw(plain)
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from scenegen.model.evaluation.study.calibration import BINS, count, reliability
+from scenegen.model.evaluation.study.calibration import BINS, REGIONS, count, regions, reliability
+from scenegen.model.uncertainty.calibration import corrected
 
 SHAPE = (40, 40, 40)
 
@@ -16,19 +17,28 @@ def drawn(weight: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndar
     return (weight * chance / (weight * chance + 1 - chance)).astype(np.float32), occupied, unknown
 
 
+def counted(said: np.ndarray, occupied: np.ndarray, unknown: np.ndarray, weight: float) -> np.ndarray:
+    return count([said, corrected(said, weight)], occupied, (1 + 2 * unknown).astype(np.uint8))
+
+
 def test_counts_are_those_of_histograms() -> None:
     said, occupied, unknown = drawn(5.0)
-    counts = count(said, occupied, unknown, 5.0)
+    counts = counted(said, occupied, unknown, 5.0)
     for r, region in enumerate((np.ones(SHAPE, bool), unknown)):
         for n, q in enumerate((said.astype(float), said / (said + 5 * (1 - said.astype(float))))):
             for c, weights in enumerate((None, q[region], occupied[region].astype(float))):
                 expected = np.histogram(q[region], BINS, (0, 1), weights=weights)[0]
                 np.testing.assert_allclose(counts[r, n, :, c], expected, atol=1e-6)
+            q, o = q[region], occupied[region]
+            nll, brier = np.where(o, -np.log(q + 1e-30), -np.log1p(-q)).sum(), np.square(o - q).sum()
+            np.testing.assert_allclose(counts[r, n, :, 3:].sum(axis=0), (nll, brier), rtol=1e-3)
+    assert not counts[2:].any(), "no voxel is in those regions"
+    assert not counts[:, 2].any(), "nobody gave that reading"
 
 
 @pytest.mark.parametrize("weight", [1.0, 5.0])
 def test_inverting_the_weight_calibrates_what_was_trained_with_it(weight: float) -> None:
-    counts = np.array([count(*drawn(weight, seed), weight) for seed in range(4)])
+    counts = np.array([counted(*drawn(weight, seed), weight) for seed in range(4)])
     found = reliability(counts, np.array([0, 0, 1, 2]), rng=np.random.default_rng(0))
     for region in found.values():
         assert region["corrected"]["ece"] < 0.01
@@ -40,7 +50,23 @@ def test_inverting_the_weight_calibrates_what_was_trained_with_it(weight: float)
 
 def test_certain_and_right_is_calibrated() -> None:
     occupied = drawn(1.0)[1]
-    counts = count(occupied.astype(np.float32), occupied, occupied, 5.0)
+    counts = counted(occupied.astype(np.float32), occupied, occupied, 5.0)
     found = reliability(counts[None], np.zeros(1, int), rng=np.random.default_rng(0))
     assert found["map"]["corrected"]["ece"] == found["unobserved"]["said"]["ece"] == 0.0
     assert [one["occupied"] for one in found["map"]["said"]["bins"]] == [0.0, 1.0]
+
+
+def test_regions_are_told_by_the_nearest_obstacle() -> None:
+    unknown = np.array([True, True, True, True, False])
+    true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
+    said = np.array([0.9, 1.5, 0.5, 0.5, 0.5], np.float32)
+    bits = regions(unknown, said, true, seen, near_m=1.0, truncation_m=2.0)
+    parts = {name: [bool(bit >> n & 1) for bit in bits] for n, name in enumerate(REGIONS)}
+    assert parts == {
+        "map": [True] * 5,
+        "unobserved": [True, True, True, True, False],
+        "near": [True, True, False, False, False],
+        "said_near": [True, False, True, True, False],
+        "seen": [True, False, True, False, False],
+        "unseen": [False, True, False, False, False],
+    }

@@ -1,0 +1,89 @@
+"""`scenegen calibrate`: how sure a network may be, from validation worlds."""
+
+import json
+from pathlib import Path
+
+import rich_click as click
+
+from scenegen.commands.datasets import find_datasets
+from scenegen.limits import MOST_SAMPLES
+from scenegen.model.commands.weights import Weights
+from scenegen.terminal.options import (
+    datasets_argument,
+    json_option,
+    out_option,
+    quiet_option,
+    seed_option,
+    split_option,
+    workers_option,
+)
+from scenegen.terminal.progress import Progress, announce_compilation
+from scenegen.terminal.show import say
+
+
+@click.command()
+@click.argument("weights", type=Weights())
+@datasets_argument
+@split_option("val", help="The split whose worlds are looked at; one that no training saw.")
+@click.option("--samples", type=click.IntRange(1, MOST_SAMPLES), help="At most so many maps of each dataset.")
+@click.option(
+    "--trials",
+    type=click.IntRange(0, 100),
+    default=4,
+    show_default=True,
+    help="Paths planned on each map at every risk; 0 leaves the risk of paths out.",
+)
+@seed_option("Decides the goals.")
+@out_option("File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]", file=True)
+@workers_option
+@json_option
+@quiet_option
+def calibrate(
+    weights: str,
+    datasets: tuple[Path | str, ...],
+    split: str,
+    samples: int | None,
+    trials: int,
+    seed: int,
+    out: Path | None,
+    workers: int,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its file."""
+    from scenegen.files import make_parent
+    from scenegen.model.checkpoint import CheckpointError
+    from scenegen.model.completion.completer import HUB, called, locate
+    from scenegen.model.config import bundled
+    from scenegen.model.evaluation.calibrate import calibrate as fit
+
+    talk = not (quiet or as_json)
+    path = locate(weights)
+    if path.suffix == ".onnx":
+        raise CheckpointError(f"{path}: an exported network; calibrate its .safetensors file, then export that again")
+    elsewhere = weights in bundled() or weights.startswith(HUB)
+    out = out or (Path(f"{called(weights, path)}.safetensors") if elsewhere else path)
+    make_parent(out)
+    if talk:
+        announce_compilation()
+    with Progress("calibrate", shown=talk) as progress:
+        found = fit(
+            path,
+            find_datasets(datasets, shown=talk),
+            out,
+            split=split,
+            samples=samples,
+            trials=trials,
+            seed=seed,
+            workers=workers,
+            on_start=lambda what, total: progress.restart(what, total, 0),
+            on_done=progress.count,
+        )
+    if as_json:
+        print(json.dumps(found.said()))
+    elif talk:
+        heat = "" if found.temperature is None else f"temperature {found.temperature:.3f}, "
+        say(f"{found.worlds} worlds: {heat}bounds down to a risk of {found.risks[-1]:g}")
+        if found.path_risks:
+            say(f"paths planned on them collide in at most {', '.join(f'{one:.3f}' for one in found.path_risks)}")
+        say(f"written: {out}")

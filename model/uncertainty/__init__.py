@@ -1,0 +1,1 @@
+"""How sure a completion is: probabilities that are what they say, and distances that truth does not fall below."""

@@ -1,0 +1,231 @@
+"""What was learned from validation worlds about a network's errors, and what it makes of a prediction.
+
+It stands in the header of the network's file, under ``calibration`` of what is said about it, as plain JSON.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from scenegen.errors import ScenegenError, short
+from scenegen.limits import MOST_MARGINS
+
+KEY = "calibration"
+"""Its name in what is said about a network."""
+RISK = 0.05
+"""The risk of a bound where none is named: the truth is at least the bound in 95 % of unknown voxels."""
+CLOSE = 1e-9
+"""Risks that differ by less are the same."""
+
+
+class UncertaintyError(ScenegenError):
+    """Bounds or probabilities are asked for that nobody can give."""
+
+
+class Uncertainty(Protocol):
+    """Whatever tells how sure a prediction is."""
+
+    @property
+    def risks(self) -> tuple[float, ...]:
+        """The risks that bounds were made for, the greatest first; () for none."""
+        ...
+
+    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+        """Calibrated probabilities, of the shape of the predicted ones; None where there are none."""
+        ...
+
+    def low(
+        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
+    ) -> NDArray[np.float32]:
+        """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the shape of the
+        predicted `distance`, metres. Raises UncertaintyError for a risk that is too small."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """A network's calibration. Raises ValueError for numbers that cannot be one."""
+
+    worlds: int
+    """Validation worlds that it was computed from."""
+    class_weight: float
+    """The weight of occupied voxels in the loss by which the network was trained."""
+    temperature: float | None
+    """What the logits are divided by, after the class weight was inverted; None where no probability is predicted."""
+    step_m: float
+    """Width of the bins of predicted distance, metres; the last one holds what is at the truncation."""
+    chances: tuple[float, ...]
+    """Edges between the bins of probability, its class weight inverted, rising; () where none is predicted."""
+    risks: tuple[float, ...]
+    """The risks of the rows of `margins`, falling."""
+    margins: tuple[tuple[float, ...], ...]
+    """(risks, distance bins x probability bins): what is taken from a predicted distance, metres."""
+    path_risks: tuple[float, ...] = ()
+    """For every risk of `risks`, what share of the paths planned on its bounds collides at most: see
+    `scenegen.model.evaluation.planning.careful`. () where that was not measured."""
+    datasets: tuple[str, ...] = ()
+    """Digests of the datasets whose validation worlds these are."""
+
+    def __post_init__(self) -> None:
+        numbers = [self.worlds, self.class_weight, self.step_m, *self.chances, *self.risks, *self.path_risks]
+        numbers += [] if self.temperature is None else [self.temperature]
+        numbers += [margin for row in self.margins for margin in row]
+        if not all(isinstance(one, int | float) and math.isfinite(one) for one in numbers):
+            raise ValueError("holds what is no finite number")
+        positive = [
+            self.worlds,
+            self.class_weight,
+            self.step_m,
+            *([] if self.temperature is None else [self.temperature]),
+        ]
+        if min(positive) <= 0 or not all(0 < one < 1 for one in (*self.risks, *self.chances)):
+            raise ValueError("holds a weight, temperature, step, risk or probability out of its range")
+        if sorted(self.risks, reverse=True) != list(self.risks) or sorted(self.chances) != list(self.chances):
+            raise ValueError("its risks must fall, and its probabilities rise")
+        if len({len(row) for row in self.margins}) > 1 or len(self.margins) != len(self.risks):
+            raise ValueError("its margins are no table of a row a risk")
+        if len(self.path_risks) not in (0, len(self.risks)):
+            raise ValueError("its path_risks must be as many as its risks")
+
+    @classmethod
+    def of(cls, about: Mapping[str, Any], grid: GridSpec) -> "Calibration | None":
+        """The calibration among what is said `about` a network for maps on `grid`; None where there is none. Raises
+        ValueError where it is damaged."""
+        if KEY not in about:
+            return None
+        try:
+            held = {name: _tuples(value) for name, value in dict(about[KEY]).items()}
+            found = cls(**held)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"its calibration is damaged ({short(error)}); calibrate it again") from None
+        if len(found.margins[0] if found.margins else ()) not in (0, bin_count(grid, found.step_m, found.chances)):
+            raise ValueError("its calibration is of another grid; calibrate it again")
+        return found
+
+    def said(self) -> dict[str, Any]:
+        """Itself as JSON holds it."""
+        return dataclasses.asdict(self)
+
+    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+        """See `Uncertainty.chance`: with l the logit of p, the probability of (l - log w) / T."""
+        if probability is None or self.temperature is None:
+            return None
+        logit = corrected_logit(probability, self.class_weight) / np.float32(self.temperature)
+        return np.asarray(1 / (1 + np.exp(-logit)), dtype=np.float32)
+
+    def row(self, risk: float) -> int:
+        """Which of `risks` serves `risk`: the greatest that is no greater. Raises UncertaintyError where none is."""
+        if not 0 < risk < 1:
+            raise UncertaintyError(f"risk = {risk:g}: expected a number between 0 and 1, such as {RISK}")
+        for n, held in enumerate(self.risks):
+            if held <= risk + CLOSE:
+                return n
+        least = f"down to {self.risks[-1]:g}" if self.risks else "no bounds"
+        raise UncertaintyError(
+            f"risk = {risk:g}: {self.worlds} validation worlds give {least}; calibrate on more worlds"
+        )
+
+    def for_paths(self, risk: float) -> float:
+        """The greatest risk of bounds on which a share `risk` of planned paths collides at most: risk as one number, to
+        plan by. Raises UncertaintyError where no bounds are so sure, or it was not measured."""
+        for held, collided in zip(self.risks, self.path_risks, strict=False):
+            if collided <= risk + CLOSE:
+                return held
+        least = (
+            f"down to {self.path_risks[-1]:.3g}" if self.path_risks else "nothing: it was calibrated with --trials 0"
+        )
+        raise UncertaintyError(f"risk of paths = {risk:g}: the calibration promises {least}")
+
+    def low(
+        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
+    ) -> NDArray[np.float32]:
+        """See `Uncertainty.low`: the bound of the greatest risk in the table that is no greater than `risk`."""
+        margins = np.asarray(self.margins[self.row(risk)], dtype=np.float32)
+        count = len(margins) // (len(self.chances) + 1)
+        chance = None if probability is None else corrected(probability, self.class_weight)
+        found = bins(distance, chance, self.step_m, self.chances, count)
+        return np.asarray(np.maximum(distance - margins[found], 0), dtype=np.float32)
+
+
+def _tuples(value: Any) -> Any:
+    """JSON's lists as tuples. Raises ValueError for longer ones than any calibration has."""
+    if not isinstance(value, list):
+        return value
+    if len(value) > MOST_MARGINS:
+        raise ValueError(f"a list of {len(value)}, expected {MOST_MARGINS} at most")
+    return tuple(map(_tuples, value))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Given:
+    """What somebody else says of one map: a calibrated probability, or a bound of one risk, or both."""
+
+    probability: NDArray[np.float32] | None = None
+    tudf_low: NDArray[np.float32] | None = None
+    """Distances, metres."""
+    risk: float = RISK
+
+    @property
+    def risks(self) -> tuple[float, ...]:
+        """See `Uncertainty.risks`."""
+        return () if self.tudf_low is None else (self.risk,)
+
+    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+        """See `Uncertainty.chance`."""
+        return self.probability
+
+    def low(
+        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
+    ) -> NDArray[np.float32]:
+        """See `Uncertainty.low`."""
+        if self.tudf_low is None or risk < self.risk - CLOSE:
+            held = "none" if self.tudf_low is None else f"those of a risk of {self.risk:g}"
+            raise UncertaintyError(f"risk = {risk:g}: of bounds, the predictions hold {held}")
+        return self.tudf_low
+
+
+def corrected(probability: NDArray[np.float32], class_weight: float) -> NDArray[np.float32]:
+    """Probabilities whose class weight w is inverted: q = p / (p + w (1 - p)).
+
+    A network trained with w on occupied voxels, where a free one has 1, minimises its loss by saying
+    p = w q / (w q + 1 - q) of a voxel that is occupied with probability q.
+    """
+    p = np.asarray(probability, dtype=np.float32)
+    return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), dtype=np.float32)
+
+
+def corrected_logit(probability: NDArray[np.float32], class_weight: float) -> NDArray[np.float32]:
+    """The logits of `corrected` probabilities: those of p less log w. 0 and 1 count as the nearest numbers that float32
+    tells from them."""
+    p = np.clip(np.asarray(probability, dtype=np.float32), np.float32(1e-7), np.float32(1 - 1e-7))
+    return np.asarray(np.log(p / (1 - p)) - np.float32(math.log(class_weight)), dtype=np.float32)
+
+
+def distance_bins(grid: GridSpec, step_m: float) -> int:
+    """Bins of predicted distance on `grid`: the last holds the truncation alone."""
+    return math.ceil(grid.truncation_m / step_m - CLOSE) + 1
+
+
+def bin_count(grid: GridSpec, step_m: float, chances: tuple[float, ...]) -> int:
+    """Bins of a calibration's margins."""
+    return distance_bins(grid, step_m) * (len(chances) + 1)
+
+
+def bins(
+    distance: NDArray[np.float32],
+    chance: NDArray[np.float32] | None,
+    step_m: float,
+    chances: tuple[float, ...],
+    count: int,
+) -> NDArray[np.int64]:
+    """The bin of every voxel: of its predicted distance, one of `count`, then of its `corrected` probability."""
+    found = np.minimum((distance * np.float32(1 / step_m) + np.float32(1e-4)).astype(np.int64), count - 1)
+    if not chances or chance is None:
+        return found * (len(chances) + 1)
+    return found * (len(chances) + 1) + np.searchsorted(np.asarray(chances, np.float32), chance)

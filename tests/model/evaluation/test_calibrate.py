@@ -1,0 +1,103 @@
+"""One command's work, on a small network and dataset: its file carries the calibration, and everything reads it."""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import torch
+
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError
+from scenegen.model.checkpoint import CheckpointError, load_network, save_network
+from scenegen.model.commands import bench
+from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.predictions import predict_split
+from scenegen.model.config import NetworkConfig
+from scenegen.model.evaluation import calibrate as module
+from scenegen.model.evaluation.calibrate import calibrate
+from scenegen.model.evaluation.config import StudyConfig
+from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.network import Network
+from scenegen.model.uncertainty.calibration import KEY, Calibration
+from tests.model.evaluation.test_bench import report_of
+
+FEW = StudyConfig(clearance_weights=(), safeties_m=(), range_step_m=9.0)
+TRAINED = {"settings": {"loss": {"occupied_weight": 5.0}}, "seed": 0}
+
+
+@pytest.fixture
+def weights(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(module, "LEAST_WORLDS", 1)
+    torch.manual_seed(0)
+    network = Network(NetworkConfig(variant="proposed", width=4))
+    save_network(tmp_path / "net.safetensors", network, dataset.grid, TRAINED)
+    return tmp_path / "net.safetensors"
+
+
+def test_a_file_carries_its_calibration(dataset: Dataset, weights: Path, tmp_path: Path) -> None:
+    before = load_network(weights)[0].state_dict()
+    found = calibrate(weights, [dataset.folder], tmp_path / "sure.safetensors", split="test", trials=1)
+    network, grid, about = load_network(tmp_path / "sure.safetensors")
+    assert Calibration.of(about, grid) == found
+    assert {name: value for name, value in about.items() if name != KEY} == TRAINED
+    assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
+    assert (found.worlds, found.class_weight, found.datasets) == (3, 5.0, (str(dataset.manifest.digest),))
+    assert found.risks == (0.5, 0.4, 0.3)
+    assert len(found.path_risks) == 3
+    again = calibrate(tmp_path / "sure.safetensors", [dataset.folder], weights, split="test", trials=1)
+    assert again == found, "it does not depend on what was there"
+
+    completer = Completer.from_pretrained(tmp_path / "sure.safetensors")
+    samples = dataset.split("test")
+    said = completer(samples[0].observed)
+    low, known = said.low(0.3), samples[0].tudf
+    assert (known >= low - 1e-4).mean() > 0.6
+    assert (said.low(0.5) >= low).all()
+    predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
+    with h5py.File(tmp_path / "p.h5") as file:
+        assert "tudf_low" not in file, "three worlds promise no .95"
+        np.testing.assert_allclose(file["probability"][0], said.probability, atol=1e-5)
+
+
+def test_bounds_of_others_are_a_row_of_the_study(
+    dataset: Dataset, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench, "draw_study", lambda report: {})
+    completer = Completer.from_pretrained(weights)
+    predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
+    with h5py.File(tmp_path / "p.h5", "a") as file:
+        file["tudf_low"] = 0.5 * np.array([sample.tudf for sample in dataset.split("test")])
+        file.attrs["risk"] = 0.1
+    Predicted(tmp_path / "p.h5").check(dataset, "test")
+    report = report_of(
+        dataset, tmp_path / "bench", names=("truth",), predictions=tmp_path / "p.h5", study=True, variants=FEW
+    )
+    (row,) = report["study"]["pillar"]["predicted"]["bounds"]["risks"]
+    assert (row["risk"], row["unobserved"]["coverage"]["mean"]) == (0.1, 1.0)
+    (planned,) = (one for one in report["study"]["pillar"]["predicted"]["risk"]["settings"] if one["by"] == "risk")
+    assert (planned["value"], planned["collided"]["mean"]) == (0.1, 0.0), "where bounds are true, no path collides"
+    json.dumps(report, allow_nan=False)
+    for wrong in (0.0, "much", float("nan")):
+        with h5py.File(tmp_path / "p.h5", "a") as file:
+            file.attrs["risk"] = wrong
+        with pytest.raises(DatasetError, match="attribute `risk` is"):
+            Predicted(tmp_path / "p.h5").check(dataset, "test")
+
+
+def test_what_cannot_be_calibrated_is_said(
+    dataset: Dataset, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network, grid, _ = load_network(weights)
+    for about in ({}, {"settings": {"loss": {"occupied_weight": 0}}}):
+        save_network(tmp_path / "odd.safetensors", network, grid, about)
+        with pytest.raises(CheckpointError, match="no class weight above 0"):
+            calibrate(tmp_path / "odd.safetensors", [dataset.folder], weights)
+    save_network(tmp_path / "odd.safetensors", network, grid, TRAINED | {KEY: {"worlds": -1}})
+    with pytest.raises(CheckpointError, match="its calibration is damaged"):
+        Completer.from_pretrained(tmp_path / "odd.safetensors")
+    monkeypatch.setattr(module, "LEAST_WORLDS", 20)
+    with pytest.raises(DatasetError, match="worlds in split test, expected 20 at least"):
+        calibrate(weights, [dataset.folder], tmp_path / "none.safetensors", split="test")
+    assert not (tmp_path / "none.safetensors").exists()

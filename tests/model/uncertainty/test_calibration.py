@@ -1,0 +1,128 @@
+"""What a calibration says of a prediction, what it refuses to say, and what a file may claim."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from lidarsim import GridSpec
+from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
+from scenegen.model.uncertainty.calibration import KEY, Calibration, Given, UncertaintyError, corrected, corrected_logit
+
+GRID = GridSpec(shape=(8, 8, 8))
+PLAIN = Calibration(
+    worlds=30,
+    class_weight=5.0,
+    temperature=2.0,
+    step_m=1.0,
+    chances=(0.5,),
+    risks=(0.2, 0.05),
+    margins=((0.1, 0.2, 0.3, 0.4, 0.5, 0.6), (0.2, 0.4, 0.6, 0.8, 1.0, 1.2)),
+)
+"""Bins of distance: below 1 m, below 2 m, and 2 m."""
+
+
+def said(seed: int = 0) -> Prediction:
+    rng = np.random.default_rng(seed)
+    probability, tudf = rng.random(GRID.shape, np.float32), 2 * rng.random(GRID.shape, np.float32)
+    return Prediction(probability, tudf, uncertainty=PLAIN, grid=GRID)
+
+
+@pytest.mark.parametrize("weight", [0.2, 1.0, 5.0, 40.0])
+def test_the_class_weight_is_inverted(weight: float) -> None:
+    """What minimises the weighted cross-entropy of a voxel that is occupied with chance q, found without the formula,
+    comes back as q."""
+    p = np.linspace(0.0005, 0.9995, 2000)
+    for q in (0.03, 0.4, 0.9):
+        loss = -(weight * q * np.log(p) + (1 - q) * np.log(1 - p))
+        least = np.array([p[loss.argmin()]], np.float32)
+        assert corrected(least, weight)[0] == pytest.approx(q, abs=0.01)
+    inner = p.astype(np.float32)
+    np.testing.assert_allclose(1 / (1 + np.exp(-corrected_logit(inner, weight))), corrected(inner, weight), rtol=1e-3)
+    assert corrected(np.array([0, 1], np.float32), weight).tolist() == [0, 1]
+
+
+def test_a_prediction_is_read_voxel_by_voxel() -> None:
+    """Against the table, one voxel after the other."""
+    found = said()
+    low, chance = found.low(0.06), found.probability
+    for index in np.ndindex(GRID.shape):
+        p, d = float(found.occupancy_probability[index]), float(found.tudf[index])
+        q = p / (p + 5 * (1 - p))
+        margin = PLAIN.margins[1][2 * int(d >= 1) + int(q > 0.5)]
+        assert low[index] == pytest.approx(max(d - margin, 0), abs=1e-5)
+        assert chance[index] == pytest.approx(1 / (1 + ((1 - q) / q) ** 0.5), abs=1e-4)
+    np.testing.assert_array_equal(found.tudf_low, low)
+    assert (found.low(0.2) >= low).all()
+
+
+def test_torch_for_torch_and_a_batch_for_a_batch() -> None:
+    one = said()
+    arrays = [np.stack([one.occupancy_probability] * 2), np.stack([one.tudf] * 2)]
+    both = Prediction(*map(torch.from_numpy, arrays), uncertainty=PLAIN, grid=GRID)
+    assert isinstance(both.tudf_low, torch.Tensor)
+    np.testing.assert_array_equal(both.low(0.2)[1].numpy(), one.low(0.2))
+    np.testing.assert_array_equal(both.probability[0].numpy(), one.probability)
+    alone = Prediction(arrays[0], uncertainty=PLAIN, grid=GRID)  # distances are those of its map
+    assert alone.low(0.2).shape == arrays[0].shape
+
+
+def test_what_nobody_knows_is_refused_in_a_line() -> None:
+    bare = Prediction(np.zeros(GRID.shape, np.float32))
+    assert (bare.probability, bare.tudf_low) == (None, None)
+    with pytest.raises(UncertaintyError, match="not calibrated; run `scenegen calibrate`"):
+        bare.low(0.05)
+    for risk, told in ((0.01, "30 validation worlds give down to 0.05"), (0, "between 0 and 1"), (1.5, "between")):
+        with pytest.raises(UncertaintyError, match=told):
+            said().low(risk)
+    given = Prediction(np.zeros(GRID.shape, np.float32), uncertainty=Given(tudf_low=np.zeros(GRID.shape), risk=0.1))
+    assert given.low(0.2) is given.low(0.1)
+    with pytest.raises(UncertaintyError, match=r"those of a risk of 0\.1"):
+        given.low(0.05)
+
+
+def test_bounds_that_somebody_gives_are_checked() -> None:
+    values = np.zeros(GRID.shape, np.float32)
+    for bad in ({"tudf_low": values - 1}, {"probability": values + 2}, {"tudf_low": values[0]}):
+        with pytest.raises(PredictionError, match=next(iter(bad))):
+            check_prediction(Prediction(values, uncertainty=Given(**bad)), GRID.shape, "mine")
+
+
+def test_a_header_holds_it_whole() -> None:
+    told = json.loads(json.dumps({KEY: PLAIN.said()}))
+    assert Calibration.of(told, GRID) == PLAIN
+    assert Calibration.of({}, GRID) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"temperature": 0.0},
+        {"temperature": float("nan")},
+        {"worlds": "many"},
+        {"risks": [0.05, 0.2]},
+        {"risks": [0.2]},
+        {"margins": [[0.1] * 6, [0.2] * 5]},
+        {"margins": [[[1.0]] * 6] * 2},
+        {"margins": [[0.1] * 5] * 2},
+        {"chances": [0.5] * 30_000},
+        {"path_risks": [0.1]},
+        {"unheard": 1},
+    ],
+    ids=str,
+)
+def test_a_strangers_calibration_that_cannot_be_is_refused(change: dict) -> None:
+    with pytest.raises(ValueError, match="calibrate it again"):
+        Calibration.of({KEY: PLAIN.said() | change}, GRID)
+    with pytest.raises(ValueError, match="damaged"):
+        Calibration.of({KEY: 3}, GRID)
+
+
+def test_paths_are_planned_by_one_number() -> None:
+    measured = dataclasses.replace(PLAIN, path_risks=(0.1, 0.04))
+    assert [measured.for_paths(risk) for risk in (0.5, 0.1, 0.05, 0.04)] == [0.2, 0.2, 0.05, 0.05]
+    for found, told in ((measured, r"promises down to 0\.04"), (PLAIN, "--trials 0")):
+        with pytest.raises(UncertaintyError, match=told):
+            found.for_paths(0.01)
