@@ -1,0 +1,57 @@
+"""`scenegen view`: a page to look at samples with."""
+
+from pathlib import Path
+
+import rich_click as click
+
+from scenegen.terminal.options import dataset_argument, out_option, quiet_option, split_option
+
+MOST_SHOWN = 1000
+"""The most samples on a page."""
+
+
+@click.command()
+@dataset_argument
+@split_option("train", help="The split to show samples of.")
+@click.option("--index", "indices", multiple=True, type=click.IntRange(min=0), help="A sample's number; repeatable.")
+@click.option(
+    "--n",
+    "count",
+    type=click.IntRange(1, MOST_SHOWN),
+    default=24,
+    show_default=True,
+    help="How many samples, evenly spread, where no --index is given.",
+)
+@out_option("The page to write; --html does the same.  [default: samples.html]", file=True)
+@click.option("--html", "page_file", hidden=True, type=click.Path(path_type=Path))
+@quiet_option
+def view(
+    dataset: Path | str,
+    split: str,
+    indices: tuple[int, ...],
+    count: int,
+    out: Path | None,
+    page_file: Path | None,
+    quiet: bool,
+) -> None:
+    """Write one HTML file that shows samples in three dimensions, without a network."""
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.read import Dataset
+    from scenegen.errors import printable
+    from scenegen.files import check_target, make_parent, write_whole
+    from scenegen.terminal.progress import note
+    from scenegen.terminal.show import say
+    from scenegen.view.look import looks, spread
+    from scenegen.view.page import page
+
+    target = out or page_file or Path("samples.html")
+    check_target(target)
+    found = Dataset(locate(dataset, shown=not quiet), partial=True)
+    shown, notes = looks(found, split, indices or spread(found, split, count))
+    content = page(shown, title=printable(f"{found.folder.name}: {found.manifest.kind}, {split}"), notes=notes)
+    make_parent(target)
+    write_whole(target, content.encode())
+    for line in notes:
+        note(line)
+    if not quiet:
+        say(f"{target}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
