@@ -203,7 +203,7 @@
       const wide = 0.22 * Math.max(...size);
       tag.scale.set(wide, wide / 4, 1);
       const out = -0.06 * Math.max(...size);
-      tag.position.set(...[[size[0] / 2, out, 0], [out, size[1] / 2, 0], [out, out, size[2] / 2]][axis]);
+      tag.position.set(...[[size[0] / 2, out, 0], [size[0] - out, size[1] / 2, 0], [out, out, size[2] / 2]][axis]);
       scene.add(layers[`#${name}`] = tag);
     });
     return size;
@@ -212,8 +212,8 @@
   function view(top) {
     const size = sample.shape.map((count) => count * sample.voxel), far = Math.hypot(...size);
     controls.target.set(size[0] / 2, size[1] / 2, size[2] / 2);
-    const way = top ? [0, -0.001, 1.3] : [0.55, -0.95, 0.75];
-    camera.position.set(...way.map((part, n) => size[n] / 2 + part * far));
+    const way = top ? [0, -0.001, 1.3] : [0.5, -0.86, 0.68], back = far * Math.max(1, 1.1 / camera.aspect);
+    camera.position.set(...way.map((part, n) => size[n] / 2 + part * back));
     camera.near = far / 1000;
     camera.far = far * 20;
     camera.updateProjectionMatrix();
@@ -264,9 +264,9 @@
       ends.append(make("span", low), make("span", title), make("span", high));
       return [strip, ends];
     };
-    const low = sample.origin[2], high = low + sample.shape[2] * sample.voxel;
+    const low = sample.origin[2], high = low + sample.shape[2] * sample.voxel, metres = (value) => `${(Math.round(value * 10) / 10 || 0).toFixed(1)} m`;
     find("legend").replaceChildren(
-      ...bar("height", data.colours.heights, `${low.toFixed(1)} m`, `${high.toFixed(1)} m`),
+      ...bar("height", data.colours.heights, metres(low), metres(high)),
       ...bar("distance", data.colours.distances, "0 m", `${sample.truncation} m`),
     );
   }
