@@ -60,7 +60,7 @@ def draw_sheet(looks: Sequence[Look], *, title: str, columns: int = 4) -> Figure
     highest = max(look.grid.extent_m[2] for look in looks)
     bar = (1 - 0.85 / wide, 0.2, 0.14 / wide, 0.6)
     add_bar(figure, bar, HEIGHTS, (0, highest), "height over the map's floor / m")
-    add_legend(figure, points=True)
+    add_legend(figure, dots="returns")
     return figure
 
 
@@ -163,10 +163,12 @@ def add_bar(
     bar.ax.tick_params(labelsize=8, colors=INK)
 
 
-def add_legend(figure: Figure, *, points: bool = False, world: bool = False) -> None:
-    """What marks mean, at the lower end."""
-    ball = Line2D([], [], marker="o", linestyle="", color=RED, label="viewpoints of a flight" if world else "sensor")
-    box = Line2D([], [], color=INK, linewidth=0.8, label="where the sensor flies" if world else "the map's box")
-    dots = [Line2D([], [], marker=".", linestyle="", color=INK, label="returns")] if points else []
-    handles = [ball, box, *dots]
+def add_legend(figure: Figure, *, ball: str = "sensor", box: str = "the map's box", dots: str = "") -> None:
+    """What marks mean, at the lower end; none for a mark without a word."""
+    handles = [
+        Line2D([], [], marker="o", linestyle="", color=RED, label=ball),
+        Line2D([], [], color=INK, linewidth=0.8, label=box),
+        Line2D([], [], marker=".", linestyle="", color=INK, label=dots),
+    ]
+    handles = [handle for handle in handles if handle.get_label()]
     figure.legend(handles=handles, loc="lower center", ncols=3, fontsize=8, frameon=False, labelcolor=INK)
