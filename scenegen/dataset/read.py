@@ -9,6 +9,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from lidarsim import Sensor
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import open_archive
@@ -113,6 +114,9 @@ class Split(Sequence[Sample]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": {}}
 
+    def __repr__(self) -> str:
+        return f"<Split: {len(self)} samples of {self.dataset.folder}, {self.name}>"
+
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
         return describe_fields(self.dataset.grid, self.dataset.lidar)
@@ -169,6 +173,9 @@ class _Stored(LazySample):
         """See `LazySample.find`. Raises DatasetError."""
         stored = name in self._split.dataset.manifest.fields
         return self._split._value(self._number, self._row, name) if stored else self._derived(name)
+
+    def _sensor(self) -> Sensor:
+        return self._split.dataset.lidar
 
     def _derived(self, name: str) -> Any:
         """`free` or `tudf`, from the fields that it follows from. Raises DatasetError."""

@@ -39,7 +39,9 @@ def draw_world(world: World, *, title: str, flight: NDArray[np.float64] | None =
     if flight is not None:
         panel.plot(*project(flight).T, color=RED, linewidth=1, zorder=6)
         panel.scatter(*project(flight).T, s=24, color=RED, edgecolors="white", linewidths=0.6, zorder=7)
-    add_legend(figure, ball="viewpoints of a flight" if flight is not None else "", box="the flight's box, down to the ground")
+    add_legend(
+        figure, ball="viewpoints of a flight" if flight is not None else "", box="the flight's box, down to the ground"
+    )
     add_bar(figure, (0.9, 0.2, 0.016, 0.6), HEIGHTS, (low[2], high[2]), "height / m")
     return figure
 
