@@ -16,19 +16,9 @@ MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
 PLACES = {
     **{
         name: f"{MADE}.{name}:{name}"
-        for name in (
-            "generate",
-            "inspect",
-            "world",
-            "verify",
-            "publish",
-            "sensors",
-            "scan",
-            "view",
-            "render",
-            "convert",
-        )
+        for name in ("generate", "inspect", "world", "verify", "publish", "sensors", "scan")
     },
+    **{name: f"{MADE}.{name}:{name}" for name in ("view", "render", "convert", "recipe")},
     **{name: f"{INFERRED}.{name}:{name}" for name in ("train", "complete", "export", "networks", "bench", "reproduce")},
     **{name: f"{MADE}.{name}:{name}" for name in ("doctor", "completion")},
 }

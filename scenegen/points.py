@@ -1,4 +1,4 @@
-"""Clouds of points as files: .ply and .pcd (binary), .npz (NumPy), and .bin (x y z intensity in float32, as in KITTI)."""
+"""Clouds of points as files: .ply and .pcd (binary), .npz (NumPy), and .bin (x y z intensity, float32, as in KITTI)."""
 
 import io
 from collections.abc import Mapping

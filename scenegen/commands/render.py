@@ -47,6 +47,7 @@ def render(
     from scenegen.terminal.show import say
     from scenegen.view.still import draw_sample, draw_sheet, to_bytes
 
+    notes: list[str] = []
     if is_world:
         from scenegen.errors import printable
         from scenegen.single import places_in_flight, read_world
@@ -54,7 +55,7 @@ def render(
 
         world = read_world(Path(dataset))
         places = places_in_flight(world, seed=seed) if flight else None
-        figure, notes = draw_world(world, title=_plain(printable(Path(dataset).name)), flight=places), []
+        figure = draw_world(world, title=_plain(printable(Path(dataset).name)), flight=places)
     else:
         from scenegen.dataset.locate import locate
         from scenegen.dataset.read import Dataset

@@ -1,5 +1,6 @@
 """Read a dataset: samples by split and number, with what was left out derived, and the worlds they come from."""
 
+import html
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -116,6 +117,14 @@ class Split(Sequence[Sample]):
 
     def __repr__(self) -> str:
         return f"<Split: {len(self)} samples of {self.dataset.folder}, {self.name}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what the split is, and what its samples hold."""
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{about['dtype']} {about['shape']}</td><td>{about['meaning']}</td></tr>"
+            for name, about in self.describe().items()
+        )
+        return f"<p>{html.escape(repr(self))}</p><table>{rows}</table>"
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""

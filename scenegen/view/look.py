@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,7 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
             raise ValueError("ranges are no lengths")
         return Scan(sample.ranges, Pose(position, quaternion), lidar).points()
 
-    masks = {what: read(what, lambda what=what: getattr(sample, what)) for what in MASKS}
+    masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
     return Look(
         name=name,
         grid=grid,

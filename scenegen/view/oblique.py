@@ -56,7 +56,7 @@ def visible_faces(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[n
 def box_edges(low: Any, high: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The edges of a box, (3, 2, 3) that it hides itself, and (9, 2, 3) before it."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    hidden, front = [], []
+    hidden, front = list[NDArray[np.float64]](), list[NDArray[np.float64]]()
     for axis in range(3):
         others = [n for n in range(3) if n != axis]
         for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):

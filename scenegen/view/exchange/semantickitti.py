@@ -1,8 +1,8 @@
 """SemanticKITTI's voxel grids, for programs that read its scene-completion task.
 
 Its development kit (semantic-kitti.org, "voxels") defines them: a grid in C order of x, y, z; `.bin` and `.invalid` are
-bits, the first voxel highest; `.label` is uint16. Ours are as large as the dataset's grid, with the sensor in the middle
-and axes along the world's, where SemanticKITTI's begin at the car.
+bits, the first voxel highest; `.label` is uint16. Ours are as large as the dataset's grid, the sensor in the middle and
+axes along the world's, where SemanticKITTI's begin at the car.
 """
 
 import numpy as np
