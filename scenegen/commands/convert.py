@@ -43,7 +43,6 @@ def convert(
     if not found.manifest.complete:
         note(f"{found.folder}: is incomplete; what is there is converted")
     with Progress(to, shown=not quiet) as progress:
-        progress.start(sum(len(found.split(split)) for split in chosen))
         done = write(
             found,
             target,
@@ -51,6 +50,7 @@ def convert(
             form=form,
             choices=choices,
             splits=chosen,
+            on_start=progress.start,
             on_sample=lambda: progress.count(1),
         )
     for line in done.broken:

@@ -35,6 +35,7 @@ def convert(
     form: Any,
     choices: Choices,
     splits: Sequence[str],
+    on_start: Callable[[int], None] = lambda total: None,
     on_sample: Callable[[], None] = lambda: None,
 ) -> Converted:
     """Write every sample of `splits` as the format `form`, called `to`, has it.
@@ -43,6 +44,7 @@ def convert(
     keep it, unlike a dataset's. Raises DatasetError where `out` holds another conversion, or the disk refuses.
     """
     _claim(dataset, out, to, choices)
+    on_start(sum(len(dataset.split(split)) for split in splits))
     written, there, broken = 0, 0, list[str]()
     made: set[Path] = set()
     for split in splits:
