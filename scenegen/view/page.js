@@ -295,7 +295,8 @@
     ArrowUp: () => step(1), ArrowDown: () => step(-1), r: () => view(false), t: () => view(true),
   };
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select, input[type=range]")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
+    if (event.target.matches("input[type=range]") && event.key.length > 1) return; // arrows are the slider's own
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (act) act();
     else if (/^[1-9]$/.test(event.key)) boxes[event.key - 1]?.click();
