@@ -18,8 +18,9 @@ PLACES = {
         name: f"{MADE}.{name}:{name}"
         for name in ("generate", "inspect", "world", "verify", "publish", "sensors", "scan")
     },
-    **{name: f"{MADE}.{name}:{name}" for name in ("scan", "recipe", "view", "render", "convert")},
-    **{name: f"{INFERRED}.{name}:{name}" for name in ("train", "complete", "export", "networks", "bench", "reproduce")},
+    **{name: f"{MADE}.{name}:{name}" for name in ("scan", "recipe", "render", "convert")},
+    **{name: f"{INFERRED}.{name}:{name}" for name in ("train", "complete", "export", "networks", "bench")},
+    **{name: f"{INFERRED}.{name}:{name}" for name in ("reproduce", "view")},
     **{name: f"{MADE}.{name}:{name}" for name in ("doctor", "completion")},
 }
 

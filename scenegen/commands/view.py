@@ -1,31 +1,46 @@
-"""`scenegen view`: a page to look at samples with."""
+"""What `scenegen view` does, a page to look at samples with; the command itself stands where predictions are known."""
 
+from collections.abc import Callable
+from functools import reduce
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
 from scenegen.terminal.options import dataset_argument, out_option, quiet_option, split_option
 
+if TYPE_CHECKING:
+    from scenegen.dataset.read import Dataset
+    from scenegen.view.look import Layers
+
 MOST_SHOWN = 1000
 """The most samples on a page."""
 
 
-@click.command()
-@dataset_argument
-@split_option("train", help="The split to show samples of.")
-@click.option("--index", "indices", multiple=True, type=click.IntRange(min=0), help="A sample's number; repeatable.")
-@click.option(
-    "--n",
-    "count",
-    type=click.IntRange(1, MOST_SHOWN),
-    default=24,
-    show_default=True,
-    help="How many samples, evenly spread, where no --index is given.",
-)
-@out_option("The page to write; --html does the same.  [default: samples.html]", file=True)
-@click.option("--html", "page_file", hidden=True, type=click.Path(path_type=Path))
-@quiet_option
-def view(
+def page_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of `show_page`."""
+    options = (
+        dataset_argument,
+        split_option("train", help="The split to show samples of."),
+        click.option(
+            "--index", "indices", multiple=True, type=click.IntRange(0), help="Number of a sample; repeatable."
+        ),
+        click.option(
+            "--n",
+            "count",
+            type=click.IntRange(1, MOST_SHOWN),
+            default=24,
+            show_default=True,
+            help="How many samples, evenly spread, where no --index is given.",
+        ),
+        out_option("The page to write; --html does the same.  [default: samples.html]", file=True),
+        click.option("--html", "page_file", hidden=True, type=click.Path(path_type=Path)),
+        quiet_option,
+    )
+    return reduce(lambda made, option: option(made), reversed(options), function)
+
+
+def show_page(
     dataset: Path | str,
     split: str,
     indices: tuple[int, ...],
@@ -33,8 +48,9 @@ def view(
     out: Path | None,
     page_file: Path | None,
     quiet: bool,
+    more: "Callable[[Dataset], Layers] | None" = None,
 ) -> None:
-    """Write one HTML file that shows samples in three dimensions, without a network."""
+    """Write the page, with the layers that `more` has of the dataset."""
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
     from scenegen.errors import printable
@@ -47,7 +63,7 @@ def view(
     target = out or page_file or Path("samples.html")
     check_target(target)
     found = Dataset(locate(dataset, shown=not quiet), partial=True)
-    shown, notes = looks(found, split, indices or spread(found, split, count))
+    shown, notes = looks(found, split, indices or spread(found, split, count), more(found) if more else None)
     content = page(shown, title=printable(f"{found.folder.name}: {found.manifest.kind}, {split}"), notes=notes)
     make_parent(target)
     write_whole(target, content.encode())

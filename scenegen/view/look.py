@@ -1,7 +1,7 @@
 """What of a sample there is to be seen, read as far as its dataset is sound."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose, Scan, Sensor
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, printable
 from scenegen.sample import Sample
 
@@ -92,8 +92,15 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
     )
 
 
-def looks(dataset: Dataset, split: str, indices: Iterable[int]) -> tuple[list[Look], list[str]]:
-    """Samples of a split, and a line for each thing that could not be read.
+Layers = Callable[[Sample, Split], Mapping[str, NDArray[np.bool_]]]
+"""What a caller adds to a sample of a split: masks by name, of the grid's shape. Raises DatasetError for a sample that
+it knows nothing of."""
+
+
+def looks(
+    dataset: Dataset, split: str, indices: Iterable[int], more: Layers | None = None
+) -> tuple[list[Look], list[str]]:
+    """Samples of a split, with the layers that `more` gives, and a line for each thing that could not be read.
 
     Raises DatasetError for a number that the split has not, and where no sample can be read at all.
     """
@@ -102,12 +109,20 @@ def looks(dataset: Dataset, split: str, indices: Iterable[int]) -> tuple[list[Lo
     if not manifest.complete:
         notes.append(f"the dataset is incomplete: {len(samples)} samples of its {split} split are there")
     for index in indices:
+        name = f"{split} {index}"
         try:
-            found.append(look_at(samples[index], dataset.grid, dataset.lidar, f"{split} {index}"))
+            look = look_at(samples[index], dataset.grid, dataset.lidar, name)
         except IndexError as error:
             raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
         except DatasetError as error:
-            notes.append(f"{split} {index} is not shown: {printable(error)}")
+            notes.append(f"{name} is not shown: {printable(error)}")
+            continue
+        try:
+            added = more(samples[index], samples) if more is not None else {}
+        except DatasetError as error:
+            notes.append(f"{name}: nothing is added: {printable(error)}")
+            added = {}
+        found.append(replace(look, masks={**look.masks, **added}))
     notes += [line for look in found for line in look.missing]
     if not found:
         raise DatasetError(notes[-1] if notes else f"{dataset.folder}: its {split} split is empty")

@@ -212,7 +212,7 @@
   function view(top) {
     const size = sample.shape.map((count) => count * sample.voxel), far = Math.hypot(...size);
     controls.target.set(size[0] / 2, size[1] / 2, size[2] / 2);
-    const way = top ? [0, -0.001, 1.3] : [0.5, -0.86, 0.68], back = far * Math.max(1, 1.1 / camera.aspect);
+    const way = top ? [0, -0.001, 1.3] : [0.53, -0.9, 0.71], back = far * Math.max(1, 1.2 / camera.aspect);
     camera.position.set(...way.map((part, n) => size[n] / 2 + part * back));
     camera.near = far / 1000;
     camera.far = far * 20;

@@ -117,7 +117,7 @@ def frame_box(panel: Any, low: NDArray[np.float64], high: NDArray[np.float64], *
     span = np.ptp(corners, axis=0).max()
     if ticks:
         x, y, z = 0, 1, 2
-        edges = ((x, (low[y], low[z]), (0.3, -1)), (y, (high[x], low[z]), (1, -0.6)), (z, (low[x], low[y]), (-1, 0)))
+        edges = ((x, (low[y], low[z]), (0.3, -1)), (y, (high[x], low[z]), (1, -0.6)), (z, (low[x], low[y]), (-1.1, 0)))
         for axis, fixed, way in edges:
             place = np.insert(np.asarray(fixed, dtype=np.float64), axis, 0.0)
             way_out = 0.035 * span * np.array(way)
