@@ -67,6 +67,15 @@ class Sample:
         grid = " × ".join(map(str, self.occupancy.shape))
         return f"<Sample: world {self.world}, viewpoint {self.viewpoint}, {grid} voxels, {shares}>"
 
+    def _repr_html_(self) -> str:
+        """For notebooks: each field with its shape, its share or value, and its meaning."""
+        rows = []
+        for name, about in SCHEMA.items():
+            value = np.asarray(getattr(self, name))
+            said = f"{100 * value.mean():.2f} %" if value.dtype == bool else str(value) if value.size <= 4 else ""
+            rows.append(f"<tr><td>{name}</td><td>{value.shape}</td><td>{said}</td><td>{about['meaning']}</td></tr>")
+        return f"<table>{''.join(rows)}</table>"
+
     def sha256(self) -> bytes:
         """The sample's own digest (32 bytes), over what does not follow from the rest: see docs/format.md."""
         digest = hashlib.sha256()

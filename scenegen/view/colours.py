@@ -16,8 +16,8 @@ HEIGHTS: Anchors = (
 DISTANCES: Anchors = ((33, 60, 160), (104, 160, 220), (246, 244, 224), (238, 140, 70), (178, 16, 36))
 """From blue at 0 to red at the truncation, over a light middle: people who confuse red and green tell these apart."""
 SENSOR = (214, 20, 60)
-MISSED, INVENTED = (0, 90, 181), (230, 120, 0)
-"""Errors of a prediction: a blue and an orange that all readers tell apart."""
+MISSED, INVENTED = (222, 30, 150), (36, 36, 36)
+"""Errors of a prediction: a magenta and a black, which Turbo has not, and which differ in brightness, too."""
 
 
 def colour(shares: NDArray[Any], anchors: Anchors) -> NDArray[np.float64]:

@@ -25,7 +25,7 @@ class Look:
     origin: NDArray[np.float64]
     """The grid's least corner (3,)."""
     position: NDArray[np.float64]
-    """Of the sensor (3,)."""
+    """Where the sensor is (3,)."""
     quaternion: NDArray[np.float64]
     """The body's attitude (4,), w, x, y, z."""
     masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)

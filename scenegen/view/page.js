@@ -102,7 +102,7 @@
     const clear = CLEAR[name] ?? 1, count = places.length / 3;
     const material = new THREE.MeshLambertMaterial({ transparent: clear < 1, opacity: clear, depthWrite: clear === 1 });
     const mesh = new THREE.InstancedMesh(cube, material, count);
-    const size = sample.voxel * (clear < 1 ? 0.6 : name === "observed" ? 1.01 : 0.98);
+    const size = sample.voxel * (clear < 1 ? 0.6 : name in GREY ? 1.02 : name === "observed" ? 1.01 : 0.98); // outer ones win
     const place = new THREE.Matrix4().makeScale(size, size, size), colour = new THREE.Color();
     const heights = Array.from({ length: nz }, (_, z) => rgb(GREY[name] ?? ramp(data.colours.heights, z / Math.max(nz - 1, 1))));
     for (let n = 0; n < count; n++) {
