@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from scenegen.terminal.options import dataset_argument, out_option, quiet_option, split_option
+from scenegen.terminal.options import dataset_argument, quiet_option, split_option
+from scenegen.terminal.types import OutputFile
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
     from scenegen.view.look import Layers
 
-MOST_SHOWN = 1000
+MOST_SHOWN = 200
 """The most samples on a page."""
 
 
@@ -33,8 +34,13 @@ def page_options(function: Callable[..., Any]) -> Callable[..., Any]:
             show_default=True,
             help="How many samples, evenly spread, where no --index is given.",
         ),
-        out_option("The page to write; --html does the same.  [default: samples.html]", file=True),
-        click.option("--html", "page_file", hidden=True, type=click.Path(path_type=Path)),
+        click.option(
+            *("-o", "--html", "--output", "--out", "out"),
+            type=OutputFile(),
+            default=Path("samples.html"),
+            show_default=True,
+            help="The page to write.",
+        ),
         quiet_option,
     )
     return reduce(lambda made, option: option(made), reversed(options), function)
@@ -45,8 +51,7 @@ def show_page(
     split: str,
     indices: tuple[int, ...],
     count: int,
-    out: Path | None,
-    page_file: Path | None,
+    out: Path,
     quiet: bool,
     more: "Callable[[Dataset], Layers] | None" = None,
 ) -> None:
@@ -54,20 +59,19 @@ def show_page(
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
     from scenegen.errors import printable
-    from scenegen.files import check_target, make_parent, write_whole
+    from scenegen.files import make_parent, write_whole
     from scenegen.terminal.progress import note
     from scenegen.terminal.show import say
     from scenegen.view.look import looks, spread
-    from scenegen.view.page import page
+    from scenegen.view.page import check_grid, page
 
-    target = out or page_file or Path("samples.html")
-    check_target(target)
     found = Dataset(locate(dataset, shown=not quiet), partial=True)
+    check_grid(found.grid)
     shown, notes = looks(found, split, indices or spread(found, split, count), more(found) if more else None)
     content = page(shown, title=printable(f"{found.folder.name}: {found.manifest.kind}, {split}"), notes=notes)
-    make_parent(target)
-    write_whole(target, content.encode())
+    make_parent(out)
+    write_whole(out, content.encode())
     for line in notes:
         note(line)
     if not quiet:
-        say(f"{target}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
+        say(f"{out}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")

@@ -59,6 +59,10 @@ def see(
     faces = np.stack([(low - flat) / EYE, (high - flat) / EYE])  # how far towards the eye the box's planes are
     begin, end = faces.max(axis=0).min(axis=1), faces.min(axis=0).max(axis=1)
     met = np.flatnonzero(begin > end)
+    image = np.ones((len(flat), 3))
+    extent = (left, right, down, up)
+    if not len(met):  # a box without height
+        return image.reshape(*across.shape, 3), extent
     engine = AnalyticEngine.of(world.model, world.data)
     reach = float((begin - end)[met].max()) + 1.0
     hits = engine.hits(flat[met] + begin[met, None] * EYE, np.broadcast_to(-EYE, (len(met), 1, 3)).copy(), reach)
@@ -69,6 +73,5 @@ def see(
     shades[np.isin(geoms, planes)] = PLAIN
     shades *= 0.62 + 0.38 * np.abs(normals @ SUN)[:, None]
     shades[normals @ EYE < 0] = CUT  # the ray began inside
-    image = np.ones((len(flat), 3))
     image[met[seen]] = shades
-    return image.reshape(*across.shape, 3), (left, right, down, up)
+    return image.reshape(*across.shape, 3), extent

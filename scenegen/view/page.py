@@ -5,12 +5,14 @@ import gzip
 import hashlib
 import html
 import json
+import math
 from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
+from lidarsim import GridSpec
 from scenegen.errors import DatasetError
 from scenegen.view.colours import DISTANCES, HEIGHTS, INVENTED, MISSED, SENSOR
 from scenegen.view.look import Look
@@ -31,9 +33,7 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
     samples: list[dict[str, Any]] = []
     notes, size = list(notes), 0
     for look in looks:
-        voxels = int(np.prod(look.grid.shape))
-        if voxels > MOST_VOXELS:
-            raise DatasetError(f"{look.name}: {voxels} voxels; a page shows {MOST_VOXELS} at most")
+        check_grid(look.grid)
         sample = _packed(look)
         size += len(json.dumps(sample))
         if size > MOST_BYTES:
@@ -54,6 +54,12 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
     }
     pieces = _text("page.html").split("%%")  # text, a part's name, text, … so that no part is looked at for names
     return "".join(parts[piece] if n % 2 else piece for n, piece in enumerate(pieces))
+
+
+def check_grid(grid: GridSpec) -> None:
+    """Raise DatasetError for a grid that no browser takes."""
+    if (voxels := math.prod(grid.shape)) > MOST_VOXELS:
+        raise DatasetError(f"maps of {voxels} voxels; a page shows {MOST_VOXELS} at most; use scenegen render")
 
 
 def _packed(look: Look) -> dict[str, Any]:

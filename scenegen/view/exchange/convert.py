@@ -1,5 +1,6 @@
 """A dataset's samples, one after another, into a folder in another format; a stopped run goes on where it was."""
 
+import contextlib
 import dataclasses
 import json
 from collections.abc import Callable, Sequence
@@ -98,4 +99,6 @@ def _put(path: Path, content: bytes) -> None:
         draft.write_bytes(content)
         draft.replace(path)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            draft.unlink()
         raise disk_error(path, error) from None

@@ -165,3 +165,12 @@ def test_a_pose_that_is_none_is_an_error(made: Path) -> None:
     sample.__dict__["position"] = np.array([np.nan, 0, 0])
     with pytest.raises(DatasetError, match="pose"):
         look_at(sample, dataset.grid, dataset.lidar, "train 0")
+
+
+def test_a_page_too_large_to_mail_holds_fewer_samples_and_says_so(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown, _ = looks(Dataset(made), "train", [0, 1, 2])
+    whole = Seen(page(shown, title="")).data()["samples"]
+    monkeypatch.setattr("scenegen.view.page.MOST_BYTES", sum(len(json.dumps(one)) for one in whole[:2]) + 10)
+    data = Seen(page(shown, title="")).data()
+    assert data["samples"] == whole[:2]
+    assert data["notes"] == ["1 samples are left out: the page would be too large"]
