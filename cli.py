@@ -13,15 +13,11 @@ from scenegen import __version__
 from scenegen.terminal.command import Commands, run_command
 
 MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
+OF_DATA = ("generate", "inspect", "world", "verify", "publish", "sensors", "scan", "recipe", "render", "convert")
+OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce", "view")
 PLACES = {
-    **{
-        name: f"{MADE}.{name}:{name}"
-        for name in ("generate", "inspect", "world", "verify", "publish", "sensors", "scan")
-    },
-    **{
-        name: f"{INFERRED}.{name}:{name}"
-        for name in ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce")
-    },
+    **{name: f"{MADE}.{name}:{name}" for name in OF_DATA},
+    **{name: f"{INFERRED}.{name}:{name}" for name in OF_NETWORKS},
     **{name: f"{MADE}.{name}:{name}" for name in ("doctor", "completion")},
 }
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ def _stored(dtype: str, axes: str, meaning: str, *, unit: str = "", derived: boo
     return field(metadata={"dtype": dtype, "axes": axes, "unit": unit, "meaning": meaning, "derived": derived})
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Sample:
     """What one scan saw and what was there. Grids are indexed x, y, z; lengths are metres; positions in the world.
 
@@ -44,6 +44,37 @@ class Sample:
     origin: NDArray[np.float64] = _stored("<f8", "3", "the grid's least corner in the world: x, y, z", unit="m")
     world: int = _stored("<i8", "", "the world's number within its split")
     viewpoint: int = _stored("<i8", "", "the sample's place among its world's accepted viewpoints")
+
+    def points(self, lidar: Sensor | None = None, *, frame: Literal["world", "body"] = "world") -> NDArray[np.float64]:
+        """The returns (M, 3) in ray order, metres, in the world or in the body's frame.
+
+        A sample of a dataset knows its sensor; another needs `lidar`, and raises TypeError without it.
+        """
+        lidar = lidar if lidar is not None else self._sensor()
+        if lidar is None:
+            raise TypeError("points() needs the sensor that made this sample, such as recipe.lidar")
+        if frame == "world":
+            return Scan(self.ranges, Pose(self.position, self.quaternion), lidar).points()
+        hit = np.isfinite(self.ranges)
+        return self.ranges[hit].astype(np.float64)[:, None] * lidar.directions_body[hit]
+
+    def _sensor(self) -> Sensor | None:
+        """The sensor that made the sample, where it is known."""
+        return None
+
+    def __repr__(self) -> str:
+        shares = ", ".join(f"{name} {100 * getattr(self, name).mean():.1f} %" for name in ("observed", "occupancy"))
+        grid = " × ".join(map(str, self.occupancy.shape))
+        return f"<Sample: world {self.world}, viewpoint {self.viewpoint}, {grid} voxels, {shares}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: each field with its shape, its share or value, and its meaning."""
+        rows = []
+        for name, about in SCHEMA.items():
+            value = np.asarray(getattr(self, name))
+            said = f"{100 * value.mean():.2f} %" if value.dtype == bool else str(value) if value.size <= 4 else ""
+            rows.append(f"<tr><td>{name}</td><td>{value.shape}</td><td>{said}</td><td>{about['meaning']}</td></tr>")
+        return f"<table>{''.join(rows)}</table>"
 
     def sha256(self) -> bytes:
         """The sample's own digest (32 bytes), over what does not follow from the rest: see docs/format.md."""

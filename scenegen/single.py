@@ -8,13 +8,14 @@ print(seen.points().shape)
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine, Pose, Sensor, cast
 from lidarsim.engines import EngineFactory
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
 from scenegen.errors import GenerationError, SceneError
-from scenegen.flight import Flight, plan, viewpoints
+from scenegen.flight import Flight, Viewpoints, plan, viewpoints
 from scenegen.source import read_scenes
 from scenegen.world import World
 
@@ -32,12 +33,24 @@ def read_world(path: Path) -> World:
 
 def pose_in_flight(world: World, *, seed: int, flight: Flight | None = None) -> Pose:
     """A random viewpoint of a random flight through the world. Raises GenerationError where none fits."""
-    flight = flight or Flight()
+    return _viewpoints(world, seed, flight or Flight()).pose(0)
+
+
+def places_in_flight(world: World, *, seed: int, flight: Flight | None = None) -> NDArray[np.float64]:
+    """The viewpoints of a random flight through the world, (n, 3) from its start to its goal.
+
+    Raises GenerationError where none fits.
+    """
+    found = _viewpoints(world, seed, flight or Flight())
+    return found.positions[np.argsort(found.flown_m)]
+
+
+def _viewpoints(world: World, seed: int, flight: Flight) -> Viewpoints:
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
         path = plan(world.clearance, world.flight_bounds, flight, rng=rng)
         if path is not None and len(found := viewpoints(path, flight.spacing_m, rng=rng)):
-            return found.pose(0)
+            return found
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")
 
 

@@ -105,16 +105,21 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "doctor": [()],
     "completion": [("bash",)],
     "export": [("run", "-o", "e.onnx")],
+    "calibrate": [("run", "d", "--split", "train", "-o", "c.safetensors")],
     "networks": [()],
     "reproduce": [("--scale", "0.001", "--dry-run", "--device", "cpu", *ONE)],
     "sensors": [("velodyne-vlp-16", "-o", "p.png")],
     "scan": [("w.xml", "--flight", "--noise", "range:0.02", "-o", "s.ply")],
+    "view": [("d", "--html", "v.html")],
+    "render": [("d", "-o", "r.png"), ("w.xml", "--flight", "-o", "r.png")],
+    "convert": [("d", "--to", "semantickitti", "-o", "k")],
+    "recipe": [("pillar",)],
 }
 """Every command, in an order in which each finds what it needs."""
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = {"small.toml", "scan.xyz", "n.onnx", "d", "w.xml", "run", "p.h5", "s.h5", "o.h5", "bench", "publish", "e.onnx"}
-ASKED |= {"p.png", "s.ply"}
+ASKED |= {"p.png", "s.ply", "c.safetensors", "v.html", "r.png", "k"}
 FONTS = ".cache/matplotlib/"
 """Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a user's home besides the
 kernels."""

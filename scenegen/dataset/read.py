@@ -1,5 +1,6 @@
 """Read a dataset: samples by split and number, with what was left out derived, and the worlds they come from."""
 
+import html
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,6 +10,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from lidarsim import Sensor
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import open_archive
@@ -113,6 +115,17 @@ class Split(Sequence[Sample]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": {}}
 
+    def __repr__(self) -> str:
+        return f"<Split: {len(self)} samples of {self.dataset.folder}, {self.name}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what the split is, and what its samples hold."""
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{about['dtype']} {about['shape']}</td><td>{about['meaning']}</td></tr>"
+            for name, about in self.describe().items()
+        )
+        return f"<p>{html.escape(repr(self))}</p><table>{rows}</table>"
+
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
         return describe_fields(self.dataset.grid, self.dataset.lidar)
@@ -169,6 +182,9 @@ class _Stored(LazySample):
         """See `LazySample.find`. Raises DatasetError."""
         stored = name in self._split.dataset.manifest.fields
         return self._split._value(self._number, self._row, name) if stored else self._derived(name)
+
+    def _sensor(self) -> Sensor:
+        return self._split.dataset.lidar
 
     def _derived(self, name: str) -> Any:
         """`free` or `tudf`, from the fields that it follows from. Raises DatasetError."""

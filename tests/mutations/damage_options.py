@@ -39,6 +39,11 @@ MADE = {
     "reproduce": ("--dry-run", "--scale", "0.001", "--workers", "1", "--quiet", "--device", "cpu", "--out", "out"),
     "sensors": ("velodyne-vlp-16", "--out", "out.png"),
     "scan": ("w.xml", "--pose", "0,0,2,0", "--lidar", "velodyne-vlp-16", "-o", "out.ply"),
+    "calibrate": ("n.safetensors", "d", "--quiet", "-o", "out.safetensors"),
+    "view": ("d", "--html", "out.html", "--quiet"),
+    "render": ("d", "-o", "out.png"),
+    "convert": ("d", "--to", "npz", "--quiet", "-o", "out"),
+    "recipe": ("pillar", "-o", "out.toml"),
     "doctor": (),
     "completion": ("bash",),
 }
@@ -64,7 +69,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     name = random.choice(sorted(app.registry.known))
     command = app.find(name)
     words = [name, *MADE.get(name, ())]
-    done, asked = [], ["out", "out.png", "out.ply"]
+    done, asked = [], ["out", "out.png", "out.ply", "out.html", "out.toml", "out.safetensors"]
     for _ in range(random.choice((1, 1, 2))):
         parameter = random.choice(
             [p for p in command.params if p.name not in ("as_json", "quiet", "dry_run")] or [None]

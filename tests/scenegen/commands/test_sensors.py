@@ -140,7 +140,7 @@ REFUSED = {
     "no pose": (("scan", "room.xml"), 2, "--pose X,Y,Z,YAW and --flight"),
     "half a pose": (("scan", "room.xml", "--pose", "1,2"), 2, "4 numbers"),
     "a pose of no numbers": (("scan", "room.xml", "--pose", "1,2,3,nan"), 2, "is not a finite number"),
-    "an unknown kind of file": (("scan", "room.xml", "--flight", "-o", "a.pcd"), 1, ".ply, .npz, .bin"),
+    "an unknown kind of file": (("scan", "room.xml", "--flight", "-o", "a.las"), 1, ".ply, .pcd, .npz, .bin"),
     "an engine that knows no surfaces": (
         ("scan", "room.xml", "--flight", "--engine", "mujoco", "--noise", "faint"),
         1,

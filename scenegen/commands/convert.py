@@ -1,0 +1,61 @@
+"""`scenegen convert`: a dataset in another program's format."""
+
+from pathlib import Path
+from typing import Any
+
+import rich_click as click
+
+from scenegen import SPLITS
+from scenegen.terminal.options import dataset_argument, options_of, out_option, quiet_option, taken
+from scenegen.terminal.types import Named
+from scenegen.view.exchange import FORMATS
+from scenegen.view.exchange.choices import Choices
+
+
+@click.command()
+@dataset_argument
+@click.option("--to", "to", type=Named(FORMATS), required=True, help=f"The format: {', '.join(FORMATS.known)}.")
+@out_option("The folder to write.  [default: the dataset's name, a dash, the format]")
+@click.option("--split", "splits", type=click.Choice(SPLITS), multiple=True, help="A split; repeatable. [default: all]")
+@options_of(
+    Choices,
+    unseen_invalid="SemanticKITTI: mark voxels that no ray met as invalid, which leaves them out of its score.",
+    label="SemanticKITTI: the label of occupied voxels.",
+    frame="Frame of points.",
+)
+@quiet_option
+def convert(
+    dataset: Path | str, to: str, out: Path | None, splits: tuple[str, ...], quiet: bool, **options: Any
+) -> None:
+    """Write a dataset in another program's format; the same command again goes on where it was stopped."""
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.read import Dataset
+    from scenegen.errors import DatasetError
+    from scenegen.terminal.progress import Progress, note
+    from scenegen.terminal.show import say
+    from scenegen.view.exchange.convert import convert as write
+
+    found = Dataset(locate(dataset, shown=not quiet), partial=True)
+    choices = Choices(**taken(Choices, options))
+    form = FORMATS.find(to)(choices)
+    chosen = splits or SPLITS
+    target = out or Path(f"{found.folder.name}-{to.rpartition(':')[2]}")
+    if not found.manifest.complete:
+        note(f"{found.folder}: is incomplete; what is there is converted")
+    with Progress(to, shown=not quiet) as progress:
+        done = write(
+            found,
+            target,
+            to=to,
+            form=form,
+            choices=choices,
+            splits=chosen,
+            on_start=progress.start,
+            on_sample=lambda: progress.count(1),
+        )
+    for line in done.broken:
+        note(line)
+    if done.broken:
+        raise DatasetError(f"{found.folder}: {len(done.broken)} samples could not be read; the others are in {target}")
+    if not quiet:
+        say(f"{target}: {done.written} samples written, {done.there} were there")

@@ -1,0 +1,37 @@
+"""`scenegen recipe`: a kind's preset as a file to edit."""
+
+from pathlib import Path
+
+import rich_click as click
+
+from scenegen.recipes import KINDS
+from scenegen.terminal.options import lidar_option, out_option
+from scenegen.terminal.types import Named
+
+
+@click.command()
+@click.argument("kind", type=Named(KINDS))
+@lidar_option("The sensor", "  [default: the kind's]")
+@out_option("The file to write.  [default: standard output]", file=True)
+def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
+    """Print the preset of a kind of worlds as a recipe, every parameter with its value, for `generate --recipe`."""
+    from lidarsim import Lidar
+    from scenegen.dataset import manifest
+    from scenegen.errors import RecipeError
+    from scenegen.files import write_whole
+    from scenegen.lidar import named_lidar
+    from scenegen.publish.regenerate import recipe_text
+    from scenegen.recipe import preset
+    from scenegen.source import DrawnWorlds
+    from scenegen.terminal.show import say
+
+    found = preset(kind, lidar=named_lidar(lidar) if lidar else None)
+    if not isinstance(found.lidar, Lidar):
+        raise RecipeError(f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate --lidar")
+    counts = {"train": 0, "val": 0, "test": 0}
+    given = manifest.parameters(found, DrawnWorlds(found), seed=0, counts=counts, compact=False, shard_samples=1)
+    text = recipe_text(given, f"the preset of {kind}, version {found.version}; lengths are metres")
+    if out is None:
+        say(text.rstrip())
+    else:
+        write_whole(out, text.encode())

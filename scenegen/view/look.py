@@ -1,0 +1,135 @@
+"""What of a sample there is to be seen, read as far as its dataset is sound."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Pose, Scan, Sensor
+from scenegen.dataset.read import Dataset, Split
+from scenegen.errors import DatasetError, printable
+from scenegen.sample import Sample
+
+MASKS = ("observed", "free", "occupancy")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Look:
+    """A sample to be shown: what could be read of it. Lengths are metres, positions in the world."""
+
+    name: str
+    grid: GridSpec
+    origin: NDArray[np.float64]
+    """The grid's least corner (3,)."""
+    position: NDArray[np.float64]
+    """Where the sensor is (3,)."""
+    quaternion: NDArray[np.float64]
+    """The body's attitude (4,), w, x, y, z."""
+    masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    """Voxels to be shown by name, each of the grid's shape: observed, free, occupancy; a caller's own beside them."""
+    tudf: NDArray[np.float32] | None = None
+    """Distances, of the grid's shape."""
+    points: NDArray[np.float64] | None = None
+    """Returns (M, 3)."""
+    rays: int = 0
+    """How many rays the scan has."""
+    missing: tuple[str, ...] = ()
+    """A line for each thing that could not be read."""
+
+    def figures(self) -> dict[str, str]:
+        """Statistics in words, by name."""
+        found = {name: f"{100 * mask.mean():.2f} %" for name, mask in self.masks.items()}
+        if {"observed", "free"} <= self.masks.keys():
+            found["unknown"] = f"{100 * (~(self.masks['observed'] | self.masks['free'])).mean():.2f} %"
+        if self.points is not None:
+            found["returns"] = f"{len(self.points)} of {self.rays} rays"
+            if len(self.points):
+                found["mean range"] = f"{np.linalg.norm(self.points - self.position, axis=1).mean():.2f} m"
+        if self.tudf is not None:
+            found["mean distance"] = f"{self.tudf.mean():.2f} m"
+        return found
+
+    def heading_deg(self) -> float:
+        """Yaw of the body, degrees, counter-clockwise from x."""
+        w, x, y, z = self.quaternion
+        return float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
+
+
+def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
+    """`sample` as far as it can be read. Raises DatasetError where not even its place can."""
+    position, quaternion, origin = sample.position, sample.quaternion, sample.origin
+    if not all(np.isfinite(part).all() for part in (position, quaternion, origin)):
+        raise DatasetError(f"{name}: its pose is not finite")
+    missing: list[str] = []
+
+    def read(what: str, find: Callable[[], Any]) -> Any:
+        try:
+            return find()
+        except (DatasetError, ValueError) as error:
+            missing.append(f"{name}: {what} is not shown: {printable(error)}")
+            return None
+
+    def scan() -> NDArray[np.float64]:
+        if not (sample.ranges >= 0).all():
+            raise ValueError("ranges are no lengths")
+        return Scan(sample.ranges, Pose(position, quaternion), lidar).points()
+
+    masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
+    return Look(
+        name=name,
+        grid=grid,
+        origin=origin,
+        position=position,
+        quaternion=quaternion,
+        masks={what: mask for what, mask in masks.items() if mask is not None},
+        tudf=read("tudf", lambda: sample.tudf),
+        points=read("the scan", scan),
+        rays=int(np.prod(lidar.shape)),
+        missing=tuple(missing),
+    )
+
+
+Layers = Callable[[Sample, Split], Mapping[str, NDArray[np.bool_]]]
+"""What a caller adds to a sample of a split: masks by name, of the grid's shape. Raises DatasetError for a sample that
+it knows nothing of."""
+
+
+def looks(
+    dataset: Dataset, split: str, indices: Iterable[int], more: Layers | None = None
+) -> tuple[list[Look], list[str]]:
+    """Samples of a split, with the layers that `more` gives, and a line for each thing that could not be read.
+
+    Raises DatasetError for a number that the split has not, and where no sample can be read at all.
+    """
+    samples, found, notes = dataset.split(split), [], list[str]()
+    manifest = dataset.manifest
+    if not manifest.complete:
+        notes.append(f"the dataset is incomplete: {len(samples)} samples of its {split} split are there")
+    for index in indices:
+        name = f"{split} {index}"
+        try:
+            look = look_at(samples[index], dataset.grid, dataset.lidar, name)
+        except IndexError as error:
+            raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
+        except DatasetError as error:
+            notes.append(f"{name} is not shown: {printable(error)}")
+            continue
+        try:
+            added = more(samples[index], samples) if more is not None else {}
+        except DatasetError as error:
+            notes.append(f"{name}: nothing is added: {printable(error)}")
+            added = {}
+        found.append(replace(look, masks={**look.masks, **added}))
+    notes += [line for look in found for line in look.missing]
+    if not found:
+        raise DatasetError(notes[-1] if notes else f"{dataset.folder}: its {split} split is empty")
+    return found, notes
+
+
+def spread(dataset: Dataset, split: str, most: int) -> list[int]:
+    """Numbers of at most `most` samples of a split, evenly spread."""
+    count = len(dataset.split(split))
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist() if count else []

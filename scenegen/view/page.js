@@ -1,0 +1,318 @@
+"use strict";
+(async () => {
+  const find = (id) => document.getElementById(id);
+  const data = JSON.parse(find("data").textContent);
+  const make = (tag, text) => Object.assign(document.createElement(tag), { textContent: text ?? "" });
+  const note = (text) => find("notes").append(Object.assign(make("div", text), { className: "note" }));
+  find("title").textContent = data.title;
+  data.notes.forEach(note);
+
+  async function unpack(text) {
+    const packed = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  }
+
+  // The renderer's files are modules that import each other by name.
+  const urls = {};
+  for (const name of ["three", "orbit"]) {
+    const code = await unpack(find(name).textContent);
+    urls[name] = URL.createObjectURL(new Blob([code], { type: "text/javascript" }));
+  }
+  const map = make("script", JSON.stringify({ imports: urls }));
+  map.type = "importmap";
+  map.nonce = find("main").nonce;
+  document.head.append(map);
+  const THREE = await import("three");
+  const { OrbitControls } = await import("orbit");
+
+  const canvas = find("scene");
+  let renderer;
+  try {
+    renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
+  } catch {
+    note("This browser shows no WebGL, which the picture needs; names and statistics are shown all the same.");
+  }
+  const scene = new THREE.Scene();
+  scene.background = new THREE.Color(0xffffff);
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x9aa4b0, 2.4));
+  const sun = new THREE.DirectionalLight(0xffffff, 1.6);
+  sun.position.set(-1, -2, 4);
+  scene.add(sun);
+  const camera = new THREE.PerspectiveCamera(45, 1, 0.05, 5000);
+  camera.up.set(0, 0, 1);
+  const controls = new OrbitControls(camera, canvas);
+  let asked = false;
+  function draw() {
+    if (asked || !renderer) return;
+    asked = true;
+    requestAnimationFrame(() => { asked = false; renderer.render(scene, camera); });
+  }
+  controls.addEventListener("change", draw);
+
+  const rgb = (value) => new THREE.Color().setRGB(value[0] / 255, value[1] / 255, value[2] / 255, THREE.SRGBColorSpace);
+  const css = (anchors) => `linear-gradient(90deg, ${anchors.map((one) => `rgb(${one})`).join(", ")})`;
+  function ramp(anchors, share) {
+    const at = Math.min(Math.max(share, 0), 1) * (anchors.length - 1);
+    const low = Math.min(Math.floor(at), anchors.length - 2);
+    return [0, 1, 2].map((n) => anchors[low][n] + (at - low) * (anchors[low + 1][n] - anchors[low][n]));
+  }
+
+  const GREY = { free: [120, 190, 230], unknown: [150, 150, 150], missed: data.colours.missed, invented: data.colours.invented };
+  const CLEAR = { free: 0.12, unknown: 0.1 };
+  const names = new Set(["points", "rays"]);
+  for (const sample of data.samples) {
+    for (const name of Object.keys(sample.masks)) names.add(name);
+    if ("observed" in sample.masks && "free" in sample.masks) names.add("unknown");
+  }
+  names.add("distances");
+  const shown = new Set(["points", "occupancy"]);
+  const layers = {};
+  const boxes = [...names].map((name, n) => {
+    const box = Object.assign(make("input"), { type: "checkbox", checked: shown.has(name), id: `show-${n}` });
+    const swatch = make("i");
+    const plain = name === "points" || name === "rays" ? [30, 30, 30] : GREY[name];
+    swatch.style.background = plain ? `rgb(${plain})` : css(name === "distances" ? data.colours.distances : data.colours.heights);
+    const label = make("label");
+    label.append(box, swatch, `${name}${n < 9 ? ` (${n + 1})` : ""}`);
+    box.onchange = () => {
+      box.checked ? shown.add(name) : shown.delete(name);
+      fill(name);
+    };
+    find("layers").append(label);
+    return box;
+  });
+
+  let current = -1, sample = null, fields = {}, turn = 0;
+  const cube = new THREE.BoxGeometry(1, 1, 1);
+
+  function voxels(bits, name) {
+    const [nx, ny, nz] = sample.shape, inside = (x, y, z) => {
+      if (x < 0 || y < 0 || z < 0 || x >= nx || y >= ny || z >= nz) return false;
+      const n = (x * ny + y) * nz + z;
+      return (bits[n >> 3] >> (7 - (n & 7))) & 1;
+    };
+    const places = [];
+    for (let x = 0; x < nx; x++) for (let y = 0; y < ny; y++) for (let z = 0; z < nz; z++) {
+      if (!inside(x, y, z)) continue;
+      if (inside(x - 1, y, z) && inside(x + 1, y, z) && inside(x, y - 1, z) && inside(x, y + 1, z)
+        && inside(x, y, z - 1) && inside(x, y, z + 1)) continue; // nobody sees it
+      places.push(x, y, z);
+    }
+    const clear = CLEAR[name] ?? 1, count = places.length / 3;
+    const material = new THREE.MeshLambertMaterial({ transparent: clear < 1, opacity: clear, depthWrite: clear === 1 });
+    const mesh = new THREE.InstancedMesh(cube, material, count);
+    const size = sample.voxel * (clear < 1 ? 0.6 : name in GREY ? 1.02 : name === "observed" ? 1.01 : 0.98); // outer ones win
+    const place = new THREE.Matrix4().makeScale(size, size, size), colour = new THREE.Color();
+    const heights = Array.from({ length: nz }, (_, z) => rgb(GREY[name] ?? ramp(data.colours.heights, z / Math.max(nz - 1, 1))));
+    for (let n = 0; n < count; n++) {
+      const [x, y, z] = [places[3 * n], places[3 * n + 1], places[3 * n + 2]];
+      place.setPosition((x + 0.5) * sample.voxel, (y + 0.5) * sample.voxel, (z + 0.5) * sample.voxel);
+      mesh.setMatrixAt(n, place);
+      mesh.setColorAt(n, colour.copy(heights[z]));
+    }
+    return mesh;
+  }
+
+  function lines(from, to, colour, opacity) {
+    const ends = new Float32Array(to.length * 2);
+    for (let n = 0; n < to.length / 3; n++) {
+      ends.set(from, 6 * n);
+      ends.set(to.subarray(3 * n, 3 * n + 3), 6 * n + 3);
+    }
+    const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(ends, 3));
+    return new THREE.LineSegments(shape, new THREE.LineBasicMaterial({ color: colour, transparent: true, opacity }));
+  }
+
+  function slice() {
+    const axis = +find("axis").value, level = +find("level").value, shape = sample.shape;
+    const [u, v] = [0, 1, 2].filter((n) => n !== axis);
+    const pixels = new Uint8Array(4 * shape[u] * shape[v]), place = [0, 0, 0];
+    place[axis] = level;
+    for (let j = 0; j < shape[v]; j++) for (let i = 0; i < shape[u]; i++) {
+      place[u] = i;
+      place[v] = j;
+      const value = fields.tudf[(place[0] * shape[1] + place[1]) * shape[2] + place[2]] / 255;
+      pixels.set([...ramp(data.colours.distances, value), 255], 4 * (j * shape[u] + i));
+    }
+    const texture = new THREE.DataTexture(pixels, shape[u], shape[v]);
+    texture.colorSpace = THREE.SRGBColorSpace;
+    texture.needsUpdate = true;
+    const corner = (i, j) => {
+      const at = [0, 0, 0];
+      at[axis] = (level + 0.5) * sample.voxel;
+      at[u] = i * shape[u] * sample.voxel;
+      at[v] = j * shape[v] * sample.voxel;
+      return at;
+    };
+    const plane = new THREE.BufferGeometry();
+    const corners = [[0, 0], [1, 0], [1, 1], [0, 1]];
+    plane.setAttribute("position", new THREE.Float32BufferAttribute(corners.flatMap(([i, j]) => corner(i, j)), 3));
+    plane.setAttribute("uv", new THREE.Float32BufferAttribute(corners.flat(), 2));
+    plane.setIndex([0, 1, 2, 0, 2, 3]);
+    return new THREE.Mesh(plane, new THREE.MeshBasicMaterial({ map: texture, side: THREE.DoubleSide }));
+  }
+
+  function built(name) {
+    if (name === "distances") return fields.tudf && slice();
+    if (name === "points" && fields.points) {
+      const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(fields.points, 3));
+      return new THREE.Points(shape, new THREE.PointsMaterial({ color: 0x111111, size: 3, sizeAttenuation: false }));
+    }
+    if (name === "rays" && fields.points) return lines(fields.sensor, fields.points, 0x111111, 0.15);
+    return fields.masks[name] && voxels(fields.masks[name], name);
+  }
+
+  function drop(name) {
+    const old = layers[name];
+    if (!old) return;
+    scene.remove(old);
+    if (old.geometry !== cube) old.geometry.dispose();
+    old.material.map?.dispose();
+    old.material.dispose();
+    old.dispose?.();
+    delete layers[name];
+  }
+
+  function fill(name) {
+    drop(name);
+    const made = renderer && shown.has(name) && built(name);
+    if (made) scene.add(layers[name] = made);
+    const axis = +find("axis").value, level = +find("level").value;
+    find("at").textContent = `${(sample.origin[axis] + (level + 0.5) * sample.voxel).toFixed(2)} m`;
+    document.body.dataset.layers = Object.keys(layers).sort().join(" ");
+    document.body.dataset.level = level;
+    draw();
+  }
+
+  function frame() {
+    for (const name of ["#box", "#sensor", "#x", "#y", "#z"]) drop(name);
+    const size = sample.shape.map((count) => count * sample.voxel);
+    const box = new THREE.Box3(new THREE.Vector3(), new THREE.Vector3(...size));
+    scene.add(layers["#box"] = new THREE.Box3Helper(box, 0x39414b));
+    const ball = new THREE.SphereGeometry(Math.max(0.02 * Math.max(...size), 0.5 * sample.voxel), 24, 16);
+    const sensor = new THREE.Mesh(ball, new THREE.MeshLambertMaterial({ color: rgb(data.colours.sensor) }));
+    sensor.position.set(...fields.sensor);
+    scene.add(layers["#sensor"] = sensor);
+    ["x", "y", "z"].forEach((name, axis) => {
+      const sign = Object.assign(make("canvas"), { width: 256, height: 64 }), ink = sign.getContext("2d");
+      ink.font = "40px system-ui, sans-serif";
+      ink.textAlign = "center";
+      ink.fillText(`${name} ${+size[axis].toFixed(2)} m`, 128, 46);
+      const tag = new THREE.Sprite(new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(sign) }));
+      const wide = 0.22 * Math.max(...size);
+      tag.scale.set(wide, wide / 4, 1);
+      const out = -0.06 * Math.max(...size);
+      tag.position.set(...[[size[0] / 2, out, 0], [size[0] - out, size[1] / 2, 0], [out, out, size[2] / 2]][axis]);
+      scene.add(layers[`#${name}`] = tag);
+    });
+    return size;
+  }
+
+  function view(top) {
+    const size = sample.shape.map((count) => count * sample.voxel), far = Math.hypot(...size);
+    controls.target.set(size[0] / 2, size[1] / 2, size[2] / 2);
+    const way = top ? [0, -0.001, 1.3] : [0.53, -0.9, 0.71], back = far * Math.max(1, 1.2 / camera.aspect);
+    camera.position.set(...way.map((part, n) => size[n] / 2 + part * back));
+    camera.near = far / 1000;
+    camera.far = far * 20;
+    camera.updateProjectionMatrix();
+    controls.update();
+    draw();
+  }
+
+  async function show(number) {
+    const began = performance.now(), mine = ++turn;
+    const next = data.samples[Math.min(Math.max(number, 0), data.samples.length - 1)];
+    const found = { masks: {}, sensor: next.position.map((value, n) => value - next.origin[n]) };
+    for (const [name, text] of Object.entries(next.masks)) found.masks[name] = await unpack(text);
+    const { observed, free } = found.masks;
+    if (observed && free) found.masks.unknown = observed.map((byte, n) => ~(byte | free[n]));
+    if (next.tudf) found.tudf = await unpack(next.tudf);
+    if (next.points) {
+      const whole = new Int16Array((await unpack(next.points)).buffer);
+      found.points = Float32Array.from(whole, (value, n) => (value / 32767) * next.reach + found.sensor[n % 3]);
+    }
+    if (mine !== turn) return; // another was asked for meanwhile
+    const first = sample === null, levels = sample?.shape[+find("axis").value];
+    [sample, fields, current] = [next, found, data.samples.indexOf(next)];
+    find("which").value = current;
+    if (levels !== sample.shape[+find("axis").value]) middle();
+    frame();
+    names.forEach(fill);
+    const rows = {
+      position: sample.position.map((value) => value.toFixed(2)).join(", ") + " m",
+      heading: `${sample.heading.toFixed(1)}°`,
+      grid: `${sample.shape.join(" × ")} of ${sample.voxel} m`,
+      ...sample.figures,
+    };
+    find("figures").replaceChildren(...Object.entries(rows).map(([name, value]) => {
+      const row = make("tr");
+      row.append(make("td", name), make("td", value));
+      return row;
+    }));
+    legend();
+    if (first) view(false);
+    document.body.dataset.sample = current;
+    document.body.dataset.milliseconds = Math.round(performance.now() - began);
+  }
+
+  function legend() {
+    const bar = (title, anchors, low, high) => {
+      const strip = Object.assign(make("div"), { className: "bar" }), ends = Object.assign(make("div"), { className: "ends" });
+      strip.style.background = css(anchors);
+      ends.append(make("span", low), make("span", title), make("span", high));
+      return [strip, ends];
+    };
+    const low = sample.origin[2], high = low + sample.shape[2] * sample.voxel, metres = (value) => `${(Math.round(value * 10) / 10 || 0).toFixed(1)} m`;
+    find("legend").replaceChildren(
+      ...bar("height", data.colours.heights, metres(low), metres(high)),
+      ...bar("distance", data.colours.distances, "0 m", `${sample.truncation} m`),
+    );
+  }
+
+  function middle() {
+    const count = sample.shape[+find("axis").value];
+    find("level").max = count - 1;
+    find("level").value = Math.max(Math.floor(count / 2) - 1, 0);
+  }
+
+  function step(slices) {
+    find("level").value = +find("level").value + slices;
+    if (!shown.has("distances")) boxes[[...names].indexOf("distances")].click();
+    else fill("distances");
+  }
+
+  data.samples.forEach((one, n) => find("which").append(Object.assign(make("option", one.name), { value: n })));
+  find("which").onchange = () => show(+find("which").value);
+  find("before").onclick = () => show(current - 1);
+  find("next").onclick = () => show(current + 1);
+  find("axis").onchange = () => { middle(); step(0); };
+  find("level").oninput = () => step(0);
+  const keys = {
+    ArrowLeft: () => show(current - 1), ArrowRight: () => show(current + 1),
+    Home: () => show(0), End: () => show(data.samples.length - 1),
+    ArrowUp: () => step(1), ArrowDown: () => step(-1), r: () => view(false), t: () => view(true),
+  };
+  addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
+    if (event.target.matches("input[type=range]") && event.key.length > 1) return; // arrows are the slider's own
+    const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (act) act();
+    else if (/^[1-9]$/.test(event.key)) boxes[event.key - 1]?.click();
+    else return;
+    event.preventDefault();
+  });
+  function resize() {
+    const { clientWidth: width, clientHeight: height } = canvas;
+    camera.aspect = width / Math.max(height, 1);
+    const panel = innerWidth > 640 ? find("panel").offsetWidth : 0;
+    camera.setViewOffset(width, height, -panel / 2, 0, width, height); // the middle of what the panel leaves
+    renderer?.setPixelRatio(Math.min(devicePixelRatio, 2));
+    renderer?.setSize(width, height, false);
+    draw();
+  }
+  new ResizeObserver(resize).observe(canvas);
+  resize();
+  await show(0);
+})();

@@ -1,0 +1,54 @@
+"""Samples and splits say what they are, and give their points."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scenegen.dataset.read import Dataset
+from scenegen.sample import SCHEMA, Sample
+from tests.command_line import run
+
+
+def test_points_lie_along_the_rays_and_in_observed_voxels(made: Path) -> None:
+    dataset = Dataset(made)
+    sample = dataset.split("train")[2]
+    points = sample.points()
+    hit = np.isfinite(sample.ranges)
+    np.testing.assert_allclose(np.linalg.norm(points - sample.position, axis=1), sample.ranges[hit], rtol=1e-6)
+    cells = np.floor((points - sample.origin) / dataset.grid.voxel_m).astype(int)
+    inside = ((cells >= 0) & (cells < dataset.grid.shape)).all(axis=1)
+    assert sample.observed[tuple(cells[inside].T)].all()
+    assert {tuple(cell) for cell in cells[inside]} == {tuple(cell) for cell in np.argwhere(sample.observed)}
+
+
+def test_a_sample_without_a_dataset_needs_its_sensor(made: Path) -> None:
+    dataset = Dataset(made)
+    stored = dataset.split("train")[0]
+    plain = Sample(**{name: getattr(stored, name) for name in SCHEMA})
+    with pytest.raises(TypeError, match="sensor"):
+        plain.points()
+    np.testing.assert_array_equal(plain.points(dataset.lidar), stored.points())
+
+
+def test_samples_and_splits_say_what_they_are(dataset: Path) -> None:
+    folder = dataset.rename(dataset.with_name("<b>x"))
+    split = Dataset(folder).split("train")
+    assert repr(split) == f"<Split: 11 samples of {folder}, train>"
+    assert "<b>x" not in split._repr_html_()
+    assert all(f"<td>{name}</td>" in text for text in (split._repr_html_(), split[0]._repr_html_()) for name in SCHEMA)
+    share = 100 * split[1].occupancy.mean()
+    assert repr(split[1]).startswith("<Sample: world 0, viewpoint 1, 24 × 24 × 16 voxels, observed ")
+    assert f"occupancy {share:.1f} %" in repr(split[1])
+
+
+@pytest.mark.parametrize("kind", ["pillar", "geometric"])
+def test_a_preset_as_a_file_is_the_preset(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from scenegen.recipe import preset, read_recipe
+
+    code, said, _ = run(capsys, "recipe", kind)
+    assert code == 0
+    (tmp_path / "mine.toml").write_text(said)
+    assert read_recipe(tmp_path / "mine.toml") == preset(kind)
+    code, _, said = run(capsys, "recipe", kind, "--lidar", "livox-mid-360")
+    assert (code, said.count("\n")) == (1, 1)
