@@ -16,7 +16,7 @@ MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
 PLACES = {
     **{
         name: f"{MADE}.{name}:{name}"
-        for name in ("generate", "inspect", "world", "verify", "publish", "sensors", "scan")
+        for name in ("generate", "inspect", "world", "verify", "publish", "sensors", "scan", "rescan")
     },
     **{name: f"{INFERRED}.{name}:{name}" for name in ("train", "complete", "export", "networks", "bench", "reproduce")},
     **{name: f"{MADE}.{name}:{name}" for name in ("doctor", "completion")},

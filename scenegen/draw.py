@@ -10,6 +10,7 @@ from lidarsim import AnalyticEngine, Engine, Pose, Scan, cast, voxelize
 from lidarsim.engines import EngineFactory
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
+from scenegen.faults import with_noise
 from scenegen.flight import plan, viewpoints
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample
@@ -59,11 +60,20 @@ def draw_unit(
         streams = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
         world_rng, flight_rng = (np.random.default_rng(stream) for stream in streams)
         world = source.world(split, number, rng=world_rng)
-        views = _fly(world, engine_of(engine, world), recipe, rejected, rng=flight_rng)
+        caster = engine_of(engine, world)
+        views = _fly(world, caster, recipe, rejected, rng=flight_rng)
         if views:
             first = turn * recipe.flight.viewpoints
+            place = {"seed": seed, "split": split, "unit": unit}
             samples = tuple(
-                _sample(world, scan, occupancy, recipe, number, first + n, derived=derived)
+                sample_of(
+                    with_noise(scan, recipe.noise, world, caster, view=n, **place),
+                    occupancy,
+                    recipe,
+                    world=number,
+                    viewpoint=first + n,
+                    derived=derived,
+                )
                 for n, (scan, occupancy) in enumerate(views)
             )
             return Unit(number, world, samples, rejected)
@@ -121,8 +131,8 @@ def _look(
     return scan, occupancy
 
 
-def _sample(
-    world: World, scan: Scan, occupancy: np.ndarray, recipe: Recipe, number: int, viewpoint: int, *, derived: bool
+def sample_of(
+    scan: Scan, occupancy: np.ndarray, recipe: Recipe, *, world: int, viewpoint: int, derived: bool
 ) -> Sample:
     """The record of one view: what the scan shows of the grid, and the truth."""
     seen = voxelize(scan, recipe.grid)
@@ -135,7 +145,7 @@ def _sample(
         position=scan.pose.position,
         quaternion=scan.pose.quaternion,
         origin=seen.origin,
-        world=number,
+        world=world,
         viewpoint=viewpoint,
     )
 

@@ -13,6 +13,7 @@ from scenegen.recipes import KINDS
 from scenegen.terminal.options import (
     json_option,
     lidar_option,
+    noise_option,
     out_option,
     quiet_option,
     seed_option,
@@ -35,6 +36,7 @@ NETWORK_EDGE = 8
 @click.option("--scene", type=click.Path(path_type=Path), help="An MJCF file of your own world, or a folder of them.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
 @lidar_option("The sensor", "  [default: the recipe's]")
+@noise_option
 @click.option(
     "--engine",
     type=Named(ENGINES),
@@ -116,7 +118,7 @@ def generate(
     if as_json:
         print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": time.perf_counter() - begin}))
     elif talk:
-        _show_summary(summary, time.perf_counter() - begin)
+        show_summary(summary, time.perf_counter() - begin)
 
 
 def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Plan":
@@ -133,7 +135,8 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     named = kind if scene is None else "scene"
     lidar = None if options["lidar"] is None else named_lidar(options["lidar"])
-    recipe = preset(named, lidar=lidar) if file is None else read_recipe(file, named, lidar=lidar)
+    own = {"lidar": lidar, "noise": options["noise"]}
+    recipe = preset(named, **own) if file is None else read_recipe(file, named, **own)
     source: Source
     if scene is not None:
         source = read_scenes(scene, counts, seed=seed, allow_unseen=options["allow_unseen"])
@@ -162,14 +165,14 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
         return
     from scenegen.publish.regenerate import recipe_text
 
-    of_recipe = ("kind", "recipe", "lidar", "grid")
+    of_recipe = ("kind", "recipe", "lidar", "noise", "grid")
     show_table(
         rows | flat({key: value for key, value in plan.parameters.items() if key not in of_recipe}), "would make"
     )
     say(f"\n{recipe_text(plan.parameters, 'this as a recipe file')}".rstrip())
 
 
-def _show_summary(summary: "Summary", seconds: float) -> None:
+def show_summary(summary: "Summary", seconds: float) -> None:
     """What was made."""
     present = sum(summary.samples.values())
     show_table(

@@ -13,6 +13,7 @@ from lidarsim import GridSpec, Sensor
 from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.noise import check_noise, is_ours, noise_of
 from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.rules import (
     DIGEST,
@@ -37,6 +38,8 @@ from scenegen.sample import stored_fields
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
 
+MINOR = ("noise", "rescan")
+"""Entries of which a manifest of the minor version has one at least, and no other has any."""
 _COUNT = whole(0, MOST_SAMPLES)
 _FIELDS = Rule(
     lambda value: value in (list(stored_fields(compact=False)), list(stored_fields(compact=True))),
@@ -99,6 +102,10 @@ class Manifest:
     """Where the file lies."""
     engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
     """What cast the rays; never imported unless it is one of ours."""
+    noise: Mapping[str, Any] | None = ruled(optional(TABLE))
+    """`stages` as text, and `bound_m`; None for clean ranges. Never imported unless `noise_is_ours`."""
+    rescan: Mapping[str, Any] | None = ruled(optional(TABLE))
+    """The `digest` of the dataset whose worlds and poses were scanned again; None where they were drawn."""
     shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
     software: Mapping[str, str] = ruled(_TEXTS)
     complete: bool = ruled(FLAG)
@@ -134,6 +141,11 @@ class Manifest:
         return manifest.fingerprint(self.parameters)
 
     @property
+    def noise_is_ours(self) -> bool:
+        """Whether every stage of its noise is one of scenegen's own; without noise, too."""
+        return is_ours(self.noise)
+
+    @property
     def drawn(self) -> bool:
         """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
         from scenegen.recipes import kind_names
@@ -142,16 +154,18 @@ class Manifest:
 
     @cached_property
     def recipe(self) -> "Recipe":
-        """What the tables spell out; without its world where the kind is not `drawn`: no module is imported because a
-        manifest names it. Raises BrokenError."""
+        """What the tables spell out; without its world where the kind is not `drawn`, and without noise whose stages are
+        not ours: no module is imported because a manifest names it. Raises BrokenError."""
         from scenegen.recipe import make_recipe
 
         tables = {name: table for name, table in self.tables.items() if name not in ("version", "scenes")}
         tables["grid"] = dataclasses.asdict(self.grid)
         if not self.drawn:
             tables.pop("world", None)
+        noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
         try:
-            return make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
+            found = make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
+            return dataclasses.replace(found, noise=noise)
         except RecipeError as error:
             raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 
@@ -161,7 +175,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
 
     Raises BrokenError with what is wrong, where, and what was expected.
     """
-    found: dict[str, Any] = {"generator": 1, "engine": MUJOCO} | dict(document)
+    found: dict[str, Any] = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | dict(document)
     plain = checked(Manifest, found, "")
     check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE, "lidar": TABLE}, "")
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
@@ -169,6 +183,13 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
     check(found["grid"], dict.fromkeys(manifest.GRID, _GIVEN), "grid")
     files_of(found["lidar"])
+    check_noise(found["noise"])
+    if found["rescan"] is not None:
+        check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
+    if (found["version"] == manifest.MINOR) != any(found[name] is not None for name in MINOR):
+        raise BrokenError(
+            f"version = {short(found['version'])}: expected {manifest.MINOR} exactly where there is {' or '.join(MINOR)}"
+        )
     shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:

@@ -167,10 +167,13 @@ Before publication `scenegen verify` found:
 
 
 def _limits(it: Publication) -> str:
+    faults = "no noise, no motion during a turn, no return lost within range"
+    if it.manifest.noise is not None:
+        faults = f"its noise is simulated, `{it.manifest.noise['stages']}`"
     return f"""## What to mind
 
-- The worlds are synthetic and simple, and so is the scan: no noise, no motion during a turn, no return lost within
-  range. What is learned here need not hold outside; measure it there.
+- The worlds are synthetic and simple, and so is the scan: {faults}.
+  What is learned here need not hold outside; measure it there.
 - Truth ends at the map's faces: distances know nothing of solids outside.
 - A free voxel may be occupied in the truth: rays graze.
 - Evenly drawn worlds are not a sample of any real place, and hold neither people nor personal data.

@@ -48,6 +48,7 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     tables = {name: parameters["recipe"].get(name) for name in ("world", "flight", "accept")}
     # a table of rays has its shape in the file
     tables["lidar"] = {name: value for name, value in parameters["lidar"].items() if name != "shape"}
+    tables["noise"] = {"stages": parameters["noise"]["stages"]} if parameters.get("noise") else None
     tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():
@@ -73,6 +74,11 @@ def check_recipe(dataset: Dataset, text: str) -> None:
     Raises PublishError where this version would make another dataset of it.
     """
     found = dataset.manifest
+    if not found.noise_is_ours:
+        raise PublishError(
+            f"its noise, {short(dict(found.noise or {}))}, has stages that are none of scenegen's own, which are not "
+            "imported; it cannot be said whether the recipe makes the same ranges again"
+        )
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
         path = Path(folder, RECIPE)
         path.write_text(text, encoding="utf-8")

@@ -9,6 +9,7 @@ from scenegen.verify.check import Check
 from scenegen.verify.contract import Contract
 from scenegen.verify.report import Page
 from scenegen.verify.stages import Sample
+from scenegen.verify.strays import count_strays
 
 DIGESTED = ("observed", "occupancy", "ranges", "position", "quaternion", "origin", "world", "viewpoint")
 """What a sample's digest covers, in order: written anew from docs/format.md."""
@@ -51,8 +52,14 @@ def _lawful(sample: Sample, page: Page) -> None:
     ranges, most = sample.fields["ranges"], sample.contract.lidar.max_range_m
     held = (ranges >= 0) & ((ranges <= np.float32(most)) | np.isposinf(ranges))
     page.expect(held.all(), f"{sample.where}: {np.count_nonzero(~held)} ranges are not from 0 to {most:g} m, or inf")
-    stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
-    page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
+    noise = sample.contract.noise
+    if noise is None:
+        stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
+        page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
+    elif noise["bound_m"] is not None:
+        fields, grid, bound = sample.fields, sample.contract.grid, noise["bound_m"]
+        stray = count_strays(sample.scan.points(), fields["occupancy"], grid, fields["origin"], bound)
+        page.expect(not stray, f"{sample.where}: {stray} returns lie more than {bound:g} m from what is occupied")
     if "free" in sample.fields:
         both = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
         page.expect(not both, f"{sample.where}: {both} voxels are both free and observed")
@@ -81,8 +88,9 @@ CHECKS = (
     ),
     Check(
         name="laws",
-        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied, and no voxel "
-        "is both free and observed (this last without `--quick`, where `free` is stored).",
+        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied (with noise: every "
+        "return lies within the noise's bound of an occupied voxel, if it has a bound), and no voxel is both free and "
+        "observed (this last without `--quick`, where `free` is stored).",
         quick=True,
         sample=_lawful,
     ),
