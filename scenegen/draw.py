@@ -64,10 +64,9 @@ def draw_unit(
         views = _fly(world, caster, recipe, rejected, rng=flight_rng)
         if views:
             first = turn * recipe.flight.viewpoints
-            place = {"seed": seed, "split": split, "unit": unit}
             samples = tuple(
                 sample_of(
-                    with_noise(scan, recipe.noise, world, caster, view=n, **place),
+                    with_noise(scan, recipe.noise, world, caster, seed=seed, split=split, unit=unit, view=n),
                     occupancy,
                     recipe,
                     world=number,

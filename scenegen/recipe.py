@@ -121,7 +121,7 @@ class Recipe:
         return 0 if self.world is None else self.world.version
 
     def resolved(self) -> dict[str, Any]:
-        """The manifest's `recipe`: every parameter but the sensor's, the noise's and the grid's, as plain JSON values."""
+        """The manifest's `recipe`: all but sensor, noise and grid, as plain JSON values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
         resolved: dict[str, Any] = {"version": self.version}
         resolved |= {name: dataclasses.asdict(table) for name, table in tables.items() if table is not None}

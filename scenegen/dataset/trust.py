@@ -13,8 +13,8 @@ from lidarsim import GridSpec, Sensor
 from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.noise import check_noise, is_ours, noise_of
 from scenegen.dataset.layout import Layout, layout_of
+from scenegen.dataset.noise import check_noise, is_ours, noise_of
 from scenegen.dataset.rules import (
     DIGEST,
     FLAG,

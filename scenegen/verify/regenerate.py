@@ -43,8 +43,8 @@ def regenerate(contract: Contract, archive: Archive, split: str, unit: int, pose
     try:
         if contract.rescan is not None:
             names = contract.name(split, unit * contract.viewpoints)
-            world, place = archived_world(archive, names[0]), {"seed": contract.seed, "split": split, "unit": unit}
-            return scan_again(world, poses(), recipe, **place, names=names, engine=engine)
+            world, seed = archived_world(archive, names[0]), contract.seed
+            return scan_again(world, poses(), recipe, seed=seed, split=split, unit=unit, names=names, engine=engine)
         source = DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, archive=archive)
         return draw_unit(source, recipe, seed=contract.seed, split=split, unit=unit, derived=True, engine=engine)
     except (GenerationError, RecipeError, SceneError) as error:

@@ -80,7 +80,6 @@ class Worlds:
             self._auditors[number] = auditor(*world, self.solids[number], made_with=made_with)
         return self._auditors[number]
 
-
     def made(self, number: int) -> tuple[World, Engine]:
         """A world that was compiled, and the dataset's own engine of it, which is one of ours. Raises BrokenError."""
         if number not in self._made:

@@ -56,8 +56,16 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> NDArray[np.flo
     unit, view = divmod(task.start + sample.row, contract.viewpoints)
     try:
         clean = clean_scan(engine, contract.lidar, Pose(sample.fields["position"], sample.fields["quaternion"]))
-        place = {"seed": contract.seed, "split": task.entry.split, "unit": unit, "view": view}
-        seen = with_noise(clean, contract.recipe.noise, world, engine, **place)
+        seen = with_noise(
+            clean,
+            contract.recipe.noise,
+            world,
+            engine,
+            seed=contract.seed,
+            split=task.entry.split,
+            unit=unit,
+            view=view,
+        )
     except (GenerationError, ValueError) as error:
         raise BrokenError(f"{sample.where}: cannot be scanned again: {error}") from None
     wrong = np.count_nonzero(seen.ranges.view("<u4") != sample.fields["ranges"].view("<u4"))

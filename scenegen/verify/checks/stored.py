@@ -88,9 +88,9 @@ CHECKS = (
     ),
     Check(
         name="laws",
-        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied (with noise: every "
-        "return lies within the noise's bound of an occupied voxel, if it has a bound), and no voxel is both free and "
-        "observed (this last without `--quick`, where `free` is stored).",
+        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied (with "
+        "noise: every return lies within the noise's bound of an occupied voxel, if it has a bound), and no voxel is "
+        "both free and observed (this last without `--quick`, where `free` is stored).",
         quick=True,
         sample=_lawful,
     ),
