@@ -53,7 +53,8 @@ def scan_again(
             ),
             rasterize(world.solids, recipe.grid, recipe.grid.origin_at(pose.position)),
             recipe,
-            world=number,
+            world,
+            number=number,
             viewpoint=first + n,
             derived=derived,
         )

@@ -12,6 +12,7 @@ from scenegen import SPLITS
 from scenegen.errors import GenerationError
 from scenegen.faults import with_noise
 from scenegen.flight import plan, viewpoints
+from scenegen.labels import labelled
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample
 from scenegen.source import Source
@@ -69,7 +70,8 @@ def draw_unit(
                     with_noise(scan, recipe.noise, world, caster, seed=seed, split=split, unit=unit, view=n),
                     occupancy,
                     recipe,
-                    world=number,
+                    world,
+                    number=number,
                     viewpoint=first + n,
                     derived=derived,
                 )
@@ -131,11 +133,11 @@ def _look(
 
 
 def sample_of(
-    scan: Scan, occupancy: np.ndarray, recipe: Recipe, *, world: int, viewpoint: int, derived: bool
+    scan: Scan, occupancy: np.ndarray, recipe: Recipe, world: World, *, number: int, viewpoint: int, derived: bool
 ) -> Sample:
     """The record of one view: what the scan shows of the grid, and the truth."""
     seen = voxelize(scan, recipe.grid)
-    return Sample(
+    sample = Sample(
         observed=seen.observed,
         free=seen.free,
         occupancy=occupancy,
@@ -144,9 +146,10 @@ def sample_of(
         position=scan.pose.position,
         quaternion=scan.pose.quaternion,
         origin=seen.origin,
-        world=world,
+        world=number,
         viewpoint=viewpoint,
     )
+    return labelled(sample, world, recipe.lidar, recipe.grid, recipe.labels)
 
 
 def _apart(position: np.ndarray, kept: list[tuple[float, Scan, np.ndarray]], spacing_m: float) -> bool:

@@ -14,6 +14,7 @@ from lidarsim.noise.chain import Noise
 from lidarsim.parameters import check, number
 from scenegen.errors import RecipeError, printable, short
 from scenegen.flight import Flight
+from scenegen.labels import Labels
 from scenegen.lidar import beam_table, named_noise, sensor_of
 from scenegen.limits import (
     MOST_CANDIDATES,
@@ -77,6 +78,8 @@ class Recipe:
     grid: GridSpec = field(default_factory=GridSpec)
     noise: Noise = field(default_factory=Noise)
     """What becomes of the clean ranges. Worlds, flights and viewpoints do not depend on it."""
+    labels: Labels | None = None
+    """What samples say of geoms and classes; nothing for None. Nothing else depends on it."""
 
     def __post_init__(self) -> None:
         if any(getattr(self.lidar, "lever_arm_m", ())):

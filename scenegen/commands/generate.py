@@ -1,5 +1,6 @@
 """`scenegen generate`: from options to a plan, and from a plan to a dataset."""
 
+import dataclasses
 import json
 import time
 from pathlib import Path
@@ -50,6 +51,11 @@ NETWORK_EDGE = 8
 @seed_option("The same seed, the same dataset.")
 @out_option("Folder of the dataset.  [default: data/<kind>]")
 @workers_option
+@click.option(
+    "--labels",
+    type=click.Choice(["name", "group"]),
+    help="Say of every return and voxel which geom it is of, and which class: by names of geoms, or by their group.",
+)
 @click.option("--compact", is_flag=True, help="Leave out what readers can derive: free space and distances.")
 @click.option(
     "--shard-samples", type=click.IntRange(min=1), default=USUAL_IN_SHARD, show_default=True, help="Samples in a file."
@@ -124,6 +130,7 @@ def generate(
 def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Plan":
     """What the options ask for, resolved."""
     from scenegen.dataset.build import plan_dataset
+    from scenegen.labels import labels_by
     from scenegen.lidar import named_lidar
     from scenegen.recipe import preset, read_recipe
     from scenegen.source import DrawnWorlds, Source, read_scenes
@@ -146,6 +153,8 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
         raise click.UsageError(f'{file}: kind "scene" needs the worlds, too: give --scene')
     else:
         source = DrawnWorlds(recipe)
+    if options["labels"] is not None:
+        recipe = dataclasses.replace(recipe, labels=labels_by(options["labels"], source.class_names()))
     name = scene.stem if scene is not None else recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
     out = options["out"] or Path("data") / name
     more = {option: options[option] for option in ("compact", "shard_samples", "engine")}

@@ -1,5 +1,6 @@
 """The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust` checks its values."""
 
+import dataclasses
 import hashlib
 import json
 import platform
@@ -27,7 +28,7 @@ FORMAT = "scenegen-dataset"
 VERSION = 1
 """What a manifest says that has nothing of `MINOR`."""
 MINOR = 1.2
-"""What one says that has noise, or was scanned again: readers of earlier versions refuse it."""
+"""What one says that has noise or labels, or was scanned again: readers of earlier versions refuse it."""
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
@@ -47,19 +48,21 @@ def parameters(
     engine: str = DEFAULT,
 ) -> dict[str, Any]:
     """The part of the manifest that is known before anything is drawn, and decides everything after."""
-    faults = noise.entry_of(recipe.noise, recipe.lidar.max_range_m)
+    more = noise.entry_of(recipe.noise, recipe.lidar.max_range_m)
+    if recipe.labels is not None:
+        more["labels"] = _plain(dataclasses.asdict(recipe.labels))
     return {
         "format": FORMAT,
-        "version": MINOR if faults else VERSION,
+        "version": MINOR if more else VERSION,
         "generator": GENERATOR,
         "kind": recipe.kind,
         "seed": seed,
         "counts": {split: counts[split] for split in SPLITS},
         "recipe": _plain(recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})),
-        "fields": list(stored_fields(compact)),
+        "fields": list(stored_fields(compact, labels=recipe.labels is not None)),
         "grid": _plain({name: getattr(recipe.grid, ours) for name, ours in GRID.items()}),
         "lidar": entry_of(recipe.lidar),
-        **faults,
+        **more,
         "shard_samples": shard_samples,
         **({} if engine == MUJOCO else {"engine": engine}),
         "software": software(),

@@ -21,7 +21,6 @@ from scenegen.dataset.state import Plan
 from scenegen.draw import Unit
 from scenegen.errors import DatasetError, printable
 from scenegen.recipe import Recipe
-from scenegen.sample import stored_fields
 from scenegen.world import World, compile_world
 
 
@@ -127,5 +126,5 @@ def plan_rescan(
     }
     scenes = found.tables.get("scenes") if found.kind == "scene" else None
     source = Archived(dataset.folder, None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS})
-    compact = found.fields == stored_fields(compact=True)
+    compact = "tudf" not in found.fields
     return divide(folder, given, recipe, source, compact=compact, engine=engine, kind=RescanSpec)

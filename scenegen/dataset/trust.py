@@ -32,19 +32,32 @@ from scenegen.dataset.rules import (
 )
 from scenegen.dataset.sensor import files_of, sensor_of
 from scenegen.errors import BrokenError, DatasetError, RecipeError, printable, short
-from scenegen.limits import MOST_KIND_NAME, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
-from scenegen.sample import stored_fields
+from scenegen.limits import MOST_CLASSES, MOST_KIND_NAME, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
+from scenegen.sample import LABELS, stored_fields
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
 
-MINOR = ("noise", "rescan")
+MINOR = ("noise", "labels", "rescan")
 """Entries of which a manifest of the minor version has one at least, and no other has any."""
 _COUNT = whole(0, MOST_SAMPLES)
+FLAGS = (False, True)
 _FIELDS = Rule(
-    lambda value: value in (list(stored_fields(compact=False)), list(stored_fields(compact=True))),
-    "all, or all but the derived ones",
+    lambda value: value in [list(stored_fields(compact, labels)) for compact in FLAGS for labels in FLAGS],
+    "all, or all but the derived ones, with labels or without",
 )
+_LABELS = {
+    "by": Rule(lambda value: value in ("name", "group"), "name or group"),
+    "classes": Rule(
+        lambda value: (
+            isinstance(value, list)
+            and 0 < len(value) <= MOST_CLASSES
+            and all(isinstance(name, str) and name.isprintable() for name in value)
+            and len(set(value)) == len(value)
+        ),
+        f"up to {MOST_CLASSES} different names",
+    ),
+}
 _GIVEN = Rule(lambda value: True, "a value")
 _TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
 _FILE = text(r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)", "such as train-00000.h5 or train-00000.worlds.zip")
@@ -104,6 +117,8 @@ class Manifest:
     """What cast the rays; never imported unless it is one of ours."""
     noise: Mapping[str, Any] | None = ruled(optional(TABLE))
     """`stages` as text, and `bound_m`; None for clean ranges. Never imported unless `noise_is_ours`."""
+    labels: Mapping[str, Any] | None = ruled(optional(TABLE))
+    """What the samples' labels mean: `by` what geoms are of a class, and the `classes`; None without labels."""
     rescan: Mapping[str, Any] | None = ruled(optional(TABLE))
     """The `digest` of the dataset whose worlds and poses were scanned again; None where they were drawn."""
     shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
@@ -156,6 +171,7 @@ class Manifest:
     def recipe(self) -> "Recipe":
         """What the tables spell out; without its world where the kind is not `drawn`, and without noise whose stages are
         not ours: no module is imported because a manifest names it. Raises BrokenError."""
+        from scenegen.labels import Labels
         from scenegen.recipe import make_recipe
 
         tables = {name: table for name, table in self.tables.items() if name not in ("version", "scenes")}
@@ -165,7 +181,10 @@ class Manifest:
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
         try:
             found = make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
-            return dataclasses.replace(found, noise=noise)
+            labels = (
+                None if self.labels is None else Labels(by=self.labels["by"], classes=tuple(self.labels["classes"]))
+            )
+            return dataclasses.replace(found, noise=noise, labels=labels)
         except RecipeError as error:
             raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 
@@ -184,6 +203,10 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     check(found["grid"], dict.fromkeys(manifest.GRID, _GIVEN), "grid")
     files_of(found["lidar"])
     check_noise(found["noise"])
+    if found["labels"] is not None:
+        check(found["labels"], _LABELS, "labels", _LABELS)
+    if (found["labels"] is not None) != (found["fields"][-1] in LABELS):
+        raise BrokenError("labels: expected exactly where `fields` names labels")
     if found["rescan"] is not None:
         check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
     if (found["version"] == manifest.MINOR) != any(found[name] is not None for name in MINOR):

@@ -1,5 +1,6 @@
 """The recipe and the command that make a dataset again, from its manifest alone, and the check that they do."""
 
+import dataclasses
 import re
 import shlex
 import shutil
@@ -17,7 +18,6 @@ from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
-from scenegen.sample import stored_fields
 from scenegen.source import DrawnWorlds
 from scenegen.stopping import undone_if_stopped
 
@@ -35,8 +35,10 @@ def command(found: Manifest, out: str) -> str:
     for split in SPLITS[1:]:
         words += [f"--{split}", str(found.counts[split])]
     words += ["--seed", str(found.seed), "--shard-samples", str(found.shard_samples)]
-    if found.fields == stored_fields(compact=True):
+    if "tudf" not in found.fields:
         words.append("--compact")
+    if found.labels is not None:
+        words += ["--labels", found.labels["by"]]
     if found.engine != DEFAULT:
         words += ["--engine", found.engine]
     return shlex.join([*words, "--out", out])
@@ -87,12 +89,14 @@ def check_recipe(dataset: Dataset, text: str) -> None:
             recipe = read_recipe(path)
         except RecipeError as error:
             raise PublishError(f"{_advice(found)}: {str(error).removeprefix(f'{path}: ')}") from None
+    if found.rescan is not None:
+        raise PublishError("it was scanned again from another dataset, and no recipe makes it; publish that one")
     given = manifest.parameters(
-        recipe,
+        dataclasses.replace(recipe, labels=found.recipe.labels),
         DrawnWorlds(recipe),
         seed=found.seed,
         counts=found.counts,
-        compact=found.fields == stored_fields(compact=True),
+        compact="tudf" not in found.fields,
         shard_samples=found.shard_samples,
         engine=found.engine,
     )

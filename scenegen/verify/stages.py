@@ -66,6 +66,7 @@ class Worlds:
     """The solids of every world that was compiled, by its number."""
     _auditors: dict[int, Engine] = field(default_factory=dict)
     _made: dict[int, tuple[World, Engine]] = field(default_factory=dict)
+    _worlds: dict[int, World] = field(default_factory=dict)
 
     def compile(self, number: int) -> Solids:
         """Compile a world to its solids, which checks of samples are handed later. Raises BrokenError."""
@@ -80,11 +81,18 @@ class Worlds:
             self._auditors[number] = auditor(*world, self.solids[number], made_with=made_with)
         return self._auditors[number]
 
+    def world(self, number: int) -> World:
+        """A world, compiled. Raises BrokenError."""
+        if number not in self._worlds:
+            self._worlds.clear()  # samples come world by world
+            self._worlds[number] = archived_world(self.archive, number)
+        return self._worlds[number]
+
     def made(self, number: int) -> tuple[World, Engine]:
         """A world that was compiled, and the dataset's own engine of it, which is one of ours. Raises BrokenError."""
         if number not in self._made:
-            self._made.clear()  # samples come world by world
-            world = archived_world(self.archive, number)
+            self._made.clear()
+            world = self.world(number)
             self._made[number] = world, ENGINES.find(self.task.contract.engine).of(world.model, world.data)
         return self._made[number]
 

@@ -8,7 +8,7 @@ from lidarsim.engines import ENGINES
 from scenegen.again import clean_scan
 from scenegen.errors import GenerationError
 from scenegen.faults import with_noise
-from scenegen.sample import SCHEMA
+from scenegen.sample import FIELDS
 from scenegen.verify.check import Check
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate
@@ -114,7 +114,7 @@ def _compare_flight(shard: Shard, local: int, page: Page) -> None:
     for row, sample in zip(range(local * each, task.entry.samples), again.samples, strict=False):
         page.count(samples=1)
         for name in task.contract.fields:
-            expected = np.asarray(getattr(sample, name), dtype=SCHEMA[name]["dtype"])
+            expected = np.asarray(getattr(sample, name), dtype=FIELDS[name]["dtype"])
             if not page.expect(
                 shard.file.value(name, row).tobytes() == expected.tobytes(),
                 f"{task.entry.file}: sample {row}: {name} is not what the seed gives",
