@@ -30,7 +30,8 @@ class Labels:
     """What decides the class of a geom, and what classes there are.
 
     By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is a ``crate``, and
-    ``beech_01_bough`` a ``beech_bough``; a geom without such a name is of the class of its shape. By `group`, it is MuJoCo's group.
+    ``beech_01_bough`` a ``beech_bough``; a geom without such a name is of the class of its shape. By
+    `group`, it is MuJoCo's group.
     """
 
     by: Literal["name", "group"]

@@ -32,7 +32,7 @@ def named_noise(text: str | None, sensor: Sensor, where: str = "") -> Noise:
     try:
         return Noise() if text is None else Noise.parse(text, sensor)
     except ValueError as error:
-        raise RecipeError(f"{where}: {printable(error)}" if where else printable(error)) from None
+        raise RecipeError(f"{where} {printable(error)}" if where else printable(error)) from None
 
 
 def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:

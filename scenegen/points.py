@@ -1,4 +1,5 @@
-"""Clouds of points as files: .ply (binary), .npz (NumPy) and .bin (x y z intensity in float32, as KITTI has them)."""
+"""Clouds of points as files: .ply and .pcd (binary), .npz (NumPy) and .bin (x y z intensity in float32, as KITTI has
+them)."""
 
 import io
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from scenegen.errors import DatasetError
 from scenegen.files import make_parent, write_whole
 
-SUFFIXES = (".ply", ".npz", ".bin")
+SUFFIXES = (".ply", ".pcd", ".npz", ".bin")
 """Kinds of files."""
 
 
@@ -40,6 +41,11 @@ def write_points(
         properties = "".join(f"property float {name}\n" for name in columns)
         head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
         content = head.encode() + content
+    elif path.suffix == ".pcd":
+        each = len(columns)
+        head = f"# .PCD v0.7\nVERSION 0.7\nFIELDS {' '.join(columns)}\nSIZE{' 4' * each}\nTYPE{' F' * each}\n"
+        head += f"COUNT{' 1' * each}\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        content = f"{head}POINTS {len(points)}\nDATA binary\n".encode() + content
     elif path.suffix == ".npz":
         file = io.BytesIO()
         more = {} if intensity is None else {"intensity": intensity}

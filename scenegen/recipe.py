@@ -193,7 +193,9 @@ def make_recipe(
     given_lidar = given.pop("lidar")
     built = {name: from_table(parts[name], table, f"{where}: [{name}]", folder) for name, table in given.items()}
     built["lidar"] = sensor if sensor is not None else sensor_of(given_lidar, f"{where}: [lidar]", folder)
-    built["noise"] = named_noise(built["noise"].stages or None, built["lidar"], where)
+    built["noise"] = named_noise(
+        built["noise"].stages or None, built["lidar"], "" if where == "preset" else f"{where}: [noise]"
+    )
     try:
         recipe = Recipe(kind=kind, **built)
         json.dumps(recipe.resolved())

@@ -27,7 +27,7 @@ from scenegen.terminal.types import Named, Numbers
     help="Frame of the points: the body when the scan begins, or the world.",
 )
 @seed_option("What the noise, and the flight, are drawn by.")
-@out_option("The file to write: .ply, .npz or .bin.", Path("scan.ply"), file=True)
+@out_option("The file to write: .ply, .pcd, .npz or .bin.", Path("scan.ply"), file=True)
 @json_option
 @quiet_option
 def scan(

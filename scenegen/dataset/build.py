@@ -77,7 +77,7 @@ def divide(
     engine: str,
     kind: type[ShardSpec] = ShardSpec,
 ) -> Plan:
-    """Divide the samples that the manifest's parameters `given` ask for into shards of a `kind`. Raises DatasetError."""
+    """Divide the samples that the manifest's parameters `given` ask for into shards. Raises DatasetError."""
     counts, shard_samples = given["counts"], given["shard_samples"]
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints

@@ -169,8 +169,8 @@ class Manifest:
 
     @cached_property
     def recipe(self) -> "Recipe":
-        """What the tables spell out; without its world where the kind is not `drawn`, and without noise whose stages are
-        not ours: no module is imported because a manifest names it. Raises BrokenError."""
+        """What the tables spell out; without its world where the kind is not `drawn`, and without noise that is not
+        ours: no module is imported because a manifest names it. Raises BrokenError."""
         from scenegen.labels import Labels
         from scenegen.recipe import make_recipe
 
@@ -210,9 +210,8 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     if found["rescan"] is not None:
         check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
     if (found["version"] == manifest.MINOR) != any(found[name] is not None for name in MINOR):
-        raise BrokenError(
-            f"version = {short(found['version'])}: expected {manifest.MINOR} exactly where there is {' or '.join(MINOR)}"
-        )
+        version, named = short(found["version"]), " or ".join(MINOR)
+        raise BrokenError(f"version = {version}: expected {manifest.MINOR} exactly where there is {named}")
     shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:

@@ -107,10 +107,15 @@ def test_every_kind_of_file_holds_the_same_points(
 ) -> None:
     from scenegen.model.completion.points import read_points
 
-    for name in ("a.ply", "a.npz", "a.bin"):
+    for name in ("a.ply", "a.pcd", "a.npz", "a.bin"):
         assert run(capsys, "scan", "room.xml", "--pose", "1,2,0.5,30", *noise, "-o", name)[0] == 0
     stored = np.load(here / "a.npz")
     np.testing.assert_allclose(read_points(here / "a.ply"), stored["points"], rtol=1e-6, atol=1e-6)
+    head, _, body = (here / "a.pcd").read_bytes().partition(b"DATA binary\n")
+    lines = dict(line.split(" ", 1) for line in head.decode().splitlines())
+    assert lines["POINTS"] == lines["WIDTH"] == str(len(stored["points"]))
+    table = np.frombuffer(body, "<f4").reshape(-1, len(lines["FIELDS"].split()))
+    np.testing.assert_allclose(table[:, :3], stored["points"], rtol=1e-6, atol=1e-6)
     rows = np.frombuffer((here / "a.bin").read_bytes(), "<f4").reshape(-1, 4)
     np.testing.assert_allclose(rows[:, :3], stored["points"], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(rows[:, 3], stored["intensity"] if noise else 0, rtol=1e-6)
@@ -140,7 +145,7 @@ REFUSED = {
     "no pose": (("scan", "room.xml"), 2, "--pose X,Y,Z,YAW and --flight"),
     "half a pose": (("scan", "room.xml", "--pose", "1,2"), 2, "4 numbers"),
     "a pose of no numbers": (("scan", "room.xml", "--pose", "1,2,3,nan"), 2, "is not a finite number"),
-    "an unknown kind of file": (("scan", "room.xml", "--flight", "-o", "a.pcd"), 1, ".ply, .npz, .bin"),
+    "an unknown kind of file": (("scan", "room.xml", "--flight", "-o", "a.xyz"), 1, ".ply, .pcd, .npz, .bin"),
     "an engine that knows no surfaces": (
         ("scan", "room.xml", "--flight", "--engine", "mujoco", "--noise", "faint"),
         1,
