@@ -108,12 +108,13 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "networks": [()],
     "sensors": [("velodyne-vlp-16", "-o", "p.png")],
     "scan": [("w.xml", "--flight", "--noise", "range:0.02", "-o", "s.ply")],
+    "rescan": [("d", "--noise", "range:0.02", "-o", "again", *ONE)],
 }
 """Every command, in an order in which each finds what it needs."""
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = {"small.toml", "scan.xyz", "n.onnx", "d", "w.xml", "run", "p.h5", "s.h5", "o.h5", "bench", "publish", "e.onnx"}
-ASKED |= {"p.png", "s.ply"}
+ASKED |= {"p.png", "s.ply", "again"}
 FONTS = ".cache/matplotlib/"
 """Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a user's home besides the
 kernels."""

@@ -27,7 +27,7 @@ from scenegen.terminal.types import Named
 @lidar_option("The sensor", "  [default: the dataset's]")
 @noise_option
 @click.option("--engine", type=Named(ENGINES), help="What casts the rays.  [default: what cast the dataset's]")
-@out_option("Folder of the new dataset.  [default: the dataset's name with -again]")
+@out_option("Folder of the new dataset.")
 @workers_option
 @click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
 @json_option
@@ -47,6 +47,8 @@ def rescan(
 
     Given again after a stop, it goes on where it was.
     """
+    if out is None:
+        raise click.UsageError("give the new dataset's folder with -o")
     begin = time.perf_counter()
     talk = not (quiet or as_json)
     if talk:
@@ -59,8 +61,7 @@ def rescan(
     source = Dataset(dataset)
     sensor = None if lidar is None else named_lidar(lidar)
     chain = named_noise(noise, sensor or source.lidar)
-    folder = out or dataset.with_name(f"{dataset.name}-again")
-    plan = plan_rescan(source, folder, lidar=sensor, chain=chain, engine=engine)
+    plan = plan_rescan(source, out, lidar=sensor, chain=chain, engine=engine)
 
     def count(report: Any, fresh: bool) -> None:
         progress.count(report.samples)

@@ -23,6 +23,9 @@ from scenegen.errors import DatasetError, printable
 from scenegen.recipe import Recipe
 from scenegen.world import World, compile_world
 
+MOST_WORLDS = 8
+"""Worlds that a process keeps compiled: those from MJCF files come again and again."""
+
 
 @dataclass(frozen=True)
 class Archived:
@@ -32,6 +35,7 @@ class Archived:
     scenes: Mapping[str, int] | None
     """Worlds of each split, where MJCF files were visited in turn; None where each flight has a world of its own."""
     _open: list[Dataset] = field(default_factory=list, compare=False)
+    _worlds: dict[tuple[str, int], World] = field(default_factory=dict, compare=False)
 
     @property
     def dataset(self) -> Dataset:
@@ -41,7 +45,7 @@ class Archived:
         return self._open[0]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": []}
+        return {**self.__dict__, "_open": [], "_worlds": {}}
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
         """See `Source.number`."""
@@ -52,8 +56,13 @@ class Archived:
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
         """See `Source.world`; nothing is drawn."""
-        files = dict(self.dataset.world(split, number))
-        return compile_world(files.pop(DOCUMENT), files, name=f"{self.folder}: {split} world {number}")
+        if (split, number) not in self._worlds:
+            files = dict(self.dataset.world(split, number))
+            world = compile_world(files.pop(DOCUMENT), files, name=f"{self.folder}: {split} world {number}")
+            self._worlds[split, number] = world
+            for old in list(self._worlds)[:-MOST_WORLDS]:
+                del self._worlds[old]
+        return self._worlds[split, number]
 
     def describe(self) -> dict[str, Any]:
         """See `Source.describe`."""
