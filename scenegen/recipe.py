@@ -86,7 +86,7 @@ class Recipe:
             raise ValueError("[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out")
         if not isinstance(self.lidar, Lidar | BeamTable):
             object.__setattr__(self, "lidar", beam_table(self.lidar))
-        if self.noise.stages and Noise.parse(str(self.noise)) != self.noise:
+        if self.noise.stages and Noise.parse(self.noise.spelled()) != self.noise:
             raise ValueError(f"[noise] stages = {str(self.noise)[:200]!a}: a stage's values cannot stand in a manifest")
         grid, flight = self.grid, self.flight
         voxels = math.prod(grid.shape)

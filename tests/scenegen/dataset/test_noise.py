@@ -25,6 +25,7 @@ from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
 
 CHAIN = "range:0.02,dropout:0.05"
+SPELLED = "range:sigma_m=0.02:share=0.0:quadratic_per_m=0.0,dropout:share=0.05"
 
 
 def made_with(folder: Path, noise: str, *, counts: dict[str, int] | None = None, shard_samples: int = 5) -> Dataset:
@@ -52,7 +53,7 @@ def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(made: Pa
     assert plain["version"] == 1
     assert not plain.keys() & {"noise", "labels", "rescan"}
     assert faulty["version"] == MINOR
-    assert faulty["noise"] == {"stages": "range,dropout", "bound_m": 4 * 0.02}
+    assert faulty["noise"] == {"stages": SPELLED, "bound_m": 4 * 0.02}
     for one, other in zip(Dataset(made).split("train"), Dataset(noisy).split("train"), strict=True):
         for name in ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -110,11 +111,11 @@ def test_what_the_noise_cannot_have_done_is_found(noisy: Path, tmp_path: Path) -
 
         return edited(Path(shutil.copytree(noisy, tmp_path / name)), **entries)
 
-    assert "rays" in failed(copy("weaker", noise={"stages": "range:sigma_m=0.01,dropout", "bound_m": 0.04}))
-    assert "laws" in failed(copy("far weaker", noise={"stages": "dropout", "bound_m": 0.0}), quick=True)
+    assert "rays" in failed(copy("weaker", noise={"stages": SPELLED.replace("0.02", "0.01"), "bound_m": 0.04}))
+    assert "laws" in failed(copy("far weaker", noise={"stages": "dropout:share=0.05", "bound_m": 0.0}), quick=True)
     assert "laws" in failed(copy("clean", noise=None, version=1), quick=True)
-    told = failed(copy("other bound", noise={"stages": "range,dropout", "bound_m": 0.5}))
-    assert "expected {'stages': 'range,dropout', 'bound_m': 0.08}" in told["manifest"]
+    told = failed(copy("other bound", noise={"stages": SPELLED, "bound_m": 0.5}))
+    assert "noise.bound_m = 0.5: its stages have 0.08 with this sensor" in told["manifest"]
 
 
 @pytest.mark.parametrize(
@@ -180,7 +181,7 @@ def test_corrected_motion_is_refused_and_motion_that_bends_walls_is_not() -> Non
 def test_a_recipe_says_its_noise_and_is_held_to_it(noisy: Path, tmp_path: Path) -> None:
     dataset = Dataset(noisy)
     text = recipe_text(dataset.manifest.parameters, "a recipe")
-    assert '[noise]\nstages = "range,dropout"' in text
+    assert f'[noise]\nstages = "{SPELLED}"' in text
     check_recipe(dataset, text)
     file = tmp_path / "it.toml"
     file.write_text(text)

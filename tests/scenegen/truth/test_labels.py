@@ -16,6 +16,7 @@ from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
 from scenegen.labels import SHAPES, Labels, class_names, labels_by
+from scenegen.publish.stage import Request, stage
 from scenegen.sample import LABELS, LabelledSample
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.truth import rasterize
@@ -134,3 +135,16 @@ def test_scenes_know_their_classes(tmp_path: Path) -> None:
     source = read_scenes(tmp_path / "one.xml", {"train": 1, "val": 0, "test": 0}, seed=0)
     labels = Labels(by="name", classes=labels_by("name", source.class_names()).classes)
     assert {"wall", "ball", "crate", "wall_top"} <= set(labels.classes)
+
+
+def test_a_dataset_with_labels_can_be_published(tmp_path: Path) -> None:
+    recipe = dataclasses.replace(small_recipe(), labels=labels_by("name", ()), noise=Noise.parse("range"))
+    counts = {"train": 3, "val": 3, "test": 3}
+    build(plan_dataset(tmp_path / "data", recipe, DrawnWorlds(recipe), seed=3, counts=counts))
+    request = Request(dataset=tmp_path / "data", repository="ada/small", out=tmp_path / "out")
+    stage(request, (("files", "all there"),))
+    card = (tmp_path / "out" / "README.md").read_text()
+    assert '"nothing", "plane"' in card
+    assert "`voxel_class`" in card
+    assert "--labels name" in card
+    assert "its noise is simulated, `range:sigma_m=0.02" in card
