@@ -5,6 +5,8 @@ seen = scan_world(world, VLP_16, Pose.level((8.0, 6.0, 1.5)), Noise.parse("range
 print(seen.points().shape)
 """
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from lidarsim.engines import EngineFactory
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
 from scenegen.errors import GenerationError, SceneError
-from scenegen.flight import Flight, plan, viewpoints
+from scenegen.flight import Flight, Viewpoints, plan, viewpoints
 from scenegen.source import read_scenes
 from scenegen.world import World
 
@@ -32,12 +34,22 @@ def read_world(path: Path) -> World:
 
 def pose_in_flight(world: World, *, seed: int, flight: Flight | None = None) -> Pose:
     """A random viewpoint of a random flight through the world. Raises GenerationError where none fits."""
-    flight = flight or Flight()
+    return _flown(world, flight or Flight(), seed).pose(0)
+
+
+def poses_in_flight(world: World, *, every_m: float, seed: int, flight: Flight | None = None) -> list[Pose]:
+    """The viewpoints of a random flight through the world, `every_m` metres, in the order in which they are passed.
+    Raises GenerationError where none fits."""
+    found = _flown(world, dataclasses.replace(flight or Flight(), spacing_m=every_m), seed)
+    return [found.pose(int(n)) for n in np.argsort(found.flown_m)]
+
+
+def _flown(world: World, flight: Flight, seed: int) -> Viewpoints:
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
         path = plan(world.clearance, world.flight_bounds, flight, rng=rng)
         if path is not None and len(found := viewpoints(path, flight.spacing_m, rng=rng)):
-            return found.pose(0)
+            return found
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")
 
 
@@ -47,7 +59,7 @@ def scan_world(
     pose: Pose,
     noise: Noise | None = None,
     *,
-    seed: int,
+    seed: int | Sequence[int],
     engine: EngineFactory = AnalyticEngine.of,
 ) -> Returns:
     """What `lidar` on a body at `pose` returns of the world; the noise is drawn by `seed`.

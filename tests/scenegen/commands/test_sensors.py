@@ -129,7 +129,22 @@ def test_a_scan_in_flight_is_at_the_seeds_place(here: Path, capsys: pytest.Captu
     assert place(1) == place(1) != place(2)
 
 
+def test_a_sequence_follows_one_flight(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("scan", "room.xml", "--flight", "--every", 0.5, "--seed", 2, "--noise", "range", "--json", "-o")
+    scans = json.loads(run(capsys, *words, "walk.npz")[1])["scans"]
+    assert [scan["file"] for scan in scans] == [f"walk-{n:03d}.npz" for n in range(len(scans))]
+    places = np.array([scan["position"] for scan in scans])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert len(steps) > 3
+    assert steps.max() <= 0.5 + 2e-3
+    assert np.median(steps) > 0.49
+    stored = [np.load(here / scan["file"]) for scan in scans]
+    np.testing.assert_allclose([each["position"] for each in stored], places, atol=1e-3)
+    assert not np.array_equal(stored[0]["ranges"], stored[1]["ranges"])
+
+
 REFUSED = {
+    "a sequence from one place": (("scan", "room.xml", "--pose", "1,2,0.5,0", "--every", 1), 2, "goes with --flight"),
     "a sensor beside a recipe's": (("generate", "--recipe", "small.toml", "--lidar", "mine.toml"), 1, "leave one of"),
     "a lever arm in a dataset": (("generate", "--recipe", "arm.toml"), 1, "lever_arm_m"),
     "a name of the catalogue's": (("sensors", "taken.toml"), 1, "a name of its own"),
