@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim import Pose, Sensor
+from lidarsim.engines import ENGINES
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR, SPLITS
 from scenegen.again import scan_again
@@ -19,8 +20,9 @@ from scenegen.dataset.sensor import entry_of
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw import Unit
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError, printable, short
 from scenegen.recipe import Recipe
+from scenegen.screen import screen
 from scenegen.world import World, compile_world
 
 MOST_WORLDS = 8
@@ -58,7 +60,9 @@ class Archived:
         """See `Source.world`; nothing is drawn."""
         if (split, number) not in self._worlds:
             files = dict(self.dataset.world(split, number))
-            world = compile_world(files.pop(DOCUMENT), files, name=f"{self.folder}: {split} world {number}")
+            document, name = files.pop(DOCUMENT), f"{self.folder}: {split} world {number}"
+            screen(document, files, name)  # it may come from a stranger
+            world = compile_world(document, files, name=name)
             self._worlds[split, number] = world
             for old in list(self._worlds)[:-MOST_WORLDS]:
                 del self._worlds[old]
@@ -115,6 +119,11 @@ def plan_rescan(
     Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
     """
     found = dataset.manifest
+    if engine is None and found.engine not in ENGINES.known:
+        raise DatasetError(
+            f"{dataset.folder}: made with the engine {short(found.engine)}, which is not imported because a "
+            "manifest names it; give --engine with its name, or one of ours"
+        )
     engine = engine or found.engine
     find_engine(engine)
     try:

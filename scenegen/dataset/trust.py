@@ -178,6 +178,8 @@ class Manifest:
         tables["grid"] = dataclasses.asdict(self.grid)
         if not self.drawn:
             tables.pop("world", None)
+        if "noise" in tables:
+            raise BrokenError("recipe.noise: is there, expected noise beside recipe")
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
         try:
             found = make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)

@@ -25,14 +25,20 @@ def count_strays(
     extent = np.array(grid.shape) * voxel
     left = inside[((inside >= most) & (inside <= extent - most)).all(axis=1)]
     shape = np.array(grid.shape)
-    for shell in range(math.ceil(min(most / voxel, max(grid.shape))) + 1):
-        for offset in itertools.product(range(-shell, shell + 1), repeat=3):
-            if max(map(abs, offset)) < shell or not len(left):
-                continue
-            cells = np.floor(left / voxel).astype(np.int64) + offset
-            known = ((cells >= 0) & (cells < shape)).all(axis=1)
-            gaps = np.maximum(np.maximum(cells * voxel - left, left - (cells + 1) * voxel), 0.0)
-            near = known & ((gaps**2).sum(axis=1) <= most * most)
-            near[near] = occupancy[tuple(cells[near].T)]
-            left = left[~near]
+    shells = range(math.ceil(min(most / voxel, max(grid.shape))) + 1)
+    for offset in itertools.chain.from_iterable(map(_shell, shells)):  # nearest first: few points are left soon
+        if not len(left):
+            break
+        cells = np.floor(left / voxel).astype(np.int64) + offset
+        known = ((cells >= 0) & (cells < shape)).all(axis=1)
+        gaps = np.maximum(np.maximum(cells * voxel - left, left - (cells + 1) * voxel), 0.0)
+        near = known & ((gaps**2).sum(axis=1) <= most * most)
+        near[near] = occupancy[tuple(cells[near].T)]
+        left = left[~near]
     return len(left)
+
+
+def _shell(reach: int) -> NDArray[np.int64]:
+    """The cells (n, 3) whose greatest coordinate is `reach`, whatever its sign."""
+    cells = np.indices((2 * reach + 1,) * 3).reshape(3, -1).T - reach
+    return np.asarray(cells[np.abs(cells).max(axis=1) == reach])

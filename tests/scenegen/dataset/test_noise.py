@@ -155,6 +155,14 @@ def test_no_reader_imports_a_stage_that_a_manifest_names(
     assert {"rays", "regenerated"} <= skipped
     with pytest.raises(PublishError, match="none of scenegen's own"):
         check_recipe(Dataset(folder), recipe_text(Dataset(folder).manifest.parameters, "a recipe"))
+    recipe = Dataset(noisy).manifest.parameters["recipe"] | {"noise": {"stages": "trap:Stage"}}
+    assert (
+        "recipe.noise: is there"
+        in failed(edited(Path(shutil.copytree(noisy, tmp_path / "in")), recipe=recipe))["manifest"]
+    )
+    again = edited(Path(shutil.copytree(noisy, tmp_path / "engine")), engine="trap:Engine")
+    with pytest.raises(DatasetError, match="not imported because a manifest names it; give --engine"):
+        plan_rescan(Dataset(again), tmp_path / "out")
     assert "trap" not in sys.modules
 
 
