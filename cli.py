@@ -13,7 +13,19 @@ from scenegen import __version__
 from scenegen.terminal.command import Commands, run_command
 
 MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
-OF_DATA = ("generate", "inspect", "world", "verify", "publish", "sensors", "scan", "recipe", "render", "convert")
+OF_DATA = (
+    "generate",
+    "inspect",
+    "world",
+    "verify",
+    "publish",
+    "sensors",
+    "scan",
+    "rescan",
+    "recipe",
+    "render",
+    "convert",
+)
 OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce", "view")
 PLACES = {
     **{name: f"{MADE}.{name}:{name}" for name in OF_DATA},

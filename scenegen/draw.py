@@ -10,7 +10,9 @@ from lidarsim import AnalyticEngine, Engine, Pose, Scan, cast, voxelize
 from lidarsim.engines import EngineFactory
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
+from scenegen.faults import with_noise
 from scenegen.flight import plan, viewpoints
+from scenegen.labels import labelled
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample
 from scenegen.source import Source
@@ -59,11 +61,20 @@ def draw_unit(
         streams = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
         world_rng, flight_rng = (np.random.default_rng(stream) for stream in streams)
         world = source.world(split, number, rng=world_rng)
-        views = _fly(world, engine_of(engine, world), recipe, rejected, rng=flight_rng)
+        caster = engine_of(engine, world)
+        views = _fly(world, caster, recipe, rejected, rng=flight_rng)
         if views:
             first = turn * recipe.flight.viewpoints
             samples = tuple(
-                _sample(world, scan, occupancy, recipe, number, first + n, derived=derived)
+                sample_of(
+                    with_noise(scan, recipe.noise, world, caster, seed=seed, split=split, unit=unit, view=n),
+                    occupancy,
+                    recipe,
+                    world,
+                    number=number,
+                    viewpoint=first + n,
+                    derived=derived,
+                )
                 for n, (scan, occupancy) in enumerate(views)
             )
             return Unit(number, world, samples, rejected)
@@ -121,12 +132,12 @@ def _look(
     return scan, occupancy
 
 
-def _sample(
-    world: World, scan: Scan, occupancy: np.ndarray, recipe: Recipe, number: int, viewpoint: int, *, derived: bool
+def sample_of(
+    scan: Scan, occupancy: np.ndarray, recipe: Recipe, world: World, *, number: int, viewpoint: int, derived: bool
 ) -> Sample:
     """The record of one view: what the scan shows of the grid, and the truth."""
     seen = voxelize(scan, recipe.grid)
-    return Sample(
+    sample = Sample(
         observed=seen.observed,
         free=seen.free,
         occupancy=occupancy,
@@ -138,6 +149,7 @@ def _sample(
         world=number,
         viewpoint=viewpoint,
     )
+    return labelled(sample, world, recipe.lidar, recipe.grid, recipe.labels)
 
 
 def _apart(position: np.ndarray, kept: list[tuple[float, Scan, np.ndarray]], spacing_m: float) -> bool:

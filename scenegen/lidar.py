@@ -26,12 +26,13 @@ def named_lidar(word: str) -> Sensor:
     return sensor_of(table, printable(path), path.parent)
 
 
-def named_noise(text: str | None, sensor: Sensor) -> Noise:
-    """The chain that `text` describes, see `Noise.parse`; none for None. Raises RecipeError."""
+def named_noise(text: str | None, sensor: Sensor, where: str = "") -> Noise:
+    """The chain that `text` describes, see `Noise.parse`; none for None. Raises RecipeError, which begins with
+    `where`."""
     try:
         return Noise() if text is None else Noise.parse(text, sensor)
     except ValueError as error:
-        raise RecipeError(printable(error)) from None
+        raise RecipeError(f"{where} {printable(error)}" if where else printable(error)) from None
 
 
 def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:

@@ -43,6 +43,8 @@ MOST_MANIFEST_BYTES = 64 << 20
 """The most bytes of `dataset.json`: it then lists some 200,000 shards."""
 MOST_KIND_NAME = 100
 """The most characters of a kind's name."""
+MOST_CLASSES = 10_000
+"""The most classes of a dataset with labels."""
 USUAL_IN_SHARD = 100
 """Samples in a shard, where nobody asks for another number."""
 MOST_RECIPE_BYTES = 64 << 10

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
+from lidarsim.noise.chain import Noise
 from lidarsim.parameters import check, number
 from scenegen.errors import RecipeError, printable, short
 from scenegen.flight import Flight
-from scenegen.lidar import beam_table, sensor_of
+from scenegen.labels import Labels
+from scenegen.lidar import beam_table, named_noise, sensor_of
 from scenegen.limits import (
     MOST_CANDIDATES,
     MOST_DRAWS,
@@ -47,6 +49,17 @@ class Acceptance:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Faults:
+    """A recipe's [noise]."""
+
+    stages: str = ""
+    """Stages of noise, as the option --noise takes them: ``range:0.02,dropout:0.05``; none for clean ranges."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Recipe:
     """Everything besides the seed and the counts that decides a dataset's content.
 
@@ -63,12 +76,18 @@ class Recipe:
     lidar: Sensor = field(default_factory=Lidar)
     """The sensor. One that is no raster becomes the table of its rays, which needs no code of the user's any more."""
     grid: GridSpec = field(default_factory=GridSpec)
+    noise: Noise = field(default_factory=Noise)
+    """What becomes of the clean ranges. Worlds, flights and viewpoints do not depend on it."""
+    labels: Labels | None = None
+    """What samples say of geoms and classes; nothing for None. Nothing else depends on it."""
 
     def __post_init__(self) -> None:
         if any(getattr(self.lidar, "lever_arm_m", ())):
             raise ValueError("[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out")
         if not isinstance(self.lidar, Lidar | BeamTable):
             object.__setattr__(self, "lidar", beam_table(self.lidar))
+        if self.noise.stages and Noise.parse(self.noise.spelled()) != self.noise:
+            raise ValueError(f"[noise] stages = {str(self.noise)[:200]!a}: a stage's values cannot stand in a manifest")
         grid, flight = self.grid, self.flight
         voxels = math.prod(grid.shape)
         if voxels > MOST_VOXELS:
@@ -105,23 +124,25 @@ class Recipe:
         return 0 if self.world is None else self.world.version
 
     def resolved(self) -> dict[str, Any]:
-        """The manifest's `recipe`: every parameter but the sensor's and the grid's, as plain JSON values."""
+        """The manifest's `recipe`: all but sensor, noise and grid, as plain JSON values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
         resolved: dict[str, Any] = {"version": self.version}
         resolved |= {name: dataclasses.asdict(table) for name, table in tables.items() if table is not None}
         return resolved
 
 
-def preset(kind: str, *, lidar: Sensor | None = None) -> Recipe:
-    """The recipe of a kind as it comes, or with the sensor `lidar`. Raises RecipeError for an unknown kind, suggesting
-    the nearest."""
-    return make_recipe(kind, {}, where="preset", sensor=lidar)
+def preset(kind: str, *, lidar: Sensor | None = None, noise: str | None = None) -> Recipe:
+    """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`. Raises RecipeError for
+    an unknown kind, suggesting the nearest."""
+    return make_recipe(kind, _stages(noise), where="preset", sensor=lidar)
 
 
-def read_recipe(path: Path, kind: str | None = None, *, lidar: Sensor | None = None) -> Recipe:
-    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar] and [grid] of what differs
-    from the preset. `kind` and `lidar`, where given, stand in for the file's; a file with a table [lidar] beside a
-    `lidar` is refused.
+def read_recipe(
+    path: Path, kind: str | None = None, *, lidar: Sensor | None = None, noise: str | None = None
+) -> Recipe:
+    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar], [noise] and [grid] of what
+    differs from the preset. `kind`, `lidar` and `noise`, where given, stand in for the file's; a file with a table
+    [lidar] beside a `lidar`, or [noise] beside `noise`, is refused.
 
     A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its `[lidar] sensor` first.
     Raises RecipeError naming the file, the table and the parameter.
@@ -137,7 +158,13 @@ def read_recipe(path: Path, kind: str | None = None, *, lidar: Sensor | None = N
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
     if lidar is not None and "lidar" in tables:
         raise RecipeError(f"{where}: has a table [lidar], and --lidar names a sensor, too; leave one of the two out")
-    return make_recipe(named, tables, where=where, folder=path.parent, sensor=lidar)
+    if noise is not None and "noise" in tables:
+        raise RecipeError(f"{where}: has a table [noise], and --noise names stages, too; leave one of the two out")
+    return make_recipe(named, tables | _stages(noise), where=where, folder=path.parent, sensor=lidar)
+
+
+def _stages(noise: str | None) -> dict[str, Any]:
+    return {} if noise is None else {"noise": {"stages": noise}}
 
 
 def make_recipe(
@@ -149,7 +176,7 @@ def make_recipe(
     `tables` are relative to `folder`. A `sensor` that is given takes the place of the table [lidar], which is then not
     looked at. Raises RecipeError naming the table and the parameter.
     """
-    parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec}
+    parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec, "noise": Faults}
     defaults: dict[str, dict[str, Any]] = {}
     if kind != "scene":
         try:
@@ -166,6 +193,9 @@ def make_recipe(
     given_lidar = given.pop("lidar")
     built = {name: from_table(parts[name], table, f"{where}: [{name}]", folder) for name, table in given.items()}
     built["lidar"] = sensor if sensor is not None else sensor_of(given_lidar, f"{where}: [lidar]", folder)
+    built["noise"] = named_noise(
+        built["noise"].stages or None, built["lidar"], "" if where == "preset" else f"{where}: [noise]"
+    )
     try:
         recipe = Recipe(kind=kind, **built)
         json.dumps(recipe.resolved())

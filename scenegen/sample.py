@@ -1,6 +1,7 @@
 """One sample: the record, which is also the schema on disk, and what of it follows from the rest."""
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
@@ -86,6 +87,28 @@ class Sample:
         return digest.digest()
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LabelledSample(Sample):
+    """A sample of a dataset with labels: which geom of its world each return and each voxel is of, and of which class.
+
+    Geoms are numbered as in the compiled world; classes as the manifest's `labels` lists them.
+    """
+
+    return_geom: NDArray[np.int32] = _stored("<i4", "rays", "the geom that each ray met; -1 where nothing returned")
+    return_class: NDArray[np.uint16] = _stored("<u2", "rays", "its class; 0 where nothing returned")
+    voxel_geom: NDArray[np.int32] = _stored(
+        "<i4", "grid", "truth: the geom that holds the voxel's centre, or is nearest to it; -1 where not occupied"
+    )
+    voxel_class: NDArray[np.uint16] = _stored("<u2", "grid", "truth: its class; 0 where not occupied")
+
+    def sha256(self) -> bytes:
+        """The sample's own digest (32 bytes): that without labels, and the labels."""
+        digest = hashlib.sha256(super().sha256())
+        for name, meta in LABELS.items():
+            digest.update(np.asarray(getattr(self, name), dtype=meta["dtype"]).tobytes())
+        return digest.digest()
+
+
 class LazySample(Sample):
     """A sample each field of which is found when it is first asked for, and then kept.
 
@@ -97,37 +120,49 @@ class LazySample(Sample):
         raise NotImplementedError
 
     def __getattr__(self, name: str) -> Any:
-        if name not in SCHEMA:
+        if name not in FIELDS or name not in self.names:
             raise AttributeError(f"a sample has no field {name!r}; it has {', '.join(SCHEMA)}")
         return self.__dict__.setdefault(name, self.find(name))
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its fields."""
+        return tuple(SCHEMA)
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return _whole, (tuple(getattr(self, name) for name in SCHEMA),)
+        return whole, ({name: getattr(self, name) for name in self.names},)
 
 
-def _whole(values: tuple[Any, ...]) -> Sample:
-    """The sample that has these values of its fields, in order."""
-    return Sample(**dict(zip(SCHEMA, values, strict=True)))
+def whole(values: Mapping[str, Any]) -> Sample:
+    """The sample that has these values of its fields, with labels where they are among them."""
+    return LabelledSample(**values) if values.keys() >= LABELS.keys() else Sample(**values)
 
 
 SCHEMA = {item.name: item.metadata for item in fields(Sample)}
 """Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning` and whether it is `derived`."""
 
 
-def stored_fields(compact: bool) -> tuple[str, ...]:
+LABELS = {item.name: item.metadata for item in fields(LabelledSample) if item.name not in SCHEMA}
+"""The same of what a dataset with labels stores besides."""
+FIELDS = SCHEMA | LABELS
+
+
+def stored_fields(compact: bool, labels: bool = False) -> tuple[str, ...]:
     """Names of the fields that a dataset stores."""
-    return tuple(name for name, meta in SCHEMA.items() if not (compact and meta["derived"]))
+    stored = tuple(name for name, meta in SCHEMA.items() if not (compact and meta["derived"]))
+    return stored + tuple(LABELS) if labels else stored
 
 
 def shape_of(name: str, grid: GridSpec, lidar: Sensor) -> tuple[int, ...]:
     """Shape of one sample's field `name`."""
-    axes = SCHEMA[name]["axes"]
+    axes = FIELDS[name]["axes"]
     named: dict[str, tuple[int, ...]] = {"grid": grid.shape, "rays": lidar.shape, "": ()}
     return named[axes] if axes in named else (int(axes),)
 
 
-def describe_fields(grid: GridSpec, lidar: Sensor) -> dict[str, dict[str, Any]]:
-    """Every field of a sample: name to its numpy `dtype`, `shape`, `unit` ("" for none), and `meaning`."""
+def describe_fields(grid: GridSpec, lidar: Sensor, *, labels: bool = False) -> dict[str, dict[str, Any]]:
+    """Every field of a sample, with or without `labels`: name to its numpy `dtype`, `shape`, `unit` ("" for none), and
+    `meaning`."""
     return {
         name: {
             "dtype": np.dtype(meta["dtype"]).name,
@@ -135,7 +170,7 @@ def describe_fields(grid: GridSpec, lidar: Sensor) -> dict[str, dict[str, Any]]:
             "unit": meta["unit"],
             "meaning": meta["meaning"],
         }
-        for name, meta in SCHEMA.items()
+        for name, meta in (FIELDS if labels else SCHEMA).items()
     }
 
 

@@ -5,10 +5,11 @@ seen = scan_world(world, VLP_16, Pose.level((8.0, 6.0, 1.5)), Noise.parse("range
 print(seen.points().shape)
 """
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine, Pose, Sensor, cast
 from lidarsim.engines import EngineFactory
@@ -33,19 +34,20 @@ def read_world(path: Path) -> World:
 
 def pose_in_flight(world: World, *, seed: int, flight: Flight | None = None) -> Pose:
     """A random viewpoint of a random flight through the world. Raises GenerationError where none fits."""
-    return _viewpoints(world, seed, flight or Flight()).pose(0)
+    return _flown(world, flight or Flight(), seed).pose(0)
 
 
-def places_in_flight(world: World, *, seed: int, flight: Flight | None = None) -> NDArray[np.float64]:
-    """The viewpoints of a random flight through the world, (n, 3) from its start to its goal.
+def poses_in_flight(
+    world: World, *, seed: int, every_m: float | None = None, flight: Flight | None = None
+) -> list[Pose]:
+    """The viewpoints of a random flight through the world, every `every_m` metres (the flight's own spacing unless
+    given), in the order in which they are passed. Raises GenerationError where none fits."""
+    flight = flight or Flight()
+    found = _flown(world, dataclasses.replace(flight, spacing_m=every_m or flight.spacing_m), seed)
+    return [found.pose(int(n)) for n in np.argsort(found.flown_m)]
 
-    Raises GenerationError where none fits.
-    """
-    found = _viewpoints(world, seed, flight or Flight())
-    return found.positions[np.argsort(found.flown_m)]
 
-
-def _viewpoints(world: World, seed: int, flight: Flight) -> Viewpoints:
+def _flown(world: World, flight: Flight, seed: int) -> Viewpoints:
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
         path = plan(world.clearance, world.flight_bounds, flight, rng=rng)
@@ -60,7 +62,7 @@ def scan_world(
     pose: Pose,
     noise: Noise | None = None,
     *,
-    seed: int,
+    seed: int | Sequence[int],
     engine: EngineFactory = AnalyticEngine.of,
 ) -> Returns:
     """What `lidar` on a body at `pose` returns of the world; the noise is drawn by `seed`.

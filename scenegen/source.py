@@ -14,6 +14,7 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import RecipeError, SceneError, printable
+from scenegen.labels import class_names
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
 from scenegen.scene import Reading, Scene, named, read_file
@@ -65,6 +66,10 @@ class DrawnWorlds:
         """See `Source.describe`."""
         return {}
 
+    def class_names(self) -> set[str]:
+        """Classes of its worlds' geoms by name, as far as the kind says: its `classes`."""
+        return set(getattr(self.recipe.world, "classes", ()))
+
 
 @dataclass(frozen=True)
 class SceneWorlds:
@@ -93,6 +98,12 @@ class SceneWorlds:
             for split, scenes in self.scenes.items()
             if scenes
         }
+
+    def class_names(self) -> set[str]:
+        """Classes of its worlds' geoms by name."""
+        rng = np.random.default_rng(0)
+        worlds = (self.world(split, n, rng=rng) for split, of in self.scenes.items() for n in range(len(of)))
+        return {name for world in worlds for name in class_names(world.model, "name")}
 
 
 @functools.lru_cache(maxsize=8)

@@ -90,7 +90,7 @@ grid = {shape = [16, 16, 16]}
 """
 ONE = ("--workers", "1")
 COMMANDS: dict[str, list[tuple[str, ...]]] = {
-    "generate": [("--recipe", "small.toml", "--n", "4", "--val", "2", "--test", "2", "--out", "d", *ONE)],
+    "generate": [("--recipe", "small.toml", "--n", "4", "--val", "40", "--test", "2", "--out", "d", *ONE)],
     "inspect": [("d",)],
     "world": [("d", "0", "-o", "w.xml")],
     "verify": [("d", *ONE)],
@@ -105,7 +105,7 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "doctor": [()],
     "completion": [("bash",)],
     "export": [("run", "-o", "e.onnx")],
-    "calibrate": [("run", "d", "--split", "train", "-o", "c.safetensors")],
+    "calibrate": [("run", "d", "-o", "c.safetensors")],
     "networks": [()],
     "reproduce": [("--scale", "0.001", "--dry-run", "--device", "cpu", *ONE)],
     "sensors": [("velodyne-vlp-16", "-o", "p.png")],
@@ -114,12 +114,13 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "render": [("d", "-o", "r.png"), ("w.xml", "--flight", "-o", "r.png")],
     "convert": [("d", "--to", "semantickitti", "-o", "k")],
     "recipe": [("pillar",)],
+    "rescan": [("d", "--noise", "range:0.02", "-o", "again", *ONE)],
 }
 """Every command, in an order in which each finds what it needs."""
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = {"small.toml", "scan.xyz", "n.onnx", "d", "w.xml", "run", "p.h5", "s.h5", "o.h5", "bench", "publish", "e.onnx"}
-ASKED |= {"p.png", "s.ply", "c.safetensors", "v.html", "r.png", "k"}
+ASKED |= {"p.png", "s.ply", "c.safetensors", "v.html", "r.png", "k", "again"}
 FONTS = ".cache/matplotlib/"
 """Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a user's home besides the
 kernels."""

@@ -76,6 +76,10 @@ class Noise:
         """The text that `parse` reads."""
         return ",".join(map(_text, self.stages))
 
+    def spelled(self) -> str:
+        """The same with every value, so that no later default changes what it says."""
+        return ",".join(_text(stage, every=True) for stage in self.stages)
+
 
 def _stage(text: str) -> Stage:
     """The stage that a text such as ``range:0.02:share=0.01`` names."""
@@ -120,14 +124,14 @@ def _number(word: str) -> Any:
     return word
 
 
-def _text(stage: Stage) -> str:
+def _text(stage: Stage, *, every: bool = False) -> str:
     names = {place: name for name, place in STAGES.known.items()}
     place = f"{type(stage).__module__}:{type(stage).__qualname__}"
     fields = dataclasses.fields(stage)  # type: ignore[arg-type]
     given = [
         f"{item.name}={_word(getattr(stage, item.name))}"
         for item in fields
-        if getattr(stage, item.name) != item.default
+        if every or getattr(stage, item.name) != item.default
     ]
     return ":".join([names.get(place, place), *given])
 

@@ -1,5 +1,6 @@
 """`scenegen generate`: from options to a plan, and from a plan to a dataset."""
 
+import dataclasses
 import json
 import time
 from pathlib import Path
@@ -13,6 +14,7 @@ from scenegen.recipes import KINDS
 from scenegen.terminal.options import (
     json_option,
     lidar_option,
+    noise_option,
     out_option,
     quiet_option,
     seed_option,
@@ -35,6 +37,7 @@ NETWORK_EDGE = 8
 @click.option("--scene", type=click.Path(path_type=Path), help="An MJCF file of your own world, or a folder of them.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
 @lidar_option("The sensor", "  [default: the recipe's]")
+@noise_option
 @click.option(
     "--engine",
     type=Named(ENGINES),
@@ -48,6 +51,11 @@ NETWORK_EDGE = 8
 @seed_option("The same seed, the same dataset.")
 @out_option("Folder of the dataset.  [default: data/<kind>]")
 @workers_option
+@click.option(
+    "--labels",
+    type=click.Choice(["name", "group"]),
+    help="Say of every return and voxel which geom it is of, and which class: by names of geoms, or by their group.",
+)
 @click.option("--compact", is_flag=True, help="Leave out what readers can derive: free space and distances.")
 @click.option(
     "--shard-samples", type=click.IntRange(min=1), default=USUAL_IN_SHARD, show_default=True, help="Samples in a file."
@@ -119,12 +127,13 @@ def generate(
     if as_json:
         print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": time.perf_counter() - begin}))
     elif talk:
-        _show_summary(summary, time.perf_counter() - begin)
+        show_summary(summary, time.perf_counter() - begin)
 
 
 def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Plan":
     """What the options ask for, resolved."""
     from scenegen.dataset.build import plan_dataset
+    from scenegen.labels import labels_by
     from scenegen.lidar import named_lidar
     from scenegen.recipe import preset, read_recipe
     from scenegen.source import DrawnWorlds, Source, read_scenes
@@ -136,7 +145,8 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     named = kind if scene is None else "scene"
     lidar = None if options["lidar"] is None else named_lidar(options["lidar"])
-    recipe = preset(named, lidar=lidar) if file is None else read_recipe(file, named, lidar=lidar)
+    own = {"lidar": lidar, "noise": options["noise"]}
+    recipe = preset(named, **own) if file is None else read_recipe(file, named, **own)
     source: Source
     if scene is not None:
         source = read_scenes(scene, counts, seed=seed, allow_unseen=options["allow_unseen"])
@@ -146,6 +156,8 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
         raise click.UsageError(f'{file}: kind "scene" needs the worlds, too: give --scene')
     else:
         source = DrawnWorlds(recipe)
+    if options["labels"] is not None:
+        recipe = dataclasses.replace(recipe, labels=labels_by(options["labels"], source.class_names()))
     name = scene.stem if scene is not None else recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
     out = options["out"] or Path("data") / name
     more = {option: options[option] for option in ("compact", "shard_samples", "engine")}
@@ -165,14 +177,14 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
         return
     from scenegen.publish.regenerate import recipe_text
 
-    of_recipe = ("kind", "recipe", "lidar", "grid")
+    of_recipe = ("kind", "recipe", "lidar", "noise", "grid")
     show_table(
         rows | flat({key: value for key, value in plan.parameters.items() if key not in of_recipe}), "would make"
     )
     say(f"\n{recipe_text(plan.parameters, 'this as a recipe file')}".rstrip())
 
 
-def _show_summary(summary: "Summary", seconds: float) -> None:
+def show_summary(summary: "Summary", seconds: float) -> None:
     """What was made."""
     present = sum(summary.samples.values())
     show_table(

@@ -1,4 +1,4 @@
-"""`scenegen scan`: one scan of a world, as a cloud of points."""
+"""`scenegen scan`: one scan of a world, or those along a flight, as clouds of points."""
 
 import json
 from pathlib import Path
@@ -6,16 +6,24 @@ from pathlib import Path
 import rich_click as click
 
 from lidarsim.engines import ENGINES
+from lidarsim.limits import MOST_LENGTH_M
+from lidarsim.parameters import Bounds
 from lidarsim.sensors import RASTER
+from scenegen.limits import LEAST_DRAWN_M
 from scenegen.terminal.options import json_option, lidar_option, noise_option, out_option, quiet_option, seed_option
 from scenegen.terminal.show import show_table
-from scenegen.terminal.types import Named, Numbers
+from scenegen.terminal.types import Named, Number, Numbers
 
 
 @click.command()
 @click.argument("world", type=click.Path(path_type=Path))
 @click.option("--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees.")
 @click.option("--flight", is_flag=True, help="A viewpoint of a random flight instead.")
+@click.option(
+    "--every",
+    type=Number(Bounds(least=LEAST_DRAWN_M, most=MOST_LENGTH_M)),
+    help="With --flight: a scan whenever so many metres were flown, each in a file of its own, numbered from 000.",
+)
 @lidar_option("The sensor", "  [default: raster]")
 @noise_option
 @click.option("--engine", type=Named(ENGINES), default="analytic", show_default=True, help="What casts the rays.")
@@ -34,6 +42,7 @@ def scan(
     world: Path,
     pose: tuple[float, ...] | None,
     flight: bool,
+    every: float | None,
     lidar: str | None,
     noise: str | None,
     engine: str,
@@ -43,9 +52,11 @@ def scan(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Scan the world of an MJCF file once, and write the returns as points."""
+    """Scan the world of an MJCF file, once or along a flight, and write the returns as points."""
     if (pose is None) != flight:
         raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
+    if every is not None and not flight:
+        raise click.UsageError("--every goes with --flight")
     import math
 
     import numpy as np
@@ -54,31 +65,48 @@ def scan(
     from lidarsim.pose import rotate
     from scenegen.lidar import named_lidar, named_noise
     from scenegen.points import check_suffix, write_points
-    from scenegen.single import pose_in_flight, read_world, scan_world
+    from scenegen.single import pose_in_flight, poses_in_flight, read_world, scan_world
 
     check_suffix(out)
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
     found = read_world(world)
-    at = pose_in_flight(found, seed=seed) if pose is None else Pose.level(pose[:3], math.radians(pose[3]))
-    seen = scan_world(found, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
-    echoes = range(len(seen.ranges))
-    points = np.concatenate([seen.points(echo) for echo in echoes])
-    if frame == "body":
-        back = at.quaternion * (1.0, -1.0, -1.0, -1.0)
-        points = rotate(back, points - at.position)
-    intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
-    about = {"ranges": seen.ranges, "times_s": sensor.times_s, "position": at.position, "quaternion": at.quaternion}
-    write_points(out, points, intensity, about | {"lidar": str(sensor), "noise": str(chain), "frame": frame})
-    rows = {
-        "file": str(out),
-        "lidar": str(sensor),
-        "noise": str(chain) or "none",
-        "position": [round(float(value), 3) for value in at.position],
-        "rays": int(sensor.times_s.size),
-        "returns": len(points),
-    }
+    if every is not None:
+        poses = poses_in_flight(found, every_m=every, seed=seed)
+    elif pose is None:
+        poses = [pose_in_flight(found, seed=seed)]
+    else:
+        poses = [Pose.level(pose[:3], math.radians(pose[3]))]
+    rows = []
+    for number, at in enumerate(poses):
+        file, drawn = (out, seed) if every is None else (_numbered(out, number), [seed, number])
+        seen = scan_world(found, sensor, at, chain, seed=drawn, engine=ENGINES.find(engine).of)
+        points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
+        if frame == "body":
+            back = at.quaternion * (1.0, -1.0, -1.0, -1.0)
+            points = rotate(back, points - at.position)
+        intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
+        about = {"ranges": seen.ranges, "times_s": sensor.times_s, "position": at.position, "quaternion": at.quaternion}
+        write_points(file, points, intensity, about | {"lidar": str(sensor), "noise": str(chain), "frame": frame})
+        rows.append(
+            {
+                "file": str(file),
+                "lidar": str(sensor),
+                "noise": str(chain) or "none",
+                "position": [round(float(value), 3) for value in at.position],
+                "quaternion": at.quaternion.tolist(),
+                "rays": int(sensor.times_s.size),
+                "returns": len(points),
+            }
+        )
     if as_json:
-        print(json.dumps(rows))
+        print(json.dumps(rows[0] if every is None else {"scans": rows}))
     elif not quiet:
-        show_table(rows)
+        told = {name: value for name, value in rows[0].items() if name != "quaternion"}
+        if len(rows) > 1:
+            told |= {"file": f"{rows[0]['file']} … {rows[-1]['file']}", "scans": len(rows)}
+        show_table(told)
+
+
+def _numbered(out: Path, number: int) -> Path:
+    return out.with_name(f"{out.stem}-{number:03d}{out.suffix}")

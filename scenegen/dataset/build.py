@@ -64,6 +64,21 @@ def plan_dataset(
     given = manifest.parameters(
         recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples, engine=engine
     )
+    return divide(folder, given, recipe, source, compact=compact, engine=engine)
+
+
+def divide(
+    folder: Path,
+    given: Mapping[str, Any],
+    recipe: Recipe,
+    source: Source,
+    *,
+    compact: bool,
+    engine: str,
+    kind: type[ShardSpec] = ShardSpec,
+) -> Plan:
+    """Divide the samples that the manifest's parameters `given` ask for into shards. Raises DatasetError."""
+    counts, shard_samples = given["counts"], given["shard_samples"]
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints
     step = max(shard_samples // each, 1)
@@ -77,14 +92,14 @@ def plan_dataset(
         for index, first in enumerate(range(0, units, step)):
             here = min(step, units - first)
             shards.append(
-                ShardSpec(
+                kind(
                     folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
                     units=here,
                     samples=min(here * each, counts[split] - first * each),
-                    seed=seed,
+                    seed=given["seed"],
                     compact=compact,
                     parameters=fingerprint,
                     recipe=recipe,
@@ -92,7 +107,7 @@ def plan_dataset(
                     engine=engine,
                 )
             )
-    return Plan(folder=folder, parameters=given, shards=tuple(shards), lidar=recipe.lidar)
+    return Plan(folder=folder, parameters=dict(given), shards=tuple(shards), lidar=recipe.lidar)
 
 
 def _check_asked(option: str, value: int, least: int, most: int) -> None:

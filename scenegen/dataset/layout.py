@@ -22,7 +22,7 @@ from scenegen.dataset.foreign import read_index
 from scenegen.dataset.messages import Hdf5Error, Stored
 from scenegen.errors import BrokenError, DatasetError, printable, short
 from scenegen.files import open_bounded
-from scenegen.sample import SCHEMA, shape_of
+from scenegen.sample import FIELDS, shape_of
 
 DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
@@ -37,7 +37,7 @@ Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 
 def layout_of(fields: Iterable[str], grid: GridSpec, lidar: Sensor) -> Layout:
     """The layout of a shard that stores `fields`."""
-    found = {name: (np.dtype(SCHEMA[name]["dtype"]), shape_of(name, grid, lidar)) for name in fields}
+    found = {name: (np.dtype(FIELDS[name]["dtype"]), shape_of(name, grid, lidar)) for name in fields}
     return {**found, DIGEST: (np.dtype(np.uint8), (32,))}
 
 

@@ -1,5 +1,6 @@
 """The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust` checks its values."""
 
+import dataclasses
 import hashlib
 import json
 import platform
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
+from scenegen.dataset import noise
 from scenegen.dataset.sensor import entry_of
 from scenegen.errors import MOST_TOLD, DatasetError, printable, short
 from scenegen.files import read_bounded, write_whole
@@ -24,6 +26,9 @@ if TYPE_CHECKING:  # these draw worlds, and import what that takes
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
+"""What a manifest says that has nothing of `MINOR`."""
+MINOR = 1.2
+"""What one says that has noise or labels, or was scanned again: readers of earlier versions refuse it."""
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
@@ -43,17 +48,21 @@ def parameters(
     engine: str = DEFAULT,
 ) -> dict[str, Any]:
     """The part of the manifest that is known before anything is drawn, and decides everything after."""
+    more = noise.entry_of(recipe.noise, recipe.lidar.max_range_m)
+    if recipe.labels is not None:
+        more["labels"] = _plain(dataclasses.asdict(recipe.labels))
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": MINOR if more else VERSION,
         "generator": GENERATOR,
         "kind": recipe.kind,
         "seed": seed,
         "counts": {split: counts[split] for split in SPLITS},
         "recipe": _plain(recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})),
-        "fields": list(stored_fields(compact)),
+        "fields": list(stored_fields(compact, labels=recipe.labels is not None)),
         "grid": _plain({name: getattr(recipe.grid, ours) for name, ours in GRID.items()}),
         "lidar": entry_of(recipe.lidar),
+        **more,
         "shard_samples": shard_samples,
         **({} if engine == MUJOCO else {"engine": engine}),
         "software": software(),
@@ -149,9 +158,11 @@ def read(folder: Path) -> dict[str, Any]:
         ) from None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "shards" not in manifest:
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
-    if manifest.get("version") != VERSION:
+    if manifest.get("version") not in (VERSION, MINOR):
         there = short(manifest.get("version"))
-        raise DatasetError(f"{path}: format version {there}, this scenegen reads {VERSION}; install one that matches")
+        raise DatasetError(
+            f"{path}: format version {there}, this scenegen reads {VERSION} and {MINOR}; install one that matches"
+        )
     return manifest
 
 

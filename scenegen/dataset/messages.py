@@ -55,6 +55,8 @@ TYPES: dict[bytes, np.dtype] = {
     struct.pack("<BBBxIHHBBBBI", 0x11, 0x20, 31, 4, 0, 32, 23, 8, 0, 23, 127): np.dtype("<f4"),
     struct.pack("<BBBxIHHBBBBI", 0x11, 0x20, 63, 8, 0, 64, 52, 11, 0, 52, 1023): np.dtype("<f8"),
     _whole(8, signed=True): np.dtype("<i8"),
+    _whole(4, signed=True): np.dtype("<i4"),
+    _whole(2, signed=False): np.dtype("<u2"),
     _whole(1, signed=False): np.dtype("u1"),
     # h5py's bool: an enumeration of two names
     struct.pack("<BHxI12s8s8sBB", 0x18, 2, 1, _whole(1, signed=True), b"FALSE", b"TRUE", 0, 1): np.dtype(bool),

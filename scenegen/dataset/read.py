@@ -16,7 +16,7 @@ from scenegen.dataset import trust
 from scenegen.dataset.archive import open_archive
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.sample import LazySample, Sample, derive_free, derive_tudf, describe_fields
+from scenegen.sample import LABELS, SCHEMA, LazySample, Sample, derive_free, derive_tudf, describe_fields
 
 MOST_OPEN = 64
 """Shards that a reader keeps open in one process; a large dataset has more than a process may open."""
@@ -128,7 +128,7 @@ class Split(Sequence[Sample]):
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
-        return describe_fields(self.dataset.grid, self.dataset.lidar)
+        return describe_fields(self.dataset.grid, self.dataset.lidar, labels=self.dataset.manifest.labels is not None)
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
@@ -177,6 +177,12 @@ class _Stored(LazySample):
         sample = cls.__new__(cls)  # whose fields come later
         sample.__dict__.update(_split=split, _number=number, _row=row)
         return sample
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `LazySample.names`."""
+        labelled = self._split.dataset.manifest.labels is not None
+        return (*SCHEMA, *LABELS) if labelled else tuple(SCHEMA)
 
     def find(self, name: str) -> Any:
         """See `LazySample.find`. Raises DatasetError."""

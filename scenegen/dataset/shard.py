@@ -22,7 +22,7 @@ from scenegen.draw import Rejections, Unit, draw_unit
 from scenegen.errors import BrokenError, DatasetError, printable
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
-from scenegen.sample import SCHEMA, Sample, shape_of, stored_fields
+from scenegen.sample import FIELDS, shape_of, stored_fields, whole
 from scenegen.source import Source
 
 _LEVEL = 1
@@ -77,6 +77,11 @@ class ShardSpec:
         )
 
     @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the fields that it stores."""
+        return stored_fields(self.compact, labels=self.recipe.labels is not None)
+
+    @property
     def file(self) -> Path:
         """Where the samples go."""
         return self.folder / f"{self.split}-{self.index:05d}.h5"
@@ -110,7 +115,7 @@ def write_shard(spec: ShardSpec) -> ShardReport:
     rejected, digests, numbers, documents = Rejections(), list[bytes](), list[int](), dict[str, bytes]()
     with h5py.File(spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20) as file:
         packed = _create(file, spec)
-        small: dict[str, list[Any]] = {name: [] for name in stored_fields(spec.compact) if name not in packed}
+        small: dict[str, list[Any]] = {name: [] for name in spec.fields if name not in packed}
         for unit in map(spec.draw, range(spec.first_unit, spec.first_unit + spec.units)):
             rejected.worlds.update(unit.rejected.worlds)
             rejected.viewpoints.update(unit.rejected.viewpoints)
@@ -145,12 +150,12 @@ def write_shard(spec: ShardSpec) -> ShardReport:
 def _create(file: h5py.File, spec: ShardSpec) -> dict[str, h5py.h5d.DatasetID]:
     """Make the shard's datasets, one chunk a sample, and return those that are packed: grids and ranges."""
     found = {}
-    for name in stored_fields(spec.compact):
+    for name in spec.fields:
         shape = shape_of(name, spec.recipe.grid, spec.recipe.lidar)
-        packed = SCHEMA[name]["axes"] in ("grid", "rays")
+        packed = FIELDS[name]["axes"] in ("grid", "rays")
         packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
         dataset = file.create_dataset(
-            name, shape=(spec.samples, *shape), dtype=SCHEMA[name]["dtype"], chunks=(1, *shape), **packing
+            name, shape=(spec.samples, *shape), dtype=FIELDS[name]["dtype"], chunks=(1, *shape), **packing
         )
         if packed:  # the others are closed meanwhile, which decides where HDF5 puts what
             found[name] = dataset.id
@@ -191,7 +196,7 @@ def read_report(spec: ShardSpec, listed: Entry | None = None, *, verify: bool = 
     written with it, is damaged, and counts as absent. `verify` also holds samples against their own digests where there
     is no such entry.
     """
-    layout = layout_of(stored_fields(spec.compact), spec.recipe.grid, spec.recipe.lidar)
+    layout = layout_of(spec.fields, spec.recipe.grid, spec.recipe.lidar)
     try:
         with open_file(spec.file) as file, open_file(spec.worlds_file) as worlds:
             shard = open_shard(file, spec.file, spec.samples, layout)
@@ -213,7 +218,7 @@ def _digests_hold(shard: ShardFile) -> bool:
     nothing: dict[str, Any] = {"free": np.empty(0, np.bool_), "tudf": np.empty(0, np.float32)}
     stored = [name for name in shard.columns if name != DIGEST]
     for row, digest in enumerate(shard.column(DIGEST)):
-        sample = Sample(**nothing | {name: shard.value(name, row, read_only=True) for name in stored})
+        sample = whole(nothing | {name: shard.value(name, row, read_only=True) for name in stored})
         if sample.sha256() != digest.tobytes():
             return False
     return True

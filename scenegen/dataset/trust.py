@@ -14,6 +14,7 @@ from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
+from scenegen.dataset.noise import check_noise, is_ours, noise_of
 from scenegen.dataset.rules import (
     DIGEST,
     FLAG,
@@ -31,17 +32,32 @@ from scenegen.dataset.rules import (
 )
 from scenegen.dataset.sensor import files_of, sensor_of
 from scenegen.errors import BrokenError, DatasetError, RecipeError, printable, short
-from scenegen.limits import MOST_KIND_NAME, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
-from scenegen.sample import stored_fields
+from scenegen.limits import MOST_CLASSES, MOST_KIND_NAME, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
+from scenegen.sample import LABELS, stored_fields
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
 
+MINOR = ("noise", "labels", "rescan")
+"""Entries of which a manifest of the minor version has one at least, and no other has any."""
 _COUNT = whole(0, MOST_SAMPLES)
+FLAGS = (False, True)
 _FIELDS = Rule(
-    lambda value: value in (list(stored_fields(compact=False)), list(stored_fields(compact=True))),
-    "all, or all but the derived ones",
+    lambda value: value in [list(stored_fields(compact, labels)) for compact in FLAGS for labels in FLAGS],
+    "all, or all but the derived ones, with labels or without",
 )
+_LABELS = {
+    "by": Rule(lambda value: value in ("name", "group"), "name or group"),
+    "classes": Rule(
+        lambda value: (
+            isinstance(value, list)
+            and 0 < len(value) <= MOST_CLASSES
+            and all(isinstance(name, str) and name.isprintable() for name in value)
+            and len(set(value)) == len(value)
+        ),
+        f"up to {MOST_CLASSES} different names",
+    ),
+}
 _GIVEN = Rule(lambda value: True, "a value")
 _TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
 _FILE = text(r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)", "such as train-00000.h5 or train-00000.worlds.zip")
@@ -99,6 +115,12 @@ class Manifest:
     """Where the file lies."""
     engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
     """What cast the rays; never imported unless it is one of ours."""
+    noise: Mapping[str, Any] | None = ruled(optional(TABLE))
+    """`stages` as text, and `bound_m`; None for clean ranges. Never imported unless `noise_is_ours`."""
+    labels: Mapping[str, Any] | None = ruled(optional(TABLE))
+    """What the samples' labels mean: `by` what geoms are of a class, and the `classes`; None without labels."""
+    rescan: Mapping[str, Any] | None = ruled(optional(TABLE))
+    """The `digest` of the dataset whose worlds and poses were scanned again; None where they were drawn."""
     shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
     software: Mapping[str, str] = ruled(_TEXTS)
     complete: bool = ruled(FLAG)
@@ -134,6 +156,11 @@ class Manifest:
         return manifest.fingerprint(self.parameters)
 
     @property
+    def noise_is_ours(self) -> bool:
+        """Whether every stage of its noise is one of scenegen's own; without noise, too."""
+        return is_ours(self.noise)
+
+    @property
     def drawn(self) -> bool:
         """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
         from scenegen.recipes import kind_names
@@ -142,16 +169,24 @@ class Manifest:
 
     @cached_property
     def recipe(self) -> "Recipe":
-        """What the tables spell out; without its world where the kind is not `drawn`: no module is imported because a
-        manifest names it. Raises BrokenError."""
+        """What the tables spell out; without its world where the kind is not `drawn`, and without noise that is not
+        ours: no module is imported because a manifest names it. Raises BrokenError."""
+        from scenegen.labels import Labels
         from scenegen.recipe import make_recipe
 
         tables = {name: table for name, table in self.tables.items() if name not in ("version", "scenes")}
         tables["grid"] = dataclasses.asdict(self.grid)
         if not self.drawn:
             tables.pop("world", None)
+        if "noise" in tables:
+            raise BrokenError("recipe.noise: is there, expected noise beside recipe")
+        noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
         try:
-            return make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
+            found = make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
+            labels = (
+                None if self.labels is None else Labels(by=self.labels["by"], classes=tuple(self.labels["classes"]))
+            )
+            return dataclasses.replace(found, noise=noise, labels=labels)
         except RecipeError as error:
             raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 
@@ -161,7 +196,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
 
     Raises BrokenError with what is wrong, where, and what was expected.
     """
-    found: dict[str, Any] = {"generator": 1, "engine": MUJOCO} | dict(document)
+    found: dict[str, Any] = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | dict(document)
     plain = checked(Manifest, found, "")
     check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE, "lidar": TABLE}, "")
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
@@ -169,6 +204,16 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
     check(found["grid"], dict.fromkeys(manifest.GRID, _GIVEN), "grid")
     files_of(found["lidar"])
+    check_noise(found["noise"])
+    if found["labels"] is not None:
+        check(found["labels"], _LABELS, "labels", _LABELS)
+    if (found["labels"] is not None) != (found["fields"][-1] in LABELS):
+        raise BrokenError("labels: expected exactly where `fields` names labels")
+    if found["rescan"] is not None:
+        check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
+    if (found["version"] == manifest.MINOR) != any(found[name] is not None for name in MINOR):
+        version, named = short(found["version"]), " or ".join(MINOR)
+        raise BrokenError(f"version = {version}: expected {manifest.MINOR} exactly where there is {named}")
     shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:

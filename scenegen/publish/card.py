@@ -11,6 +11,8 @@ from scenegen.publish.regenerate import RECIPE
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 """Samples below which the Hub's size category is this."""
 TAGS = ("scene-completion", "3d", "occupancy", "distance-field", "lidar", "voxels", "robotics", "synthetic", "hdf5")
+MOST_NAMED = 50
+"""Classes that a card names."""
 FIGURES = {
     "occupied": ("voxels occupied", "%", 100),
     "observed": ("voxels observed", "%", 100),
@@ -62,6 +64,10 @@ def _fields(it: Publication) -> str:
     absent = [f"`{name}`" for name in ("free", "tudf") if name not in it.fields]
     derived = f" {' and '.join(absent)} follow from these; scenegen derives them on reading." if absent else ""
     table = "\n".join(rows)
+    if it.manifest.labels is not None:
+        classes = it.manifest.labels["classes"]
+        more = f" and {len(classes) - MOST_NAMED} more" if len(classes) > MOST_NAMED else ""
+        table += f"\n\nClasses, from 0: {', '.join(map(json.dumps, classes[:MOST_NAMED]))}{more}."
     return f"""## What is in it
 
 {table}
@@ -167,10 +173,13 @@ Before publication `scenegen verify` found:
 
 
 def _limits(it: Publication) -> str:
+    faults = "no noise, no motion during a turn, no return lost within range"
+    if it.manifest.noise is not None:
+        faults = f"its noise is simulated, `{it.manifest.noise['stages']}`"
     return f"""## What to mind
 
-- The worlds are synthetic and simple, and so is the scan: no noise, no motion during a turn, no return lost within
-  range. What is learned here need not hold outside; measure it there.
+- The worlds are synthetic and simple, and so is the scan: {faults}.
+  What is learned here need not hold outside; measure it there.
 - Truth ends at the map's faces: distances know nothing of solids outside.
 - A free voxel may be occupied in the truth: rays graze.
 - Evenly drawn worlds are not a sample of any real place, and hold neither people nor personal data.

@@ -19,6 +19,8 @@ FORMATS = {
 TYPES = {
     "bool": "sc:Boolean",
     "uint8": "cr:UInt8",
+    "uint16": "cr:UInt16",
+    "int32": "cr:Int32",
     "int64": "cr:Int64",
     "float32": "cr:Float32",
     "float64": "cr:Float64",

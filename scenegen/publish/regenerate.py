@@ -1,5 +1,6 @@
 """The recipe and the command that make a dataset again, from its manifest alone, and the check that they do."""
 
+import dataclasses
 import re
 import shlex
 import shutil
@@ -17,7 +18,6 @@ from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
-from scenegen.sample import stored_fields
 from scenegen.source import DrawnWorlds
 from scenegen.stopping import undone_if_stopped
 
@@ -35,8 +35,10 @@ def command(found: Manifest, out: str) -> str:
     for split in SPLITS[1:]:
         words += [f"--{split}", str(found.counts[split])]
     words += ["--seed", str(found.seed), "--shard-samples", str(found.shard_samples)]
-    if found.fields == stored_fields(compact=True):
+    if "tudf" not in found.fields:
         words.append("--compact")
+    if found.labels is not None:
+        words += ["--labels", found.labels["by"]]
     if found.engine != DEFAULT:
         words += ["--engine", found.engine]
     return shlex.join([*words, "--out", out])
@@ -48,6 +50,7 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     tables = {name: parameters["recipe"].get(name) for name in ("world", "flight", "accept")}
     # a table of rays has its shape in the file
     tables["lidar"] = {name: value for name, value in parameters["lidar"].items() if name != "shape"}
+    tables["noise"] = {"stages": parameters["noise"]["stages"]} if parameters.get("noise") else None
     tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():
@@ -73,6 +76,11 @@ def check_recipe(dataset: Dataset, text: str) -> None:
     Raises PublishError where this version would make another dataset of it.
     """
     found = dataset.manifest
+    if not found.noise_is_ours:
+        raise PublishError(
+            f"its noise, {short(dict(found.noise or {}))}, has stages that are none of scenegen's own, which are not "
+            "imported; it cannot be said whether the recipe makes the same ranges again"
+        )
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
         path = Path(folder, RECIPE)
         path.write_text(text, encoding="utf-8")
@@ -81,12 +89,14 @@ def check_recipe(dataset: Dataset, text: str) -> None:
             recipe = read_recipe(path)
         except RecipeError as error:
             raise PublishError(f"{_advice(found)}: {str(error).removeprefix(f'{path}: ')}") from None
+    if found.rescan is not None:
+        raise PublishError("it was scanned again from another dataset, and no recipe makes it; publish that one")
     given = manifest.parameters(
-        recipe,
+        dataclasses.replace(recipe, labels=found.recipe.labels),
         DrawnWorlds(recipe),
         seed=found.seed,
         counts=found.counts,
-        compact=found.fields == stored_fields(compact=True),
+        compact="tudf" not in found.fields,
         shard_samples=found.shard_samples,
         engine=found.engine,
     )

@@ -10,10 +10,11 @@ from lidarsim.engines import MUJOCO
 from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
-from scenegen.errors import printable
+from scenegen.errors import SceneError, printable
 from scenegen.quiet import quiet_mujoco
 from scenegen.screen import screen
 from scenegen.verify.report import BrokenError
+from scenegen.world import World, compile_world
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,14 @@ def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Soli
             return solids_of(mujoco.MjModel.from_xml_string(document.decode(), assets))
     except (ValueError, MemoryError, mujoco.FatalError) as error:
         raise BrokenError(f"{name}: MuJoCo cannot compile it: {printable(error)[:200]}") from None
+
+
+def archived_world(archive: Archive, number: int) -> World:
+    """World `number`, compiled from its archived document. Raises BrokenError."""
+    try:
+        return compile_world(*archive.world(number))
+    except SceneError as error:
+        raise BrokenError(str(error)) from None
 
 
 def auditor(document: bytes, assets: dict[str, bytes], solids: Solids, *, made_with: str) -> Engine:

@@ -7,7 +7,7 @@ from pathlib import Path
 from scenegen.verify.checks import CHECKS
 from scenegen.verify.checks.files import EXAMINED
 from scenegen.verify.contract import read_contract
-from scenegen.verify.regenerate import why_not_comparable
+from scenegen.verify.regenerate import why_not_comparable, why_not_scanned
 from scenegen.verify.report import Ledger, Report
 from scenegen.verify.shard import Findings, examine
 from scenegen.verify.stages import Task
@@ -44,9 +44,9 @@ def verify(
         outcomes = ledger.outcomes(check.name for check in CHECKS)
         return Report(folder=str(folder), quick=quick, seed=seed, samples=0, checks=outcomes)
     checks = [check for check in CHECKS if check.applies(contract, quick=quick)]
-    reason = why_not_comparable(contract)
+    reasons = {"not_comparable": why_not_comparable(contract), "not_scanned": why_not_scanned(contract)}
     tasks = [
-        Task(contract=contract, number=number, start=start, quick=quick, seed=seed, not_comparable=reason)
+        Task(contract=contract, number=number, start=start, quick=quick, seed=seed, **reasons)
         for number, start in enumerate(contract.starts)
     ]
     samples = sum(entry.samples for entry in contract.shards)

@@ -1,18 +1,21 @@
 """Samples made again from the seed, to be compared bit for bit."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from lidarsim import Pose
 from lidarsim.engines import ENGINES
 from scenegen import GENERATOR
+from scenegen.again import scan_again
 from scenegen.dataset.manifest import differences, software
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError, RecipeError, SceneError
 from scenegen.recipe import Recipe
 from scenegen.source import DrawnWorlds, SceneWorlds
-from scenegen.verify.archive import Archive
+from scenegen.verify.archive import Archive, archived_world
 from scenegen.verify.contract import Contract
 from scenegen.verify.report import BrokenError
 from scenegen.world import World, compile_world
@@ -29,15 +32,20 @@ class ArchivedWorlds(SceneWorlds):
         return compile_world(*self.archive.world(number))
 
 
-def regenerate(contract: Contract, archive: Archive, split: str, unit: int) -> Unit:
-    """One flight of a dataset of an engine of ours, flown again. Raises BrokenError where nothing comes of it."""
+def regenerate(contract: Contract, archive: Archive, split: str, unit: int, poses: Callable[[], list[Pose]]) -> Unit:
+    """One flight of a dataset whose engine and noise are ours, flown again; or, where the dataset is one that was
+    scanned again, scanned so from its stored `poses`. Raises BrokenError where nothing comes of it."""
     if lacking := _lacking(contract.engine):
         raise BrokenError(f"{split} flight {unit} cannot be made again: the engine {contract.engine} {lacking}")
     recipe: Recipe = contract.recipe
     scenes: Any = contract.scenes
-    source = DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, archive=archive)
     engine = ENGINES.find(contract.engine).of
     try:
+        if contract.rescan is not None:
+            names = contract.name(split, unit * contract.viewpoints)
+            world, seed = archived_world(archive, names[0]), contract.seed
+            return scan_again(world, poses(), recipe, seed=seed, split=split, unit=unit, names=names, engine=engine)
+        source = DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, archive=archive)
         return draw_unit(source, recipe, seed=contract.seed, split=split, unit=unit, derived=True, engine=engine)
     except (GenerationError, RecipeError, SceneError) as error:
         raise BrokenError(f"{split} flight {unit} cannot be made again: {error}") from None
@@ -45,9 +53,16 @@ def regenerate(contract: Contract, archive: Archive, split: str, unit: int) -> U
 
 def why_not_comparable(contract: Contract) -> str:
     """Why samples made here need not have the dataset's bits; empty where they must."""
-    if not contract.drawn and contract.scenes is None:
+    if not contract.drawn and contract.scenes is None and contract.rescan is None:
         advice = "; if it is yours, give --kind with its name" if ":" in contract.kind else ""
         return f"kind {contract.kind!r} is none of scenegen's own: its worlds cannot be drawn again{advice}"
+    return why_not_scanned(contract)
+
+
+def why_not_scanned(contract: Contract) -> str:
+    """Why scans made here of the archived worlds need not have the dataset's bits; empty where they must."""
+    if not contract.noise_is_ours:
+        return "made with noise that is not scenegen's own, so it is not imported"
     if contract.engine not in ENGINES.known:
         return f"made with the engine {contract.engine!r}, which is not scenegen's own, so it is not imported"
     if lacking := _lacking(contract.engine):

@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Engine, ObservedGrid, Pose, Scan, voxelize
+from lidarsim.engines import ENGINES
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.trust import Entry
-from scenegen.verify.archive import Archive, auditor, compile_solids
+from scenegen.verify.archive import Archive, archived_world, auditor, compile_solids
 from scenegen.verify.contract import Contract
 from scenegen.verify.report import BrokenError
 from scenegen.verify.rounding import as_rounded
+from scenegen.world import World
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 """Checks that cost much look at this share of a shard's samples, and at this many at least."""
@@ -36,6 +38,8 @@ class Task:
     seed: int
     not_comparable: str
     """Why samples made here need not have the dataset's bits; empty where they must."""
+    not_scanned: str = ""
+    """Why scans made here of its archived worlds need not have its bits; empty where they must."""
 
     @property
     def entry(self) -> Entry:
@@ -61,6 +65,8 @@ class Worlds:
     solids: dict[int, Solids] = field(default_factory=dict)
     """The solids of every world that was compiled, by its number."""
     _auditors: dict[int, Engine] = field(default_factory=dict)
+    _made: dict[int, tuple[World, Engine]] = field(default_factory=dict)
+    _worlds: dict[int, World] = field(default_factory=dict)
 
     def compile(self, number: int) -> Solids:
         """Compile a world to its solids, which checks of samples are handed later. Raises BrokenError."""
@@ -74,6 +80,21 @@ class Worlds:
             world, made_with = self.archive.world(number), self.task.contract.engine
             self._auditors[number] = auditor(*world, self.solids[number], made_with=made_with)
         return self._auditors[number]
+
+    def world(self, number: int) -> World:
+        """A world, compiled. Raises BrokenError."""
+        if number not in self._worlds:
+            self._worlds.clear()  # samples come world by world
+            self._worlds[number] = archived_world(self.archive, number)
+        return self._worlds[number]
+
+    def made(self, number: int) -> tuple[World, Engine]:
+        """A world that was compiled, and the dataset's own engine of it, which is one of ours. Raises BrokenError."""
+        if number not in self._made:
+            self._made.clear()
+            world = self.world(number)
+            self._made[number] = world, ENGINES.find(self.task.contract.engine).of(world.model, world.data)
+        return self._made[number]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +156,18 @@ class Sample:
         return {name: np.packbits(self.fields[name]) for name in ("observed", "occupancy")}
 
     @functools.cached_property
-    def seen(self) -> ObservedGrid:
-        """What follows from the stored ranges and pose. Raises BrokenError where the pose is none."""
+    def scan(self) -> Scan:
+        """The stored ranges and pose. Raises BrokenError where the pose is none."""
         try:
             pose = Pose(self.fields["position"], self.fields["quaternion"])
         except ValueError as error:
             raise BrokenError(f"{self.where}: {error}") from None
         # a range that is no number is a fault of `laws`; here it counts as no return
         ranges = np.where(np.isfinite(self.fields["ranges"]), self.fields["ranges"], np.float32(np.inf))
-        scan = Scan(ranges, pose, self.contract.lidar)
-        seen = voxelize(scan, self.contract.grid, self.fields["origin"])
-        return as_rounded(seen, scan, self.contract.grid, self.fields) if self.contract.generator == 1 else seen
+        return Scan(ranges, pose, self.contract.lidar)
+
+    @functools.cached_property
+    def seen(self) -> ObservedGrid:
+        """What follows from the stored ranges and pose. Raises BrokenError where the pose is none."""
+        seen = voxelize(self.scan, self.contract.grid, self.fields["origin"])
+        return as_rounded(seen, self.scan, self.contract.grid, self.fields) if self.contract.generator == 1 else seen

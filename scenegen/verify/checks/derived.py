@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.sample import derive_tudf
+from scenegen.labels import labelled
+from scenegen.sample import LABELS, SCHEMA, derive_tudf
+from scenegen.sample import Sample as Plain
 from scenegen.truth import rasterize
 from scenegen.verify.check import Check
 from scenegen.verify.report import Page
@@ -47,11 +49,30 @@ def _occupancy(sample: Sample, page: Page) -> None:
     _same(sample, "occupancy", again, f"world {sample.world}", page)
 
 
+def _owners(sample: Sample, page: Page) -> None:
+    if sample.solids is None or sample.shard.worlds is None or sample.row not in sample.shard.audited:
+        return
+    page.count(samples=1)
+    world = sample.shard.worlds.world(sample.world)
+    contract = sample.contract
+    plain: dict[str, Any] = {name: sample.fields.get(name, np.empty(0)) for name in SCHEMA}
+    again = labelled(Plain(**plain), world, contract.lidar, contract.grid, contract.recipe.labels)
+    for name in LABELS:
+        _same(sample, name, getattr(again, name), f"world {sample.world}", page)
+
+
 CHECKS = (
     Check(name="tudf", proves="Distances follow from `occupancy`, bit for bit.", field="tudf", sample=_tudf),
     Check(name="voxels", proves="`observed` follows from `ranges`, pose and origin, bit for bit.", sample=_observed),
     Check(
         name="free", proves="`free` follows from `ranges`, pose and origin, bit for bit.", field="free", sample=_free
+    ),
+    Check(
+        name="owners",
+        proves="Geoms and classes of 5 % of the samples with labels (of 8 a shard at least) follow from the "
+        "archived world.",
+        field="voxel_geom",
+        sample=_owners,
     ),
     Check(name="occupancy", proves="`occupancy` follows from the archived world, bit for bit.", sample=_occupancy),
 )

@@ -1,14 +1,19 @@
 """Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way from the seed."""
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidarsim import Pose
 from lidarsim.engines import ENGINES
-from scenegen.sample import SCHEMA
+from scenegen.again import clean_scan
+from scenegen.errors import GenerationError
+from scenegen.faults import with_noise
+from scenegen.sample import FIELDS
 from scenegen.verify.check import Check
 from scenegen.verify.rays import audit, disagrees
 from scenegen.verify.regenerate import regenerate
 from scenegen.verify.report import BrokenError, Page
-from scenegen.verify.stages import Sample, Shard
+from scenegen.verify.stages import Sample, Shard, Worlds
 
 
 def _cast_again(sample: Sample, page: Page) -> None:
@@ -16,8 +21,14 @@ def _cast_again(sample: Sample, page: Page) -> None:
     if solids is None or worlds is None or sample.row not in sample.shard.audited:
         return
     fields, lidar = sample.fields, sample.contract.lidar
+    clean = fields["ranges"]
+    if sample.contract.noise is not None:
+        if sample.shard.task.not_scanned:
+            page.skipped = f"the noise cannot be made again, {sample.shard.task.not_scanned}"
+            return
+        clean = _scanned_again(sample, worlds, page)
     rays, found, gap = audit(
-        fields["ranges"],
+        clean,
         fields["position"],
         fields["quaternion"],
         worlds.auditor(sample.world),
@@ -33,16 +44,42 @@ def _cast_again(sample: Sample, page: Page) -> None:
         ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
         page.fault(
             f"{sample.where}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray {ray} has "
-            f"{fields['ranges'][ray]} m, the solids of world {sample.world} are {found[n]:.7g} m away"
+            f"{clean[ray]} m, the solids of world {sample.world} are {found[n]:.7g} m away"
         )
+
+
+def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> NDArray[np.float32]:
+    """The clean ranges of a noisy sample by the dataset's own engine; with noise, they must be the stored ones. Raises
+    BrokenError."""
+    task, contract = sample.shard.task, sample.contract
+    world, engine = worlds.made(sample.world)
+    unit, view = divmod(task.start + sample.row, contract.viewpoints)
+    try:
+        clean = clean_scan(engine, contract.lidar, Pose(sample.fields["position"], sample.fields["quaternion"]))
+        seen = with_noise(
+            clean,
+            contract.recipe.noise,
+            world,
+            engine,
+            seed=contract.seed,
+            split=task.entry.split,
+            unit=unit,
+            view=view,
+        )
+    except (GenerationError, ValueError) as error:
+        raise BrokenError(f"{sample.where}: cannot be scanned again: {error}") from None
+    wrong = np.count_nonzero(seen.ranges.view("<u4") != sample.fields["ranges"].view("<u4"))
+    page.expect(not wrong, f"{sample.where}: {wrong} ranges are not what its noise {contract.recipe.noise} gives")
+    return clean.ranges
 
 
 def _fly_again(shard: Shard, page: Page) -> None:
     task = shard.task
     if shard.worlds is None:
         return
-    foreign = task.contract.engine not in ENGINES.known
-    if foreign or (not task.contract.drawn and task.contract.scenes is None):
+    contract = task.contract
+    foreign = contract.engine not in ENGINES.known or not contract.noise_is_ours
+    if foreign or not (contract.drawn or contract.scenes is not None or contract.rescan is not None):
         page.skipped = task.not_comparable
         return
     flights = -(-task.entry.samples // task.contract.viewpoints)
@@ -60,7 +97,15 @@ def _compare_flight(shard: Shard, local: int, page: Page) -> None:
     task, each = shard.task, shard.task.contract.viewpoints
     assert shard.worlds is not None
     archive = shard.worlds.archive
-    again = regenerate(task.contract, archive, task.entry.split, task.start // each + local)
+
+    def poses() -> list[Pose]:
+        rows = range(local * each, min((local + 1) * each, task.entry.samples))
+        try:
+            return [Pose(shard.file.value("position", row), shard.file.value("quaternion", row)) for row in rows]
+        except ValueError as error:
+            raise BrokenError(f"{task.entry.file}: {error}") from None
+
+    again = regenerate(task.contract, archive, task.entry.split, task.start // each + local, poses)
     page.count(worlds=1)
     page.expect(
         archive.documents.get(again.number) == again.world.mjcf,
@@ -69,7 +114,7 @@ def _compare_flight(shard: Shard, local: int, page: Page) -> None:
     for row, sample in zip(range(local * each, task.entry.samples), again.samples, strict=False):
         page.count(samples=1)
         for name in task.contract.fields:
-            expected = np.asarray(getattr(sample, name), dtype=SCHEMA[name]["dtype"])
+            expected = np.asarray(getattr(sample, name), dtype=FIELDS[name]["dtype"])
             if not page.expect(
                 shard.file.value(name, row).tobytes() == expected.tobytes(),
                 f"{task.entry.file}: sample {row}: {name} is not what the seed gives",
@@ -82,13 +127,14 @@ CHECKS = (
         name="rays",
         proves="The ranges of 5 % of the samples (of 8 a shard at least) are those that another engine finds: for "
         "MuJoCo's the analytic one, with closed forms for primitives and the triangles of meshes and height fields, "
-        "for all others MuJoCo's; the directions of a raster are computed anew from [sensor.md](sensor.md).",
+        "for all others MuJoCo's; with noise, those of the clean scan are, of which the same noise makes the stored "
+        "ones; the directions of a raster are computed anew from [sensor.md](sensor.md).",
         sample=_cast_again,
     ),
     Check(
         name="regenerated",
-        proves="One flight a shard, flown again from recipe and seed, gives the same world and the same samples, bit "
-        "for bit.",
+        proves="One flight a shard, flown again from recipe and seed (or, in a dataset scanned again, scanned from its "
+        "stored poses), gives the same world and the same samples, bit for bit.",
         shard=_fly_again,
     ),
 )

@@ -4,20 +4,26 @@ import hashlib
 
 import numpy as np
 
+from lidarsim.engines import DEFAULT
 from scenegen.dataset import manifest
 from scenegen.verify.check import Check
 from scenegen.verify.contract import Contract
 from scenegen.verify.report import Page
 from scenegen.verify.stages import Sample
+from scenegen.verify.strays import count_strays
 
 DIGESTED = ("observed", "occupancy", "ranges", "position", "quaternion", "origin", "world", "viewpoint")
 """What a sample's digest covers, in order: written anew from docs/format.md."""
+LABELLED = ("return_geom", "return_class", "voxel_geom", "voxel_class")
+"""What the digest of one with labels covers besides, after the digest without."""
 
 
 def _own_digest(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     content = b"".join(sample.packed.get(name, sample.fields[name]).tobytes() for name in DIGESTED)
     digest = hashlib.sha256(content).digest()
+    if sample.contract.labels is not None:
+        digest = hashlib.sha256(digest + b"".join(sample.fields[name].tobytes() for name in LABELLED)).digest()
     page.kept.append(digest)
     page.expect(digest == sample.own_digest, f"{sample.where}: its content does not have the digest stored beside it")
 
@@ -51,11 +57,37 @@ def _lawful(sample: Sample, page: Page) -> None:
     ranges, most = sample.fields["ranges"], sample.contract.lidar.max_range_m
     held = (ranges >= 0) & ((ranges <= np.float32(most)) | np.isposinf(ranges))
     page.expect(held.all(), f"{sample.where}: {np.count_nonzero(~held)} ranges are not from 0 to {most:g} m, or inf")
-    stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
-    page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
+    noise = sample.contract.noise
+    if noise is None:
+        stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
+        page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
+    elif noise["bound_m"] is not None:
+        fields, grid, bound = sample.fields, sample.contract.grid, noise["bound_m"]
+        stray = count_strays(sample.scan.points(), fields["occupancy"], grid, fields["origin"], bound)
+        page.expect(not stray, f"{sample.where}: {stray} returns lie more than {bound:g} m from what is occupied")
     if "free" in sample.fields:
         both = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
         page.expect(not both, f"{sample.where}: {both} voxels are both free and observed")
+
+
+def _labelled(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    assert sample.contract.labels is not None
+    there = {"voxel": sample.fields["occupancy"], "return": np.isfinite(sample.fields["ranges"])}
+    for what, known in there.items():
+        exact = sample.contract.noise is None and sample.contract.engine == DEFAULT
+        geoms, classes = sample.fields[f"{what}_geom"], sample.fields[f"{what}_class"]
+        if what == "voxel":
+            wrong = np.count_nonzero((geoms >= 0) != known)
+            page.expect(not wrong, f"{sample.where}: {wrong} voxels have a geom and are not occupied, or the reverse")
+        else:  # noise may tell of a return where the ray itself met nothing
+            wrong = np.count_nonzero((geoms >= 0) > known)
+            wrong += np.count_nonzero((geoms < 0) & known) if exact else 0
+            page.expect(not wrong, f"{sample.where}: {wrong} rays have a geom and no return, or the reverse")
+        wrong = np.count_nonzero((classes > 0) != (geoms >= 0)) + np.count_nonzero(
+            classes >= len(sample.contract.labels["classes"])
+        )
+        page.expect(not wrong, f"{sample.where}: {wrong} values of {what}_class are no class of a geom")
 
 
 CHECKS = (
@@ -81,9 +113,18 @@ CHECKS = (
     ),
     Check(
         name="laws",
-        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied, and no voxel "
-        "is both free and observed (this last without `--quick`, where `free` is stored).",
+        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is occupied (with "
+        "noise: every return lies within the noise's bound of an occupied voxel, if it has a bound), and no voxel is "
+        "both free and observed (this last without `--quick`, where `free` is stored).",
         quick=True,
         sample=_lawful,
+    ),
+    Check(
+        name="labels",
+        proves="In a dataset with labels, the voxels that have a geom are those that are occupied, and the rays that "
+        "have one those that returned (with noise: no other ray has one); a class is there where a geom is.",
+        quick=True,
+        field="voxel_geom",
+        sample=_labelled,
     ),
 )

@@ -107,10 +107,15 @@ def test_every_kind_of_file_holds_the_same_points(
 ) -> None:
     from scenegen.model.completion.points import read_points
 
-    for name in ("a.ply", "a.npz", "a.bin"):
+    for name in ("a.ply", "a.pcd", "a.npz", "a.bin"):
         assert run(capsys, "scan", "room.xml", "--pose", "1,2,0.5,30", *noise, "-o", name)[0] == 0
     stored = np.load(here / "a.npz")
     np.testing.assert_allclose(read_points(here / "a.ply"), stored["points"], rtol=1e-6, atol=1e-6)
+    head, _, body = (here / "a.pcd").read_bytes().partition(b"DATA binary\n")
+    lines = dict(line.split(" ", 1) for line in head.decode().splitlines())
+    assert lines["POINTS"] == lines["WIDTH"] == str(len(stored["points"]))
+    table = np.frombuffer(body, "<f4").reshape(-1, len(lines["FIELDS"].split()))
+    np.testing.assert_allclose(table[:, :3], stored["points"], rtol=1e-6, atol=1e-6)
     rows = np.frombuffer((here / "a.bin").read_bytes(), "<f4").reshape(-1, 4)
     np.testing.assert_allclose(rows[:, :3], stored["points"], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(rows[:, 3], stored["intensity"] if noise else 0, rtol=1e-6)
@@ -124,7 +129,22 @@ def test_a_scan_in_flight_is_at_the_seeds_place(here: Path, capsys: pytest.Captu
     assert place(1) == place(1) != place(2)
 
 
+def test_a_sequence_follows_one_flight(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("scan", "room.xml", "--flight", "--every", 0.5, "--seed", 2, "--noise", "range", "--json", "-o")
+    scans = json.loads(run(capsys, *words, "walk.npz")[1])["scans"]
+    assert [scan["file"] for scan in scans] == [f"walk-{n:03d}.npz" for n in range(len(scans))]
+    places = np.array([scan["position"] for scan in scans])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert len(steps) > 3
+    assert steps.max() <= 0.5 + 2e-3
+    assert np.median(steps) > 0.49
+    stored = [np.load(here / scan["file"]) for scan in scans]
+    np.testing.assert_allclose([each["position"] for each in stored], places, atol=1e-3)
+    assert not np.array_equal(stored[0]["ranges"], stored[1]["ranges"])
+
+
 REFUSED = {
+    "a sequence from one place": (("scan", "room.xml", "--pose", "1,2,0.5,0", "--every", 1), 2, "goes with --flight"),
     "a sensor beside a recipe's": (("generate", "--recipe", "small.toml", "--lidar", "mine.toml"), 1, "leave one of"),
     "a lever arm in a dataset": (("generate", "--recipe", "arm.toml"), 1, "lever_arm_m"),
     "a name of the catalogue's": (("sensors", "taken.toml"), 1, "a name of its own"),

@@ -129,10 +129,10 @@ def test_the_command_draws_samples_sheets_and_worlds(
 
 
 def test_viewpoints_of_a_flight_are_in_order_and_in_the_open() -> None:
-    from scenegen.single import places_in_flight
+    from scenegen.single import poses_in_flight
 
     world = read_world(ROOT / "scenes" / "room_with_gap.xml")
-    places = places_in_flight(world, seed=1)
+    places = np.array([pose.position for pose in poses_in_flight(world, seed=1)])
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     assert len(places) > 2
     assert steps.max() <= 1.0 + 1e-9  # spacing along the flight, in metres

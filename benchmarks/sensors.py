@@ -1,0 +1,77 @@
+"""What a sample of each family of sensors costs, and what noise and labels add: CPU time, whole shards, interleaved.
+
+python benchmarks/sensors.py --kind pillar --samples 20 --rounds 3
+"""
+
+import argparse
+import dataclasses
+import json
+import math
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+from lidarsim.noise.chain import Noise
+from lidarsim.sensors import SENSORS
+from scenegen.dataset.build import plan_dataset
+from scenegen.dataset.shard import write_shard
+from scenegen.labels import labels_by
+from scenegen.recipe import Recipe, preset
+from scenegen.recipes import kind_names
+from scenegen.source import DrawnWorlds
+
+SENSOR_NAMES = ("velodyne-vlp-16", "ouster-os1-64", "livox-mid-360", "livox-avia", "realsense-d435")
+CHAINS = ("range", "dropout", "divergence,range", "grazing", "faint")
+
+
+def cost_ms(recipe: Recipe, samples: int) -> float:
+    """CPU milliseconds a sample of a shard, drawn and written."""
+    with tempfile.TemporaryDirectory() as folder:
+        counts = {"train": samples, "val": 0, "test": 0}
+        plan = plan_dataset(Path(folder), recipe, DrawnWorlds(recipe), seed=0, counts=counts, shard_samples=samples)
+        begin = time.thread_time()
+        write_shard(plan.shards[0])
+        return 1e3 * (time.thread_time() - begin) / samples
+
+
+def recipes(kind: str) -> dict[str, Recipe]:
+    """What is measured, by name; the default first."""
+    plain = preset(kind)
+    sensors = {name: dataclasses.replace(plain, lidar=SENSORS.find(name)) for name in SENSOR_NAMES}
+    noises = {f"noise {text}": dataclasses.replace(plain, noise=Noise.parse(text)) for text in CHAINS}
+    return {"default": plain, **sensors, **noises, "labels": dataclasses.replace(plain, labels=labels_by("name", ()))}
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kind", default="pillar", choices=kind_names())
+    parser.add_argument("--samples", type=int, default=20)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    asked = recipes(given.kind)
+    for recipe in asked.values():
+        cost_ms(recipe, recipe.flight.viewpoints)  # compiles, where nothing is cached
+    spent: dict[str, list[float]] = {name: [] for name in asked}
+    for _ in range(given.rounds):
+        for name, recipe in asked.items():
+            spent[name].append(cost_ms(recipe, given.samples))
+    rows = {}
+    for name, recipe in asked.items():
+        milliseconds, rays = statistics.median(spent[name]), math.prod(recipe.lidar.shape)
+        rows[name] = {
+            "ms_a_sample": round(milliseconds, 2),
+            "rays": rays,
+            "us_a_ray": round(1e3 * milliseconds / rays, 3),
+        }
+    if given.json:
+        print(json.dumps(rows))
+        return
+    for name, row in rows.items():
+        print(f"{name:24} {row['ms_a_sample']:9.2f} ms a sample  {row['rays']:7} rays  {row['us_a_ray']:7.3f} us a ray")
+
+
+if __name__ == "__main__":
+    main()

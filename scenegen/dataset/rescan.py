@@ -1,0 +1,148 @@
+"""A dataset scanned again: the worlds and poses of one that is there, seen by another sensor, or with its faults."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidarsim import Pose, Sensor
+from lidarsim.engines import ENGINES
+from lidarsim.noise.chain import Noise
+from scenegen import GENERATOR, SPLITS
+from scenegen.again import scan_again
+from scenegen.dataset import manifest, noise
+from scenegen.dataset.build import divide
+from scenegen.dataset.extract import DOCUMENT
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.sensor import entry_of
+from scenegen.dataset.shard import ShardSpec, find_engine
+from scenegen.dataset.state import Plan
+from scenegen.draw import Unit
+from scenegen.errors import DatasetError, printable, short
+from scenegen.recipe import Recipe
+from scenegen.screen import screen
+from scenegen.world import World, compile_world
+
+MOST_WORLDS = 8
+"""Worlds that a process keeps compiled: those from MJCF files come again and again."""
+
+
+@dataclass(frozen=True)
+class Archived:
+    """The worlds of a dataset, as a `Source`: read from its archives, and never drawn."""
+
+    folder: Path
+    scenes: Mapping[str, int] | None
+    """Worlds of each split, where MJCF files were visited in turn; None where each flight has a world of its own."""
+    _open: list[Dataset] = field(default_factory=list, compare=False)
+    _worlds: dict[tuple[str, int], World] = field(default_factory=dict, compare=False)
+
+    @property
+    def dataset(self) -> Dataset:
+        """The dataset, opened once a process."""
+        if not self._open:
+            self._open.append(Dataset(self.folder))
+        return self._open[0]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open": [], "_worlds": {}}
+
+    def number(self, split: str, unit: int) -> tuple[int, int]:
+        """See `Source.number`."""
+        if self.scenes is None:
+            return unit, 0
+        turn, number = divmod(unit, self.scenes[split])
+        return number, turn
+
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
+        """See `Source.world`; nothing is drawn."""
+        if (split, number) not in self._worlds:
+            files = dict(self.dataset.world(split, number))
+            document, name = files.pop(DOCUMENT), f"{self.folder}: {split} world {number}"
+            screen(document, files, name)  # it may come from a stranger
+            world = compile_world(document, files, name=name)
+            self._worlds[split, number] = world
+            for old in list(self._worlds)[:-MOST_WORLDS]:
+                del self._worlds[old]
+        return self._worlds[split, number]
+
+    def describe(self) -> dict[str, Any]:
+        """See `Source.describe`."""
+        return {}
+
+    def poses(self, split: str, samples: Sequence[int]) -> list[Pose]:
+        """Poses of the sensor, by the samples' places in their split. Raises DatasetError."""
+        found = self.dataset.split(split)
+        try:
+            return [Pose(found[place].position, found[place].quaternion) for place in samples]
+        except ValueError as error:
+            raise DatasetError(f"{self.folder}: {split} sample: {printable(error)}; verify the dataset") from None
+
+
+@dataclass(frozen=True)
+class RescanSpec(ShardSpec):
+    """A shard of a dataset that is scanned again."""
+
+    def draw(self, unit: int) -> Unit:
+        """See `ShardSpec.draw`: the unit as it was flown, scanned by the recipe's sensor and noise."""
+        source: Any = self.source
+        each = self.recipe.flight.viewpoints
+        begin = unit * each
+        places = range(begin, min(begin + each, len(source.dataset.split(self.split))))
+        number, turn = source.number(self.split, unit)
+        return scan_again(
+            source.world(self.split, number, rng=np.random.default_rng(0)),
+            source.poses(self.split, places),
+            self.recipe,
+            seed=self.seed,
+            split=self.split,
+            unit=unit,
+            names=(number, turn * each),
+            derived=not self.compact,
+            engine=find_engine(self.engine),
+        )
+
+
+def plan_rescan(
+    dataset: Dataset,
+    folder: Path,
+    *,
+    lidar: Sensor | None = None,
+    chain: Noise | None = None,
+    engine: str | None = None,
+) -> Plan:
+    """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, or cast by another
+    `engine`; what is not given stays, but for noise, of which there is none then.
+
+    Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
+    """
+    found = dataset.manifest
+    if engine is None and found.engine not in ENGINES.known:
+        raise DatasetError(
+            f"{dataset.folder}: made with the engine {short(found.engine)}, which is not imported because a "
+            "manifest names it; give --engine with its name, or one of ours"
+        )
+    engine = engine or found.engine
+    find_engine(engine)
+    try:
+        recipe: Recipe = replace(found.recipe, lidar=lidar or found.lidar, noise=chain or Noise())
+    except ValueError as error:
+        raise DatasetError(printable(error)) from None
+    if folder.resolve() == dataset.folder.resolve():
+        raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
+    given = {name: value for name, value in found.parameters.items() if name not in ("noise", "engine")}
+    given |= {
+        "version": manifest.MINOR,
+        "generator": GENERATOR,
+        "lidar": entry_of(recipe.lidar),
+        **noise.entry_of(recipe.noise, recipe.lidar.max_range_m),
+        "rescan": {"digest": found.digest},
+        "engine": engine,
+        "software": manifest.software(),
+    }
+    scenes = found.tables.get("scenes") if found.kind == "scene" else None
+    source = Archived(dataset.folder, None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS})
+    compact = "tudf" not in found.fields
+    return divide(folder, given, recipe, source, compact=compact, engine=engine, kind=RescanSpec)

@@ -1,0 +1,150 @@
+"""Owners of voxels against distances written anew, and labels of samples and datasets."""
+
+import dataclasses
+import hashlib
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from lidarsim import GridSpec
+from lidarsim.noise.chain import Noise
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.draw import draw_unit
+from scenegen.errors import GenerationError
+from scenegen.labels import SHAPES, Labels, class_names, labels_by
+from scenegen.publish.stage import Request, stage
+from scenegen.sample import LABELS, LabelledSample
+from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.truth import rasterize
+from scenegen.truth.labels import NONE, owners
+from scenegen.verify import verify
+from scenegen.world import compile_world
+from tests.conftest import small_recipe
+from tests.scenegen.conftest import COUNTS
+
+CUBE = " ".join(f"{x} {y} {z}" for x in (-0.5, 0.5) for y in (-0.4, 0.4) for z in (-0.3, 0.3))
+WORLD = f"""<mujoco><asset><mesh name="cube" vertex="{CUBE}"/></asset><worldbody>
+<geom name="wall_2" type="box" size="0.35 0.3 0.5" pos="0.9 0.2 0.6" euler="0 0 30"/>
+<geom type="plane" size="0 0 1"/>
+<geom name="ball.001" type="sphere" size="0.4" pos="-0.3 0 0.7"/>
+<geom name="same" type="sphere" size="0.4" pos="-0.3 0 0.7"/>
+<geom name="crate7" type="mesh" mesh="cube" pos="-0.6 -0.9 0.6"/>
+<geom name="wall_10_top" type="capsule" size="0.15 0.3" pos="0.4 1.1 0.9"/>
+</worldbody></mujoco>"""
+
+
+def distances(points: np.ndarray) -> np.ndarray:
+    """From points (n, 3) to the six geoms of `WORLD`, (6, n); 0 inside."""
+
+    def box(p: np.ndarray, half: tuple[float, float, float]) -> np.ndarray:
+        return np.linalg.norm(np.maximum(np.abs(p) - half, 0.0), axis=1)
+
+    turn = np.radians(30.0)
+    away = points - [0.9, 0.2, 0.6]
+    turned = np.stack(
+        [np.cos(turn) * away[:, 0] + np.sin(turn) * away[:, 1], np.cos(turn) * away[:, 1] - np.sin(turn) * away[:, 0]]
+    )
+    ball = np.maximum(np.linalg.norm(points - [-0.3, 0.0, 0.7], axis=1) - 0.4, 0.0)
+    pill = points - [0.4, 1.1, 0.9]
+    pill[:, 2] -= np.clip(pill[:, 2], -0.3, 0.3)
+    return np.stack(
+        [
+            box(np.column_stack([*turned, away[:, 2]]), (0.35, 0.3, 0.5)),
+            np.maximum(points[:, 2], 0.0),
+            ball,
+            ball,
+            box(points - [-0.6, -0.9, 0.6], (0.5, 0.4, 0.3)),
+            np.maximum(np.linalg.norm(pill, axis=1) - 0.15, 0.0),
+        ]
+    )
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.037])
+def test_a_voxel_belongs_to_the_nearest_solid_and_of_two_to_the_first(shift: float) -> None:
+    world = compile_world(WORLD.encode())
+    grid, origin = GridSpec(shape=(18, 20, 12), voxel_m=0.2), np.array([-1.8, -2.0, -0.6]) + shift
+    occupancy = rasterize(world.solids, grid, origin)
+    owner = owners(world.solids, occupancy, grid, origin)
+    np.testing.assert_array_equal(owner != NONE, occupancy)
+    cells = np.argwhere(occupancy)
+    there = distances(origin + (cells + 0.5) * grid.voxel_m)
+    found = owner[tuple(cells.T)]
+    least = there.min(axis=0)
+    np.testing.assert_allclose(there[found, np.arange(len(found))], least, atol=1e-7)  # a mesh's vertices are float32
+    first = np.argmax(there <= least + 1e-7, axis=0)
+    assert (found == first).mean() > 0.99  # what rounding decides goes to either
+    assert set(np.unique(found)) == {0, 1, 2, 4, 5}
+
+
+def test_classes_come_from_names_shapes_or_groups() -> None:
+    model = compile_world(WORLD.encode()).model
+    assert class_names(model, "name") == ["wall", "plane", "ball", "same", "crate", "wall_top"]
+    assert set(class_names(model, "group")) == {"group 0"}
+    assert labels_by("name", {"wall", "box"}).classes == ("nothing", *SHAPES, "wall")
+    with pytest.raises(GenerationError, match="geom 'wall_2' is of class 'wall', which was not known"):
+        labels_by("name", ()).of(compile_world(WORLD.encode()))
+    assert [SHAPES[int(code)] for code in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_MESH)] == [
+        "plane",
+        "mesh",
+    ]
+
+
+def test_labels_add_fields_and_change_none_and_their_digest_covers_them() -> None:
+    recipe = small_recipe()
+    with_labels = dataclasses.replace(recipe, labels=labels_by("name", ()))
+    plain, more = (
+        draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=0).samples[0] for it in (recipe, with_labels)
+    )
+    assert isinstance(more, LabelledSample)
+    for name in vars(plain):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(more, name))
+    parts = b"".join(getattr(more, name).tobytes() for name in LABELS)
+    assert more.sha256() == hashlib.sha256(plain.sha256() + parts).digest()
+    # a return lies in a voxel, or beside one, of its own geom: the voxel's centre may be nearer to another
+    classes = {SHAPES[int(n) - 1] for n in np.unique(more.return_class) if n}
+    assert classes <= {"plane", "box", "cylinder"}
+    assert (more.return_geom >= 0).sum() == np.isfinite(plain.ranges).sum()
+
+
+@pytest.mark.parametrize("noise", ["", "spurious:0.05,range"])
+def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(tmp_path: Path, noise: str) -> None:
+    recipe = dataclasses.replace(small_recipe(), labels=labels_by("group", ()))
+    folder = tmp_path / "data"
+    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, compact=True)
+    build(plan)
+    build(plan)  # which finds every shard as it was
+    again = plan_rescan(Dataset(folder), tmp_path / "again", chain=Noise.parse(noise) if noise else None)
+    build(again)
+    for place in (folder, again.folder):
+        report = verify(place)
+        assert report.ok, report.failed
+        assert {"labels", "owners"} <= {check.name for check in report.checks}
+    same = Dataset(folder).manifest.digest == Dataset(again.folder).manifest.digest
+    assert same == (not noise)
+    sample = Dataset(folder).split("train")[0]
+    assert sample.voxel_class.max() == 1  # type: ignore[attr-defined]
+    assert Dataset(folder).split("train").describe()["voxel_geom"]["dtype"] == "int32"
+
+
+def test_scenes_know_their_classes(tmp_path: Path) -> None:
+    (tmp_path / "one.xml").write_text(WORLD)
+    source = read_scenes(tmp_path / "one.xml", {"train": 1, "val": 0, "test": 0}, seed=0)
+    labels = Labels(by="name", classes=labels_by("name", source.class_names()).classes)
+    assert {"wall", "ball", "crate", "wall_top"} <= set(labels.classes)
+
+
+def test_a_dataset_with_labels_can_be_published(tmp_path: Path) -> None:
+    recipe = dataclasses.replace(small_recipe(), labels=labels_by("name", ()), noise=Noise.parse("range"))
+    counts = {"train": 3, "val": 3, "test": 3}
+    build(plan_dataset(tmp_path / "data", recipe, DrawnWorlds(recipe), seed=3, counts=counts))
+    request = Request(dataset=tmp_path / "data", repository="ada/small", out=tmp_path / "out")
+    stage(request, (("files", "all there"),))
+    card = (tmp_path / "out" / "README.md").read_text()
+    assert '"nothing", "plane"' in card
+    assert "`voxel_class`" in card
+    assert "--labels name" in card
+    assert "its noise is simulated, `range:sigma_m=0.02" in card
