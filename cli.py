@@ -13,24 +13,13 @@ from scenegen import __version__
 from scenegen.terminal.command import Commands, run_command
 
 MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
-OF_DATA = (
-    "generate",
-    "inspect",
-    "world",
-    "verify",
-    "publish",
-    "sensors",
-    "scan",
-    "rescan",
-    "recipe",
-    "render",
-    "convert",
-)
+OF_DATA = ("generate", "rescan", "inspect", "world", "verify", "publish", "convert", "render", "recipe")
+OF_SENSORS = ("sensors", "scan")
 OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce", "view")
 PLACES = {
     **{name: f"{MADE}.{name}:{name}" for name in OF_DATA},
     **{name: f"{INFERRED}.{name}:{name}" for name in OF_NETWORKS},
-    **{name: f"{MADE}.{name}:{name}" for name in ("doctor", "completion")},
+    **{name: f"{MADE}.{name}:{name}" for name in (*OF_SENSORS, "doctor", "completion")},
 }
 
 

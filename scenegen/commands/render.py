@@ -49,12 +49,14 @@ def render(
 
     notes: list[str] = []
     if is_world:
+        import numpy as np
+
         from scenegen.errors import printable
         from scenegen.single import poses_in_flight, read_world
         from scenegen.view.landscape import draw_world
 
         world = read_world(Path(dataset))
-        places = [pose.position for pose in poses_in_flight(world, seed=seed)] if flight else None
+        places = np.stack([pose.position for pose in poses_in_flight(world, seed=seed)]) if flight else None
         figure = draw_world(world, title=_plain(printable(Path(dataset).name)), flight=places)
     else:
         from scenegen.dataset.locate import locate
