@@ -114,7 +114,7 @@ def _maps() -> None:
     free, far = np.zeros(grid.shape, np.bool_), np.full(grid.shape, 2.0, np.float32)
     Extrude().complete(free, free, grid=grid)
     measure(free, far, free, far, classes=free.view(np.uint8), class_count=1, config=ReconstructionConfig())
-    count(far, free, free, 5.0)
+    count([np.zeros(grid.shape, np.float32)], free, free.view(np.uint8))
 
 
 def _reference() -> None:
