@@ -47,7 +47,7 @@ def runners(network: Network, threads: int, *, compiled: bool) -> dict[str, Call
     """Every way to run `network`, by name."""
     folder = Path(tempfile.mkdtemp())
     export_onnx(network, GRID, folder / "net.onnx", about={})
-    network.to(memory_format=torch.channels_last_3d)
+    network.placed("cpu")
     device = torch.device("cpu")
     ways: dict[str, Callable[[dict[str, torch.Tensor]], Any]] = {"eager": network}
     if resolve_precision("auto", device) == torch.bfloat16:

@@ -14,6 +14,8 @@ from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_HEIGHT,
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
+DEFAULT_NETWORK = "columns"
+"""The one of them that completes where none is named."""
 LEVELS = 3
 TASKS = ("tudf", "occupancy")
 SHARED = ("shared",)

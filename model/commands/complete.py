@@ -6,6 +6,7 @@ import rich_click as click
 
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
+from scenegen.model.config import DEFAULT_NETWORK
 from scenegen.terminal.options import device_option, out_option, quiet_option, split_option
 from scenegen.terminal.progress import Progress, note
 from scenegen.terminal.show import say
@@ -17,7 +18,7 @@ from scenegen.terminal.types import DatasetPath, Number
 @click.option(
     "--weights",
     type=Weights(),
-    default="proposed",
+    default=DEFAULT_NETWORK,
     show_default=True,
     help="A bundled name, a file, a run's folder, hf://…",
 )

@@ -5,12 +5,13 @@ from pathlib import Path
 import rich_click as click
 
 from scenegen.model.commands.weights import Weights
+from scenegen.model.config import DEFAULT_NETWORK
 from scenegen.terminal.options import out_option
 from scenegen.terminal.show import say
 
 
 @click.command()
-@click.argument("weights", type=Weights(), default="proposed")
+@click.argument("weights", type=Weights(), default=DEFAULT_NETWORK)
 @out_option("File to write.  [default: <name>.onnx]", file=True)
 def export(weights: str, out: Path | None) -> None:
     """Write a network as ONNX, for the runtimes that are fastest on CPUs."""

@@ -22,7 +22,7 @@ from scenegen.dataset.sensor import entry_of
 from scenegen.errors import needs, printable
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
-from scenegen.model.config import BUNDLED, bundled
+from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled
 from scenegen.model.inputs import INPUTS, centres, of_sample, of_scan
 from scenegen.model.network import Output
 from scenegen.model.runtime import load_onnx
@@ -67,10 +67,11 @@ class Completer:
 
     @classmethod
     def from_pretrained(
-        cls, name: str | Path, *, device: str | torch.device = "cpu", batch: int = 8, threads: int = 0
+        cls, name: str | Path = DEFAULT_NETWORK, *, device: str | torch.device = "cpu", batch: int = 8, threads: int = 0
     ) -> "Completer":
-        """The network called `name`: one that comes with scenegen ("proposed", "occ", "tudf"), a .safetensors file, a
-        run's folder, an .onnx file, which runs on the CPU, or ``hf://user/name[@revision]``, which alone is fetched.
+        """The network called `name`: one that comes with scenegen (`scenegen.model.config.bundled` lists them), a
+        .safetensors file, a run's folder, an .onnx file, which runs on the CPU, or ``hf://user/name[@revision]``, which
+        alone is fetched.
 
         At most `batch` maps are completed at once; an .onnx file runs on `threads` threads, 0 for all. Raises
         CheckpointError where there is none, or it is damaged.
