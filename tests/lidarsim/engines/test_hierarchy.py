@@ -58,11 +58,11 @@ def test_every_item_lies_in_one_leaf_within_its_boxes(kind: str, count: int) -> 
     assert leaves(tree, lower + moved, upper + moved) == (items, depth)
 
 
-def test_a_million_coincident_items_make_a_shallow_tree() -> None:
-    lower = np.zeros((1_000_000, 3))
+def test_many_coincident_items_make_a_shallow_tree() -> None:
+    lower = np.zeros((100_000, 3))
     items, depth = leaves(Hierarchy.over(lower, lower + 1.0), lower, lower + 1.0)
     assert len(set(items)) == len(lower)
-    assert depth <= 20
+    assert depth <= 17
 
 
 def test_neighbours_share_leaves() -> None:
