@@ -7,7 +7,6 @@ from typing import Any
 import rich_click as click
 
 from scenegen.model.reproduce.config import ReproduceConfig
-from scenegen.terminal import stops
 from scenegen.terminal.options import (
     device_option,
     json_option,
@@ -58,15 +57,7 @@ def reproduce(device: str, out: Path, workers: int, dry_run: bool, as_json: bool
         return
     if talk:
         announce_compilation()
-    with stops.noted() as stop:
-        study = make(
-            out,
-            config,
-            device=device,
-            workers=workers,
-            progress=lambda label: Progress(label, shown=talk),
-            stop=stop,
-        )
+    study = make(out, config, device=device, workers=workers, progress=lambda label: Progress(label, shown=talk))
     if as_json:
         print(json.dumps({"folder": str(out), "verdicts": study["verdicts"]}))
     elif talk:

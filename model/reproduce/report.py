@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.evaluation.study.report import brief
+from scenegen.model.evaluation.tables import head, interval, line
 
 SHOWN = {"reconstruction": ("iou", "near_rmse"), "planning": ("success",)}
 """The figures of every row; all others stand in the JSON."""
@@ -25,47 +27,25 @@ def to_markdown(study: Mapping[str, Any]) -> str:
         "for every bold cell of its tables and every other row. It is confirmed, or refuted, where the 95 % interval "
         "of the difference lies on one side of 0 for two seeds or more; else it is undecided.",
         "",
-        *_table(
-            ("question", "verdict", "claims"),
-            (
-                (f"{name}: {said['asks']}", f"**{said['verdict']}**", _counts(said["claims"]))
-                for name, said in study["verdicts"].items()
-            ),
-        ),
+        *head(("verdict", "claims")),
     ]
+    for name, said in study["verdicts"].items():
+        lines.append(line(f"{name}: {said['asks']}", (f"**{said['verdict']}**", _counts(said["claims"]))))
     for kind, report in study["reports"].items():
         lines += ["", f"## {kind}", "", "How much better by each seed, with 95 % intervals:", ""]
-        lines += _table(
-            ("claim", "verdict", "seeds"),
-            (
-                (
-                    f"{claim['metric']}: {claim['best']} before {claim['other']}",
-                    claim["verdict"],
-                    _seeds(claim["seeds"]),
-                )
-                for claim in study["claims"]
-                if claim["kind"] == kind
-            ),
-        )
+        lines += head(("verdict", "seeds"))
+        for claim in study["claims"]:
+            if claim["kind"] == kind:
+                name = f"{claim['metric']}: {claim['best']} before {claim['other']}"
+                lines.append(line(name, (claim["verdict"], _seeds(claim["seeds"]))))
         columns = [(table, name) for table, names in SHOWN.items() for name in names]
         lines += ["", "Means over test maps and trials, with 95 % intervals:", ""]
-        lines += _table(
-            ("row", *((METRICS | PLAN_METRICS)[name].label for _, name in columns)),
-            (
-                (row, *(_figure(report[table][kind][row][name]) for table, name in columns))
-                for row in report["reconstruction"][kind]
-            ),
-        )
-    lines += ["", "## Runs", ""]
-    lines += _table(
-        ("run", "asks", "weights"),
-        ((f"`{name}`", run["asks"], f"{run['sha256'][:12]}…") for name, run in study["runs"].items()),
-    )
+        lines += head([(METRICS | PLAN_METRICS)[name].label for _, name in columns])
+        for row in report["reconstruction"][kind]:
+            lines.append(line(row, (brief(report[table][kind][row][name]) for table, name in columns)))
+    lines += ["", "## Runs", "", *head(("asks", "weights"))]
+    lines += [line(f"`{name}`", (run["asks"], f"{run['sha256'][:12]}…")) for name, run in study["runs"].items()]
     return "\n".join(lines) + "\n"
-
-
-def _table(names: Sequence[str], rows: Any) -> list[str]:
-    return [f"| {' | '.join(cells)} |" for cells in (names, ["---"] * len(names), *rows)]
 
 
 def _counts(claims: Mapping[str, int]) -> str:
@@ -73,12 +53,4 @@ def _counts(claims: Mapping[str, int]) -> str:
 
 
 def _seeds(contrasts: Sequence[Mapping[str, Any]]) -> str:
-    return "; ".join(f"{one['difference']:+.3f} {_interval(one, '+.3f')}" for one in contrasts) or "–"
-
-
-def _figure(figure: Mapping[str, Any]) -> str:
-    return "–" if figure["mean"] is None else f"{figure['mean']:.3f} {_interval(figure, '.3f')}"
-
-
-def _interval(figure: Mapping[str, Any], form: str) -> str:
-    return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
+    return "; ".join(f"{one['difference']:+.3f} {interval(one, '+.3f')}" for one in contrasts) or "–"

@@ -54,7 +54,6 @@ def reproduce(
     device: str = "auto",
     workers: int = 1,
     progress: Callable[[str], "Progress"],
-    stop: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
     """Make the study of `config` in the folder `out`, or go on with it, and return what ``study.json`` holds.
 
@@ -67,7 +66,7 @@ def reproduce(
     where = choose_device(device)
     with progress("networks") as shown:
         shown.start(sum(run.config(config.scaled(config.maps)).maps or 0 for run in chosen))
-        work = partial(_train, out, folders, config, str(where), stop, shown if workers == 1 else None)
+        work = partial(_train, out, folders, config, str(where), shown if workers == 1 else None)
         side_by_side = 1 if where.type == "cuda" else workers
         for maps in run_workers(work, chosen, side_by_side, lambda: None):
             shown.count(maps)
@@ -140,7 +139,6 @@ def _train(
     folders: Sequence[Path],
     config: ReproduceConfig,
     device: str,
-    stop: Callable[[], bool],
     shown: "Progress | None",
     run: Run,
 ) -> int:
@@ -151,7 +149,6 @@ def _train(
     step = (lambda maps, loss: shown.count(maps)) if shown else (lambda maps, loss: None)
 
     def go_on() -> None:
-        watcher = Watcher(on_step=step, stop=stop)
         train(
             opened(folders, "train"),
             opened(folders, "val"),
@@ -159,7 +156,7 @@ def _train(
             folder,
             device=device,
             command=f"scenegen reproduce --only {run.name}",
-            watcher=watcher,
+            watcher=Watcher(on_step=step),
         )
 
     try:
