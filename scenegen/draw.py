@@ -10,9 +10,9 @@ from lidarsim import AnalyticEngine, Engine, Pose, Scan, cast, voxelize
 from lidarsim.engines import EngineFactory
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
-from scenegen.faults import with_noise
 from scenegen.flight import plan, viewpoints
 from scenegen.labels import labelled
+from scenegen.noise import with_noise
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample
 from scenegen.source import Source

@@ -11,7 +11,6 @@ from lidarsim import Pose, Sensor
 from lidarsim.engines import ENGINES
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR, SPLITS
-from scenegen.again import scan_again
 from scenegen.dataset import manifest, noise
 from scenegen.dataset.build import divide
 from scenegen.dataset.extract import DOCUMENT
@@ -22,6 +21,7 @@ from scenegen.dataset.state import Plan
 from scenegen.draw import Unit
 from scenegen.errors import DatasetError, printable, short
 from scenegen.recipe import Recipe
+from scenegen.rescan import scan_again
 from scenegen.screen import screen
 from scenegen.world import World, compile_world
 

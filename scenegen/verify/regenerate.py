@@ -9,11 +9,11 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.engines import ENGINES
 from scenegen import GENERATOR
-from scenegen.again import scan_again
 from scenegen.dataset.manifest import differences, software
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError, RecipeError, SceneError
 from scenegen.recipe import Recipe
+from scenegen.rescan import scan_again
 from scenegen.source import DrawnWorlds, SceneWorlds
 from scenegen.verify.archive import Archive, archived_world
 from scenegen.verify.contract import Contract

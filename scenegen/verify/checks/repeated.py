@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 from lidarsim import Pose
 from lidarsim.engines import ENGINES
-from scenegen.again import clean_scan
 from scenegen.errors import GenerationError
-from scenegen.faults import with_noise
+from scenegen.noise import with_noise
+from scenegen.rescan import clean_scan
 from scenegen.sample import FIELDS
 from scenegen.verify.check import Check
 from scenegen.verify.rays import audit, disagrees

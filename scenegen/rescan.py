@@ -6,7 +6,7 @@ from lidarsim import Pose, Scan, Sensor, cast
 from lidarsim.engines import Engine, EngineFactory
 from scenegen.draw import Rejections, Unit, engine_of, sample_of
 from scenegen.errors import GenerationError
-from scenegen.faults import with_noise
+from scenegen.noise import with_noise
 from scenegen.recipe import Recipe
 from scenegen.truth import rasterize
 from scenegen.world import World
