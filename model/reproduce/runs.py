@@ -78,6 +78,10 @@ def _runs() -> tuple[Run, ...]:
         unlike(proposed_1, "shared-1", "the same at λ_occ 1", network={"variant": "shared"}),
         unlike(dual_1, "dual-1-free", "free space as an input", network={"variant": "dual", **both}),
         unlike(columns, "columns-observed", "without free space", network={"variant": "columns"}),
+        unlike(columns, "flat", "without the 3-D net, as in LMSCNet", network={"variant": "flat", **both}),
+        unlike(
+            columns, "deep", "a plain large 3-D U-Net in its place", network={"variant": "shared", "width": 24, **both}
+        ),
         unlike(proposed, "proposed-no-eikonal", "without the Eikonal term", loss={"eikonal": 0.0}),
         unlike(
             proposed,
