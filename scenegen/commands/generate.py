@@ -15,6 +15,7 @@ from scenegen.terminal.options import (
     json_option,
     lidar_option,
     noise_option,
+    on_option,
     out_option,
     quiet_option,
     seed_option,
@@ -51,6 +52,7 @@ NETWORK_EDGE = 8
 @seed_option("The same seed, the same dataset.")
 @out_option("Folder of the dataset.  [default: data/<kind>]")
 @workers_option
+@on_option
 @click.option(
     "--labels",
     type=click.Choice(["name", "group"]),
@@ -71,6 +73,7 @@ def generate(
     val: int | None,
     test: int | None,
     workers: int,
+    on: str,
     dry_run: bool,
     as_json: bool,
     quiet: bool,
@@ -89,6 +92,7 @@ def generate(
     if talk:
         announce_compilation()
     from scenegen.dataset.build import build, check_folder
+    from scenegen.executors import executor
     from scenegen.workers import keep_memory
 
     keep_memory()
@@ -106,7 +110,8 @@ def generate(
     if dry_run:
         _show_plan(plan, as_json)
         return
-    chosen = plan.shards[slice(*shard_range)] if shard_range else plan.shards
+    execute = executor(on, workers)
+    chosen = execute.mine(plan.shards[slice(*shard_range)] if shard_range else plan.shards)
     names = {shard.file.name for shard in chosen}
 
     def start() -> None:
@@ -118,6 +123,7 @@ def generate(
     with Progress(plan.parameters["kind"], shown=talk) as progress:
         summary = build(
             plan,
+            execute=execute,
             workers=workers,
             shard_range=shard_range,
             force=options["force"],

@@ -13,8 +13,9 @@ from click.core import ParameterSource
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
+from scenegen.executors import EXECUTORS, LOCAL
 from scenegen.limits import MOST_WORKERS
-from scenegen.terminal.types import DatasetPath, Named, Number, OutputFile
+from scenegen.terminal.types import DatasetPath, Named, Number, OutputFile, Place
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -32,6 +33,14 @@ workers_option = click.option(
     type=click.IntRange(1, MOST_WORKERS),
     callback=_workers,
     help="Processes.  [default: all cores]",
+)
+on_option = click.option(
+    "--on",
+    type=Place(EXECUTORS),
+    default=LOCAL,
+    show_default=True,
+    metavar="PLACE",
+    help=f"Where the work is done: {', '.join(EXECUTORS.known)}, or MODULE:CLASS, each with ://ADDRESS or without.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print errors alone.")

@@ -6,7 +6,7 @@ import json
 import os
 import time
 import zipfile
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_data
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError, GenerationError
+from scenegen.executors.local import Local
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA
 from scenegen.source import DrawnWorlds
@@ -63,17 +64,21 @@ def test_the_number_of_workers_changes_no_byte(tmp_path: Path) -> None:
 def test_shards_may_be_written_anywhere_and_come_in_any_order(tmp_path: Path) -> None:
     """An executor of one's own: here a thread that goes through the shards from the last to the first."""
 
-    def execute(
-        function: Callable[[ShardSpec], ShardReport], tasks: list[ShardSpec], on_start: Callable[[], None]
-    ) -> Generator[ShardReport, None, None]:
-        on_start()
-        with ThreadPoolExecutor(1) as pool:
-            yield from pool.map(function, reversed(tasks))
+    class Backwards(Local):
+        def __call__(
+            self,
+            function: Callable[[ShardSpec], ShardReport],
+            tasks: Sequence[ShardSpec],
+            on_start: Callable[[], None],
+        ) -> Generator[ShardReport, None, None]:
+            on_start()
+            with ThreadPoolExecutor(1) as pool:
+                yield from pool.map(function, reversed(tasks))
 
     begun: list[bool] = []
     several = plan(tmp_path / "elsewhere")
     assert len(several.shards) > 2
-    done = build(several, execute=execute, on_start=lambda: begun.append(True))
+    done = build(several, execute=Backwards("", 1), on_start=lambda: begun.append(True))
     assert begun == [True]
     assert done.digest == make(tmp_path / "here").digest
     assert content(tmp_path / "elsewhere") == content(tmp_path / "here")
