@@ -36,6 +36,7 @@ EXECUTORS = Registry(
         "local": "scenegen.executors.local:Local",
         "rank": "scenegen.executors.rank:Rank",
         "ray": "scenegen.executors.ray:Ray",
+        "slurm": "scenegen.executors.slurm:Slurm",
     },
     needs={
         "mine": "a method: tasks -> tasks",

@@ -5,11 +5,11 @@ Ray's own tasks, and not Ray Data: their order and memory are ours. Its reportin
 
 import collections
 import os
-import socket
 from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from scenegen.errors import GenerationError, needs
+from scenegen.executors.remote import Outcome, attempt, named
 
 SILENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
 """What Ray's environment says wherever we begin it."""
@@ -72,11 +72,8 @@ class Ray:
     ) -> Generator[Any, None, None]:
         ray = self.ray
 
-        def there(task: Any) -> tuple[bool, str, Any]:
-            try:
-                return True, "", function(task)
-            except Exception as error:  # whatever it is, it is raised where the run was begun
-                return False, socket.gethostname(), error
+        def there(task: Any) -> Outcome:
+            return attempt(function, task)
 
         remote = ray.remote(num_cpus=1, max_retries=MOST_TRIES)(there)
         waiting = collections.deque(tasks)
@@ -92,22 +89,14 @@ class Ray:
                 for one in done:
                     task = given.pop(one)
                     try:
-                        succeeded, node, value = ray.get(one)
+                        outcome = ray.get(one)
                     except ray.exceptions.RayError as error:
                         reason = str(error).splitlines()[0]
                         raise GenerationError(
-                            f"{_named(task)}: lost {MOST_TRIES + 1} times with its process or node ({reason}); "
+                            f"{named(task)}: lost {MOST_TRIES + 1} times with its process or node ({reason}); "
                             "finished shards are kept: give the same command again to go on"
                         ) from None
-                    if not succeeded:
-                        value.args = (f"{value} (on {node})", *value.args[1:])
-                        raise value
-                    yield value
+                    yield outcome.taken()
         finally:
             for one in given:
                 ray.cancel(one, force=True)
-
-
-def _named(task: Any) -> str:
-    """What a task is about: the file that it writes, where it has one."""
-    return str(getattr(task, "file", task))[:200]

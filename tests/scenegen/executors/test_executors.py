@@ -76,4 +76,4 @@ def test_places_without_an_address_take_none(name: str) -> None:
 def test_what_is_no_executor_is_refused() -> None:
     with pytest.raises(ValueError, match="unknown executor 'clouds'"):
         executor("clouds", 1)
-    assert set(EXECUTORS.known) == {"local", "rank", "ray"}
+    assert set(EXECUTORS.known) == {"local", "rank", "ray", "slurm"}
