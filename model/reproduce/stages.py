@@ -36,7 +36,7 @@ from scenegen.model.reproduce.runs import RUNS, SEEDS, Run
 from scenegen.model.training.data import opened
 from scenegen.model.training.device import choose_device
 from scenegen.model.training.loop import Watcher, train
-from scenegen.model.training.run_folder import BEST, CONFIG, read_rows
+from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, read_rows
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
 from scenegen.workers import run as run_workers
@@ -189,7 +189,7 @@ def _complete(folder: Path, run: Run, config: ReproduceConfig) -> bool:
     held, asked = _read(folder / CONFIG), run.config(config.scaled(config.maps))
     if held is None or asked.maps is None or differences(held.get("settings", {}), _settings(held, asked)):
         return False
-    return read_rows(folder)[-1]["maps"] > asked.maps - asked.batch
+    return (folder / ROWS).exists() and read_rows(folder)[-1]["maps"] > asked.maps - asked.batch
 
 
 def _settings(held: dict[str, Any], asked: TrainConfig) -> dict[str, Any]:
