@@ -3,6 +3,7 @@
 import math
 import os
 import shutil
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -24,10 +25,14 @@ from scenegen.recipe import Recipe
 from scenegen.source import Source
 from scenegen.stopping import undone_if_stopped
 
+NOTE_S = 30.0
+"""Seconds after which a run writes down what is finished."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """What a run did, and what is there now."""
+    """What a run did, and what it knows to be there; a job with a part of the shards looks at no others until all are
+    there."""
 
     folder: Path
     complete: bool
@@ -139,8 +144,9 @@ def build(
     execute = execute or Local("", workers)
     state = State(plan, force=force)
     begun = state.begun
-    state.look(verify=True)
-    missing = [shard for shard in execute.mine(plan.shards[first:stop]) if shard.file not in state.reports]
+    mine = execute.mine(plan.shards[first:stop])
+    state.look(mine, workers=workers)
+    missing = [shard for shard in mine if shard.file not in state.reports]
     _check_space(plan, missing)
     # kernels compile here, once, before workers start, and hopeless parameters end here, before anything is written
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
@@ -148,7 +154,7 @@ def build(
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
-    written = 0
+    written, noted = 0, time.monotonic()
     with undone_if_stopped(lambda: remove_drafts(plan.folder)):
         try:
             with closing(execute(write_shard, missing, on_start)) as results:
@@ -156,9 +162,12 @@ def build(
                     state.reports[plan.folder / report.file] = report
                     written += report.samples
                     on_shard(report, True)
+                    if len(mine) == len(plan.shards) and time.monotonic() - noted > NOTE_S:
+                        state.note()
+                        noted = time.monotonic()
         finally:
             remove_drafts(plan.folder)
-    return _summarise(state, state.sign(), written)
+    return _summarise(state, state.sign(workers=workers), written)
 
 
 def _first_unit(shard: ShardSpec) -> None:
@@ -203,7 +212,7 @@ def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
-        shards_missing=len(plan.shards) - len(reports),
+        shards_missing=len(state.absent()) or len(plan.shards) - len(reports),
         samples_written=written,
         digest=final["digest"],
     )

@@ -118,6 +118,42 @@ def test_a_cluster_makes_the_same_folder_in_parts(tmp_path: Path) -> None:
     assert content(tmp_path / "parts") == content(tmp_path / "whole")
 
 
+def test_a_job_reads_its_own_part_and_the_last_one_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts, read = plan(tmp_path / "d"), []
+    count = len(parts.shards)
+    assert count == 5
+    build(parts, shard_range=(0, 2))
+
+    def noted(shard: ShardSpec, *rest: Any, **more: Any) -> ShardReport | None:
+        read.append(parts.shards.index(shard))
+        return read_report(shard, *rest, **more)
+
+    monkeypatch.setattr("scenegen.dataset.state.read_report", noted)
+    build(parts, shard_range=(2, 4))
+    assert read == []
+    build(parts, shard_range=(1, 4))
+    assert read == [1, 2, 3]
+    read.clear()
+    assert build(parts, shard_range=(4, 5)).complete
+    assert sorted(read) == [0, 1, 2, 3]
+
+
+def test_what_is_finished_is_written_down_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that is killed has listed its shards, and the next one does not hash their samples again."""
+    monkeypatch.setattr(module, "NOTE_S", 0.0)
+
+    def stop(report: ShardReport, fresh: bool) -> None:
+        if report.file.startswith("val"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build(plan(tmp_path / "d"), on_shard=stop)
+    assert len(manifest.read(tmp_path / "d")["shards"]) == 3
+    monkeypatch.setattr("scenegen.dataset.shard._digests_hold", pytest.fail)
+    (tmp_path / "d" / "val-00000.h5").unlink()
+    assert make(tmp_path / "d").complete
+
+
 def test_worlds_of_different_splits_differ_and_numbers_are_dense(tmp_path: Path) -> None:
     make(tmp_path / "d")
     dataset = Dataset(tmp_path / "d")
