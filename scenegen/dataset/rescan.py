@@ -22,6 +22,7 @@ from scenegen.draw import Unit
 from scenegen.errors import DatasetError, printable, short
 from scenegen.recipe import Recipe
 from scenegen.rescan import scan_again
+from scenegen.sample import stored_fields
 from scenegen.screen import screen
 from scenegen.world import World, compile_world
 
@@ -72,11 +73,12 @@ class Archived:
         """See `Source.describe`."""
         return {}
 
-    def poses(self, split: str, samples: Sequence[int]) -> list[Pose]:
-        """Poses of the sensor, by the samples' places in their split. Raises DatasetError."""
+    def poses(self, split: str, samples: Sequence[int]) -> list[list[Pose]]:
+        """Poses of the sensor, by the samples' places in their split: of each its own, and those before it, the last
+        one first. Raises DatasetError."""
         found = self.dataset.split(split)
         try:
-            return [Pose(found[place].position, found[place].quaternion) for place in samples]
+            return [[scan.pose for scan in found[place].scans()] for place in samples]
         except ValueError as error:
             raise DatasetError(f"{self.folder}: {split} sample: {printable(error)}; verify the dataset") from None
 
@@ -94,7 +96,7 @@ class RescanSpec(ShardSpec):
         number, turn = source.number(self.split, unit)
         return scan_again(
             source.world(self.split, number, rng=np.random.default_rng(0)),
-            source.poses(self.split, places),
+            [poses[: self.recipe.mapping.scans] for poses in source.poses(self.split, places)],
             self.recipe,
             seed=self.seed,
             split=self.split,
@@ -112,9 +114,11 @@ def plan_rescan(
     lidar: Sensor | None = None,
     chain: Noise | None = None,
     engine: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
 ) -> Plan:
-    """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, or cast by another
-    `engine`; what is not given stays, but for noise, of which there is none then.
+    """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, cast by another `engine`,
+    or mapped otherwise, by some parameters of a `Mapper`; what is not given stays, but for noise, of which there is
+    none then. Poses are those that are stored: a sample has as many scans as it had, or fewer, as it leaned.
 
     Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
     """
@@ -127,22 +131,30 @@ def plan_rescan(
     engine = engine or found.engine
     find_engine(engine)
     try:
-        recipe: Recipe = replace(found.recipe, lidar=lidar or found.lidar, noise=chain or Noise())
+        mapper = replace(found.mapping, **(mapping or {}))
+        if mapper.scans > found.mapping.scans:
+            raise ValueError(
+                f"--scans {mapper.scans}: {dataset.folder} has the poses of {found.mapping.scans} a sample; generate "
+                "it with as many"
+            )
+        recipe: Recipe = replace(found.recipe, lidar=lidar or found.lidar, noise=chain or Noise(), mapping=mapper)
     except ValueError as error:
         raise DatasetError(printable(error)) from None
     if folder.resolve() == dataset.folder.resolve():
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
-    given = {name: value for name, value in found.parameters.items() if name not in ("noise", "engine")}
+    given = {name: value for name, value in found.parameters.items() if name not in ("noise", "engine", "mapping")}
+    compact, labels = "tudf" not in found.fields, found.labels is not None
     given |= {
-        "version": manifest.MINOR,
         "generator": GENERATOR,
+        "fields": list(stored_fields(compact, labels=labels, scans=mapper.scans)),
         "lidar": entry_of(recipe.lidar),
         **noise.entry_of(recipe.noise, recipe.lidar.max_range_m),
+        **manifest.mapping_entry(mapper),
         "rescan": {"digest": found.digest},
         "engine": engine,
         "software": manifest.software(),
     }
+    given["version"] = manifest.version_of(given)
     scenes = found.tables.get("scenes") if found.kind == "scene" else None
     source = Archived(dataset.folder, None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS})
-    compact = "tudf" not in found.fields
     return divide(folder, given, recipe, source, compact=compact, engine=engine, kind=RescanSpec)
