@@ -38,6 +38,13 @@ class Mapper(Fusion):
         """Whether samples are those of a recipe without [mapping]."""
         return self.scans == 1 and self.fusion == "visibility" and not self.tilt_mps and self.centred
 
+    def __str__(self) -> str:
+        """In words: "of 5 scans, 0.5 m apart, by visibility, around a level sensor"."""
+        scans = f"{self.scans} scans, {self.scan_spacing_m:g} m apart" if self.scans > 1 else "1 scan"
+        held = f"a sensor that leans at {self.tilt_mps:g} m/s" if self.tilt_mps else "a level sensor"
+        place = "around" if self.centred else f"{', '.join(f'{part:g}' for part in self.map_ahead_m)} m ahead of"
+        return f"of {scans}, by {self.fusion}, {place} {held}"
+
     @property
     def centred(self) -> bool:
         """Whether the sensor is in the map's middle."""

@@ -79,7 +79,12 @@ def version_of(given: Mapping[str, Any]) -> float:
 
 def mapping_entry(mapping: Mapper) -> dict[str, Any]:
     """What the manifest says of how maps are made; nothing where each is one scan around a level sensor."""
-    return {} if mapping.plain else {"mapping": _plain(dataclasses.asdict(mapping))}
+    return {} if mapping.plain else described(mapping)
+
+
+def described(mapping: Mapper) -> dict[str, Any]:
+    """Every parameter of how maps are made, as plain JSON values; those of the default for what is the same."""
+    return {"mapping": _plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))}
 
 
 def software() -> dict[str, str]:
