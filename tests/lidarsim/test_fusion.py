@@ -1,5 +1,6 @@
 """Laws of several scans in one map, and a slow reference for both rules."""
 
+import itertools
 import math
 
 import numpy as np
@@ -74,7 +75,7 @@ def test_by_visibility_the_order_says_nothing_and_more_scans_only_add() -> None:
     for order in ((4, 3, 2, 1, 0), (2, 0, 4, 1, 3)):
         assert equal(fuse([scans[n] for n in order], GRID, ORIGIN), whole)
     grown = [fuse(scans[:count], GRID, ORIGIN) for count in range(1, 6)]
-    for less, more in zip(grown, grown[1:], strict=False):
+    for less, more in itertools.pairwise(grown):
         assert (less.observed <= more.observed).all()
         assert ((less.observed | less.free) <= (more.observed | more.free)).all()
         assert less.observed.sum() < more.observed.sum()

@@ -189,7 +189,7 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(turns: int,
     window = tuple(slice(6 + by, 6 + by + n) for by, n in zip(shift, recipe.grid.shape, strict=True))
     np.testing.assert_array_equal(sample.occupancy, whole[window])
     assert 0.005 < sample.occupancy.mean() < 0.9
-    leaning = Route(np.array([pose.position, pose.position + [*heading, 0]])).pose(0.0, Mapper(tilt_mps=3.0))
+    leaning = Route(np.array([pose.position, pose.position + np.array([*heading, 0])])).pose(0, Mapper(tilt_mps=3.0))
     assert abs(leaning.quaternion[1:3]).max() > 0.05
     there = [recipe.mapping.origin(recipe.grid, each) for each in (pose, leaning)]
     np.testing.assert_allclose(there[0], there[1], rtol=0, atol=1e-12)
