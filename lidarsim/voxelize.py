@@ -68,11 +68,20 @@ def fuse(
     hit, miss, least, most, occupied = (log(given) - log(1.0 - given)).tolist()
     odds, met = np.zeros(grid.shape), np.zeros(grid.shape, np.bool_)
     for one in seen:
-        odds[one.observed] = np.minimum(odds[one.observed] + hit, most)
-        odds[one.free] = np.maximum(odds[one.free] + miss, least)
+        _weigh(one.observed.reshape(-1), one.free.reshape(-1), odds.reshape(-1), hit, miss, least, most)
         met |= one.observed | one.free
     observed = met & (odds >= occupied)
     return ObservedGrid(observed, met & ~observed, origin)
+
+
+@kernel
+def _weigh(observed, free, odds, hit, miss, least, most):
+    """Add to log-odds what one scan says of each voxel."""
+    for n in range(len(odds)):
+        if observed[n]:
+            odds[n] = min(odds[n] + hit, most)
+        elif free[n]:
+            odds[n] = max(odds[n] + miss, least)
 
 
 def crossed(

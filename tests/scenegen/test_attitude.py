@@ -43,7 +43,7 @@ def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays() -> None:
     for _ in range(200):
         level, pull = Pose.level(rng.normal(size=3), rng.uniform(-3.1, 3.1)), rng.uniform(-4, 4, 3)
         lean = leaning(level, tuple(pull), most_deg=80.0)
-        thrust = pull + [0.0, 0.0, GRAVITY]
+        thrust = pull + np.array([0.0, 0.0, GRAVITY])
         np.testing.assert_allclose(turned(lean).apply([0, 0, 1]), thrust / np.linalg.norm(thrust), atol=1e-12)
         righting = turned(level).inv() * turned(lean)
         assert abs(righting.as_rotvec()[2]) < 1e-12  # the shortest turn has no part about the vertical
