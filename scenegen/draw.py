@@ -59,11 +59,9 @@ def draw_unit(
     rejected = Rejections()
     number, turn = source.number(split, unit)
     for attempt in range(recipe.accept.max_draws):
-        streams = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
-        world_rng, flight_rng = (np.random.default_rng(stream) for stream in streams)
-        world = source.world(split, number, rng=world_rng)
+        world = source.world(split, number, rng=_stream(0, seed, split, unit, attempt))
         caster = engine_of(engine, world)
-        views = _fly(world, caster, recipe, rejected, rng=flight_rng)
+        views = _fly(world, caster, recipe, rejected, rng=flight_rng(seed, split, unit, attempt))
         if views:
             first = turn * recipe.flight.viewpoints
             samples = tuple(
@@ -80,6 +78,17 @@ def draw_unit(
             )
             return Unit(number, world, samples, rejected)
     raise GenerationError(_hopeless(recipe, rejected, split, number))
+
+
+def flight_rng(seed: int, split: str, unit: int, attempt: int) -> np.random.Generator:
+    """What the flights of a draw of a unit are planned by."""
+    return _stream(1, seed, split, unit, attempt)
+
+
+def _stream(number: int, seed: int, split: str, unit: int, attempt: int) -> np.random.Generator:
+    """One of the two streams of a draw: the world's, 0, and the flight's, 1."""
+    spawned = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
+    return np.random.default_rng(spawned[number])
 
 
 @functools.lru_cache(maxsize=8)

@@ -2,13 +2,44 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from lidarsim import Pose
 from lidarsim.engines import EngineFactory
-from scenegen.draw import Rejections, Unit, engine_of, sample_of, scans_from
+from scenegen.draw import Rejections, Unit, engine_of, flight_rng, sample_of, scans_from
+from scenegen.errors import GenerationError
+from scenegen.flight import plan, viewpoints
 from scenegen.noise import with_noise
 from scenegen.recipe import Recipe
 from scenegen.truth import rasterize
 from scenegen.world import World
+
+
+def fly_again(
+    world: World, poses: Sequence[Pose], recipe: Recipe, *, seed: int, split: str, unit: int
+) -> list[list[Pose]]:
+    """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each its own first: the
+    unit's flight is planned again, and known by its passing all of them, to the bit.
+
+    Raises GenerationError where no draw's flight does.
+    """
+    for attempt in range(recipe.accept.max_draws):
+        rng = flight_rng(seed, split, unit, attempt)
+        for _ in range(recipe.flight.flights_per_world):
+            path = plan(world.clearance, world.flight_bounds, recipe.flight, rng=rng)
+            if path is None:
+                continue
+            passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
+            places = [np.flatnonzero((passed.positions == pose.position).all(axis=1)) for pose in poses]
+            if all(len(place) == 1 for place in places):
+                return [
+                    [pose, *passed.before(int(place[0]), recipe.mapping)]
+                    for pose, place in zip(poses, places, strict=True)
+                ]
+    raise GenerationError(
+        f"{split} flight {unit} comes out otherwise here, so that nobody knows where earlier scans were made; generate "
+        "the dataset with --scans, or scan it again with the software that made it"
+    )
 
 
 def scan_again(

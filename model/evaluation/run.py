@@ -90,7 +90,10 @@ def check_middle(dataset: Dataset, instead: str = "bench datasets whose maps lie
     the sensor."""
     mapping = dataset.manifest.mapping
     if not mapping.centred:
-        raise DatasetError(f"{dataset.folder}: its maps are {mapping}, and plans begin in a map's middle; {instead}")
+        raise DatasetError(
+            f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the sensor, and plans begin in a "
+            f"map's middle; {instead}"
+        )
 
 
 def bench(

@@ -43,11 +43,7 @@ NETWORK_EDGE = 8
 @lidar_option("The sensor", "  [default: the recipe's]")
 @noise_option
 @mapping_options
-@options_of(
-    Mapper,
-    scan_spacing_m="Metres flown from scan to scan.",
-    tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.",
-)
+@options_of(Mapper, tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.")
 @click.option(
     "--engine",
     type=Named(ENGINES),

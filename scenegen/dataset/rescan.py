@@ -21,7 +21,7 @@ from scenegen.dataset.state import Plan
 from scenegen.draw import Unit
 from scenegen.errors import DatasetError, printable, short
 from scenegen.recipe import Recipe
-from scenegen.rescan import scan_again
+from scenegen.rescan import fly_again, scan_again
 from scenegen.sample import stored_fields
 from scenegen.screen import screen
 from scenegen.world import World, compile_world
@@ -94,9 +94,15 @@ class RescanSpec(ShardSpec):
         begin = unit * each
         places = range(begin, min(begin + each, len(source.dataset.split(self.split))))
         number, turn = source.number(self.split, unit)
+        world = source.world(self.split, number, rng=np.random.default_rng(0))
+        mapping, there = self.recipe.mapping, source.dataset.manifest.mapping
+        poses = [stored[: mapping.scans] for stored in source.poses(self.split, places)]
+        if mapping.scans > there.scans or mapping.scan_spacing_m != there.scan_spacing_m:
+            own = [stored[0] for stored in poses]
+            poses = fly_again(world, own, self.recipe, seed=self.seed, split=self.split, unit=unit)
         return scan_again(
-            source.world(self.split, number, rng=np.random.default_rng(0)),
-            [poses[: self.recipe.mapping.scans] for poses in source.poses(self.split, places)],
+            world,
+            poses,
             self.recipe,
             seed=self.seed,
             split=self.split,
@@ -118,7 +124,8 @@ def plan_rescan(
 ) -> Plan:
     """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, cast by another `engine`,
     or mapped otherwise, by some parameters of a `Mapper`; what is not given stays, but for noise, of which there is
-    none then. Poses are those that are stored: a sample has as many scans as it had, or fewer, as it leaned.
+    none then. Poses are those that are stored, unless more earlier scans are asked for, or others: then flights are
+    planned again, for these alone.
 
     Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
     """
@@ -132,11 +139,6 @@ def plan_rescan(
     find_engine(engine)
     try:
         mapper = replace(found.mapping, **(mapping or {}))
-        if mapper.scans > found.mapping.scans:
-            raise ValueError(
-                f"--scans {mapper.scans}: {dataset.folder} has the poses of {found.mapping.scans} a sample; generate "
-                "it with as many"
-            )
         recipe: Recipe = replace(found.recipe, lidar=lidar or found.lidar, noise=chain or Noise(), mapping=mapper)
     except ValueError as error:
         raise DatasetError(printable(error)) from None

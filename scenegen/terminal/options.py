@@ -93,6 +93,7 @@ def mapping_options(function: Function) -> Function:
     """Options of how maps are made, of commands that draw or scan again."""
     helps = {
         "scans": "Scans that make a map: the sample's own, and those before it on the flight.",
+        "scan_spacing_m": "Metres flown from scan to scan.",
         "fusion": "How they make one map.",
         "map_ahead_m": "Where the map's middle lies from the sensor: metres forward, to the left, and up.",
     }

@@ -19,7 +19,7 @@ from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
-from scenegen.errors import DatasetError, RecipeError
+from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.flight import Route
 from scenegen.inspect import inspect
 from scenegen.labels import labels_by
@@ -149,8 +149,17 @@ def test_scanned_again_it_is_what_would_have_been_drawn_with_as_many_scans_or_fe
     ahead = plan_rescan(Dataset(made), tmp_path / "ahead", mapping={"map_ahead_m": (1.0, 0.0, 0.0)})
     build(ahead)
     assert not failed(ahead.folder)
-    with pytest.raises(DatasetError, match=r"--scans 5: .* has the poses of 4 a sample"):
-        plan_rescan(dataset, tmp_path / "more", mapping={"scans": 5})
+
+
+def test_scanned_again_with_more_scans_the_flight_is_flown_again(made: Path, several: Path, tmp_path: Path) -> None:
+    more = plan_rescan(Dataset(made), tmp_path / "more", mapping=SEVERAL)
+    assert build(more).digest == Dataset(several).manifest.digest
+    moved = Path(shutil.copytree(made, tmp_path / "moved"))
+    with h5py.File(moved / "train-00000.h5", "r+") as file:
+        file["position"][1] = file["position"][1] + 1e-9
+    with pytest.raises(GenerationError, match="train flight 0 comes out otherwise here"):
+        build(plan_rescan(Dataset(moved), tmp_path / "no", mapping={"scans": 2}))
+    assert not (tmp_path / "no").exists()
 
 
 def test_a_stream_gives_the_same_samples(several: Path) -> None:
