@@ -20,10 +20,10 @@ class Fusion:
     """With log-odds: the probability that a voxel is occupied where a scan has a return in it."""
     miss: float = number(0.4, above=0, below=0.5)
     """With log-odds: the probability that a voxel is occupied where a scan's rays cross it, and none returns."""
-    least: float = number(0.12, above=0, below=0.5)
+    least: float = number(0.1192, above=0, below=0.5)
     """With log-odds: the least probability that is kept; below it, a voxel would take long to change."""
-    most: float = number(0.97, above=0.5, below=1)
-    """With log-odds: the greatest probability that is kept."""
+    most: float = number(0.971, above=0.5, below=1)
+    """With log-odds: the greatest probability that is kept; log-odds of -2 and 3.5 are the paper's bounds."""
     occupied: float = number(0.5, least=0.5, below=1)
     """With log-odds: the probability from which on a voxel is observed, and not free."""
 

@@ -61,9 +61,12 @@ def fuse(
     seen = [voxelize(scan, grid, origin) for scan in scans]
     rule = fusion or Fusion()
     if rule.fusion == "visibility":
-        observed = np.logical_or.reduce([one.observed for one in seen])
-        free = np.logical_or.reduce([one.free for one in seen])
-        return ObservedGrid(observed, free & ~observed, origin)
+        found, *others = seen
+        for one in others:
+            found.observed[one.observed] = True
+            found.free[one.free] = True
+        found.free[found.observed] = False
+        return found
     given = np.array([rule.hit, rule.miss, rule.least, rule.most, rule.occupied])
     hit, miss, least, most, occupied = (log(given) - log(1.0 - given)).tolist()
     odds, met = np.zeros(grid.shape), np.zeros(grid.shape, np.bool_)

@@ -46,7 +46,7 @@ def _describe(dataset: Dataset, name: str, most: int) -> dict[str, Any]:
 
 
 def _figures(sample: Sample) -> dict[str, float]:
-    ranges = np.array([scan.ranges for scan in sample.scans()])
+    ranges = np.array([sample.ranges, *getattr(sample, "earlier_ranges", ())])
     hit = np.isfinite(ranges)
     found = {"occupied": sample.occupancy.mean(), "observed": sample.observed.mean(), "free": sample.free.mean()}
     found |= {"returned": hit.mean(), "range_m": ranges[hit].mean() if hit.any() else np.nan}

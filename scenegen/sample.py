@@ -65,12 +65,9 @@ class Sample:
         lidar = lidar if lidar is not None else self._sensor()
         if lidar is None:
             raise TypeError("points() and scans() need the sensor that made this sample, such as recipe.lidar")
-        return [Scan(ranges, Pose(*pose), lidar) for ranges, *pose in self._views()]
-
-    def _views(self) -> list[tuple[Any, Any, Any]]:
-        """Ranges, position and quaternion of each scan."""
-        earlier = [getattr(self, name) for name in EARLIER if name in self.names]
-        return [(self.ranges, self.position, self.quaternion), *zip(*earlier, strict=True)]
+        earlier = zip(*(getattr(self, name) for name in EARLIER if name in self.names), strict=True)
+        views = [(self.ranges, self.position, self.quaternion), *earlier]
+        return [Scan(ranges, Pose(*pose), lidar) for ranges, *pose in views]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -89,8 +86,8 @@ class Sample:
     def _repr_html_(self) -> str:
         """For notebooks: each field with its shape, its share or value, and its meaning."""
         rows = []
-        for name, about in SCHEMA.items():
-            value = np.asarray(getattr(self, name))
+        for name in self.names:
+            about, value = FIELDS[name], np.asarray(getattr(self, name))
             said = f"{100 * value.mean():.2f} %" if value.dtype == bool else str(value) if value.size <= 4 else ""
             rows.append(f"<tr><td>{name}</td><td>{value.shape}</td><td>{said}</td><td>{about['meaning']}</td></tr>")
         return f"<table>{''.join(rows)}</table>"

@@ -112,7 +112,7 @@ def test_only_what_returned_something_is_observed_whatever_the_parameters() -> N
         ({"least": 0.6}, "least = 0.6: expected"),
         ({"most": float("nan")}, "most = nan: expected"),
         ({"occupied": 0.4}, "occupied = 0.4: expected"),
-        ({"occupied": 0.98}, "occupied = 0.98: expected at most `most`, 0.97"),
+        ({"occupied": 0.98}, "occupied = 0.98: expected at most `most`, 0.971"),
     ],
 )
 def test_bad_values_are_named(values: dict, named: str) -> None:

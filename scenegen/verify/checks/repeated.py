@@ -138,9 +138,9 @@ CHECKS = (
     Check(
         name="rays",
         proves="The ranges of 5 % of the samples (of 8 a shard at least), of all their scans, are those that another "
-        "engine finds: for MuJoCo's the analytic one, with closed forms for primitives and the triangles of meshes and height fields, "
-        "for all others MuJoCo's; with noise, those of the clean scan are, of which the same noise makes the stored "
-        "ones; the directions of a raster are computed anew from [sensor.md](sensor.md).",
+        "engine finds: for MuJoCo's the analytic one, with closed forms for primitives and the triangles of meshes and "
+        "height fields, for all others MuJoCo's; with noise, those of the clean scan are, of which the same noise "
+        "makes the stored ones; the directions of a raster are computed anew from [sensor.md](sensor.md).",
         sample=_cast_again,
     ),
     Check(
