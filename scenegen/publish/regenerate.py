@@ -51,6 +51,7 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     # a table of rays has its shape in the file
     tables["lidar"] = {name: value for name, value in parameters["lidar"].items() if name != "shape"}
     tables["noise"] = {"stages": parameters["noise"]["stages"]} if parameters.get("noise") else None
+    tables["mapping"] = parameters.get("mapping")
     tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():

@@ -100,6 +100,8 @@ class Numbers(click.ParamType):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, ...]:
         """The numbers."""
+        if isinstance(value, tuple):  # a default
+            return value
         parts = str(value).split(",")
         if len(parts) != self.count:
             self.fail(

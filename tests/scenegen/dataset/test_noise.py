@@ -12,7 +12,7 @@ import pytest
 from lidarsim import BeamTable, Lidar
 from lidarsim.noise.chain import Noise
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.manifest import MINOR, NAME
+from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
@@ -52,7 +52,7 @@ def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(made: Pa
     plain, faulty = json.loads((made / NAME).read_text()), json.loads((noisy / NAME).read_text())
     assert plain["version"] == 1
     assert not plain.keys() & {"noise", "labels", "rescan"}
-    assert faulty["version"] == MINOR
+    assert faulty["version"] == 1.2
     assert faulty["noise"] == {"stages": SPELLED, "bound_m": 4 * 0.02}
     for one, other in zip(Dataset(made).split("train"), Dataset(noisy).split("train"), strict=True):
         for name in ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint"):
@@ -121,14 +121,15 @@ def test_what_the_noise_cannot_have_done_is_found(noisy: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("entries", "told"),
     [
-        ({"version": 1}, "version = 1: expected 1.2 exactly where there is noise or labels or rescan"),
-        ({"noise": None}, "version = 1.2: expected 1.2 exactly"),
+        ({"version": 1}, "version = 1: expected 1.2 with noise"),
+        ({"noise": None}, "version = 1.2: expected 1 with nothing of a minor version"),
         ({"noise": {"stages": "range"}}, "noise.bound_m is missing"),
         ({"noise": {"stages": "range", "bound_m": -1.0}}, "noise.bound_m = -1.0: expected metres, or null"),
         ({"noise": {"stages": "a\nb", "bound_m": None}}, "noise.stages ="),
         ({"rescan": {"digest": "x"}}, "rescan.digest"),
         ({"labels": {"by": "name", "classes": ["nothing"]}}, "labels: expected exactly where `fields` names labels"),
-        ({"version": 1.3}, "format version 1.3, this scenegen reads 1 and 1.2"),
+        ({"version": 1.3}, "version = 1.3: expected 1.2 with noise"),
+        ({"version": 1.4}, "format version 1.4, this scenegen reads 1, 1.2, 1.3"),
     ],
 )
 def test_a_strangers_word_is_not_trusted(noisy: Path, tmp_path: Path, entries: dict[str, Any], told: str) -> None:
