@@ -133,6 +133,8 @@ def build(
 ) -> Summary:
     """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
 
+    A folder that holds the same dataset with fewer samples goes on from there.
+
     `workers` processes of this machine write the shards, or whatever `execute` has do it. `force` replaces another
     dataset in the folder. `on_start` is called once the work has begun, and `on_shard` for every shard that is there
     already (False) and for every one that is written (True). A run that ends in any way leaves whole shards, and the
@@ -144,6 +146,7 @@ def build(
     execute = execute or Local("", workers)
     state = State(plan, force=force)
     begun = state.begun
+    state.adopt()
     mine = execute.mine(plan.shards[first:stop])
     state.look(mine, workers=workers)
     missing = [shard for shard in mine if shard.file not in state.reports]

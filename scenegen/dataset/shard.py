@@ -213,6 +213,18 @@ def read_report(spec: ShardSpec, listed: Entry | None = None, *, verify: bool = 
         return None
 
 
+def relabel(spec: ShardSpec, old: str, listed: Entry) -> None:
+    """Have a shard of the dataset whose parameters have the digest `old`, as its manifest's entry `listed` has it,
+    carry those of `spec` in their place; it is left alone where it is not just that shard."""
+    try:
+        with open_file(spec.file) as file:
+            content = file.read()
+    except (BrokenError, OSError):
+        return
+    if file_digest(content) == listed.sha256 and content.count(old.encode()) == 1:
+        write_whole(spec.file, content.replace(old.encode(), spec.parameters.encode()))
+
+
 def _digests_hold(shard: ShardFile) -> bool:
     """Whether every sample of an open shard can be read, and has the digest that stands beside it."""
     nothing: dict[str, Any] = {"free": np.empty(0, np.bool_), "tudf": np.empty(0, np.float32)}

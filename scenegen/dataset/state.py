@@ -1,5 +1,6 @@
 """A folder and the dataset that is to be in it: what is there, what is missing, and what the manifest says of it."""
 
+import contextlib
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -12,7 +13,7 @@ from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.sensor import write_rays
-from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
+from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, remove_drafts
 from scenegen.workers import run
@@ -51,8 +52,8 @@ class State:
     The manifest is read here, and again only where another job may have written one meanwhile: before this run's first
     shard, and before its signature. `force` allows another dataset in the folder, which `open` then replaces.
 
-    Raises DatasetError unless the folder is free, or holds this dataset, or, with `force`, another one. A manifest
-    without a shard, left by a run that drew none, stands in nobody's way.
+    Raises DatasetError unless the folder is free, or holds this dataset, or the beginning of it, or, with `force`,
+    another one. A manifest without a shard, left by a run that drew none, stands in nobody's way.
     """
 
     def __init__(self, plan: Plan, *, force: bool = False):
@@ -60,6 +61,8 @@ class State:
         self.reports: dict[Path, ShardReport] = {}
         """What is known of every shard that is there, by its file."""
         self._force = force
+        self._smaller: trust.Manifest | None = None
+        """The dataset that this one begins with, as far as the folder holds it."""
         self._listed = self._read()
 
     @property
@@ -80,17 +83,23 @@ class State:
         # listed first: what another job begins meanwhile, it begins with a manifest
         others = [item.name for item in folder.iterdir() if not item.name.endswith(".tmp")]
         if not (folder / manifest.NAME).exists():
-            if others:
-                raise DatasetError(
-                    f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another folder with --out"
-                )
-            return None
+            if not others:
+                return None
+            if any(read_report(shard) for shard in self.plan.shards if shard.file.name in others):
+                return {}  # the manifest alone was lost
+            raise DatasetError(
+                f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another folder with --out"
+            )
         there = manifest.read(folder)
         differing = manifest.differences(manifest.completed(there), manifest.completed(self.plan.parameters))
         if not differing:
             try:
                 return {entry.file: entry for entry in trust.parse(there, folder).shards}
             except BrokenError:  # what it says of its shards is damaged: they are held against their own digests
+                return {}
+        if _grows(there, self.plan.parameters, differing):
+            with contextlib.suppress(BrokenError):
+                self._smaller = trust.parse(there, folder)
                 return {}
         if not self._force and _shard_files(folder):
             more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
@@ -99,6 +108,22 @@ class State:
                 "or replace it with --force"
             )
         return None
+
+    def adopt(self) -> None:
+        """Make the shards of a smaller dataset this one's: they hold the same samples, and say of how many they are.
+
+        A run that is killed on the way goes on, whichever of the two its manifest describes.
+        """
+        if self._smaller is None:
+            return
+        old, listed = self._smaller.fingerprint, {entry.file: entry for entry in self._smaller.shards}
+        for shard in self.plan.shards:
+            entry = listed.get(shard.file.name)
+            if entry is not None and entry.samples == shard.samples:
+                relabel(shard, old, entry)
+        self.look(self.plan.shards)
+        self.note()
+        self._smaller = None
 
     def look(self, shards: Sequence[ShardSpec], *, workers: int = 1) -> None:
         """Take in those of `shards` that are on disk, are not known yet, and are as the manifest says.
@@ -124,10 +149,10 @@ class State:
         except OSError as error:
             raise disk_error(folder, error) from None
         begun = self.begun
-        if not begun:
+        if not begun or not (folder / manifest.NAME).exists():
             # the new manifest comes first: shards that carry another fingerprint are not taken for its own
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
-            self._listed = {}
+            self._listed = self._listed or {}
         write_rays(self.plan.lidar, folder)
         planned = {path for shard in self.plan.shards for path in (shard.file, shard.worlds_file)}
         for file in there:
@@ -163,6 +188,16 @@ class State:
 
     def _known(self) -> list[ShardReport]:
         return [self.reports[shard.file] for shard in self.plan.shards if shard.file in self.reports]
+
+
+def _grows(there: Mapping[str, Any], asked: Mapping[str, Any], differing: Sequence[str]) -> bool:
+    """Whether the dataset `asked` for is that of the manifest `there` with more samples of its splits."""
+    counts = there.get("counts")
+    return (
+        isinstance(counts, dict)
+        and all(line.startswith("counts.") for line in differing)
+        and all(isinstance(counts.get(split), int) and counts[split] <= asked["counts"][split] for split in SPLITS)
+    )
 
 
 def _report(task: tuple[ShardSpec, trust.Entry | None]) -> ShardReport | None:

@@ -19,6 +19,7 @@ import pytest
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import build as module
 from scenegen.dataset import manifest
+from scenegen.dataset import shard as shards
 from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
@@ -102,6 +103,54 @@ def test_a_smaller_dataset_is_the_beginning_of_a_larger_one(tmp_path: Path) -> N
     for split in SPLITS:
         for a, b in zip(small.split(split), large.split(split), strict=False):
             assert a.sha256() == b.sha256()
+
+
+def test_a_dataset_grows_into_the_one_that_was_made_at_once(tmp_path: Path) -> None:
+    """Byte by byte; whole shards are kept, and one that was not full is made again."""
+    more = {"train": 20, "val": 3, "test": 8}
+    make(tmp_path / "d")
+    kept = {path.name: path.stat().st_size for path in (tmp_path / "d").glob("*-00000.h5")}
+    grown = make(tmp_path / "d", counts=more)
+    assert grown.samples_written == 20 + 8 - 12, "two shards of training and one of validation were whole"
+    assert grown.digest == make(tmp_path / "whole", counts=more).digest
+    assert content(tmp_path / "d") == content(tmp_path / "whole")
+    assert len(kept) == 3
+    with pytest.raises(DatasetError, match=r"counts\.train is 20 there, 13 asked for"):
+        make(tmp_path / "d")
+    with pytest.raises(DatasetError, match=r"counts\.train is 20 there, 13 asked for"):
+        make(tmp_path / "d", counts={"train": 13, "val": 9, "test": 9})
+
+
+@pytest.mark.parametrize("after", [0, 1, 2, 3])
+def test_growth_that_is_killed_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    more, done = {"train": 20, "val": 3, "test": 8}, 0
+    make(tmp_path / "d")
+    original = shards.write_whole
+
+    def killed(path: Path, written: bytes) -> None:
+        nonlocal done
+        done += 1
+        if done > after:
+            raise KeyboardInterrupt
+        original(path, written)
+
+    monkeypatch.setattr(shards, "write_whole", killed)
+    with pytest.raises(KeyboardInterrupt):
+        make(tmp_path / "d", counts=more)
+    monkeypatch.setattr(shards, "write_whole", original)
+    assert make(tmp_path / "d", counts=more).complete
+    make(tmp_path / "whole", counts=more)
+    assert content(tmp_path / "d") == content(tmp_path / "whole")
+
+
+def test_a_lost_manifest_is_made_from_the_shards(tmp_path: Path) -> None:
+    make(tmp_path / "d")
+    whole = content(tmp_path / "d")
+    (tmp_path / "d" / manifest.NAME).unlink()
+    with pytest.raises(DatasetError, match="holds other files"):
+        make(tmp_path / "d", counts=COUNTS | {"train": 12})
+    assert make(tmp_path / "d").samples_written == 0
+    assert content(tmp_path / "d") == whole
 
 
 def test_a_cluster_makes_the_same_folder_in_parts(tmp_path: Path) -> None:
@@ -248,7 +297,7 @@ def test_going_on_with_other_parameters_is_refused_by_name(tmp_path: Path) -> No
     before = content(tmp_path / "d")
     for options, named in (
         ({"seed": 5}, "seed is 3 there, 5 asked for"),
-        ({"counts": {**COUNTS, "train": 14}}, "counts.train is 13 there, 14 asked for"),
+        ({"counts": {**COUNTS, "train": 12}}, "counts.train is 13 there, 12 asked for"),
         ({"recipe": small_recipe(flight={"robot_radius_m": 0.4})}, "recipe.flight"),
         ({"compact": True}, "fields"),
     ):
