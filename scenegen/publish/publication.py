@@ -59,10 +59,11 @@ class Publication:
         """What the dataset is, in one sentence."""
         kind = self.manifest.kind
         x, y, z = self.manifest.grid.shape
-        voxel = self.manifest.grid.voxel_m
+        voxel, mapping = self.manifest.grid.voxel_m, self.manifest.mapping
+        made = "" if mapping.plain else f", each {mapping}"
         return (
             f"{self.statistics['samples']} pairs of a simulated LiDAR scan and the exact truth around it, in "
-            f"{KINDS.get(kind, f'worlds of kind {kind}')}, as {x} × {y} × {z} voxel maps of {voxel:g} m"
+            f"{KINDS.get(kind, f'worlds of kind {kind}')}, as {x} × {y} × {z} voxel maps of {voxel:g} m{made}"
         )
 
     @property

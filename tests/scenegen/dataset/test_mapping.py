@@ -33,6 +33,7 @@ from scenegen.source import DrawnWorlds
 from scenegen.truth import rasterize
 from scenegen.verify import verify
 from scenegen.view.look import look_at
+from tests.command_line import run
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
 
@@ -291,3 +292,22 @@ def test_what_is_there_is_shown(several: Path) -> None:
     assert look.points is not None
     assert len(look.points) == len(sample.points()) > look.own == np.isfinite(sample.ranges).sum()
     assert f"of {4 * 8 * 24} rays in 4 scans" in look.figures()["returns"]
+
+
+def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("generate", "--recipe", small, "--n", 3, "--val", 0, "--test", 0, "--workers", 1, "--out", tmp_path / "d")
+    options = ("--scans", 3, "--scan-spacing", 0.2, "--fusion", "log-odds", "--tilt", 2, "--map-ahead", "1,0,-0.5")
+    assert run(capsys, *words, *options, "--quiet") == (0, "", "")
+    mapping = Dataset(tmp_path / "d").manifest.mapping
+    expected = {"scans": 3, "scan_spacing_m": 0.2, "fusion": "log-odds", "tilt_mps": 2.0}
+    assert mapping == Mapper(**expected, map_ahead_m=(1.0, 0.0, -0.5))
+    assert run(capsys, "rescan", tmp_path / "d", "--fusion", "visibility", "-o", tmp_path / "e", "--quiet")[0] == 0
+    assert Dataset(tmp_path / "e").manifest.mapping == dataclasses.replace(mapping, fusion="visibility")
+    bad = [("--scans", 0), ("--map-ahead", "1,2"), ("--map-ahead", "99,0,0"), ("--tilt", "nan"), ("--fusion", "mean")]
+    for option in bad:
+        code, said, error = run(capsys, *words, *option, "--force")
+        assert code in (1, 2)
+        assert (said, error.count("\n")) == ("", 1)
+        assert Dataset(tmp_path / "d").manifest.mapping == mapping, "what was there is lost"
