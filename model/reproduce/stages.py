@@ -176,7 +176,8 @@ def _train(
         )
 
     try:
-        go_on()
+        if not _complete(folder, run, config):  # which needs no state to go on from
+            go_on()
         load_network(folder / BEST)
     except CheckpointError:
         shutil.rmtree(folder)
