@@ -47,7 +47,7 @@ _FIELDS = Rule(
     "all, or all but the derived ones, with labels or without",
 )
 _LABELS = {
-    "by": Rule(lambda value: value in ("name", "group"), "name or group"),
+    "by": Rule(lambda value: value in ("name", "material", "group"), "name, material or group"),
     "classes": Rule(
         lambda value: (
             isinstance(value, list)
