@@ -134,7 +134,8 @@ def main() -> None:
                 print(f"{title}, {name}", flush=True)
     report = {"commit": commit(), "maps": given.maps, "trials": given.trials, "worlds": found}
     given.out.mkdir(parents=True, exist_ok=True)
-    (given.out / "elsewhere.json").write_text(json.dumps(report, indent=1) + "\n")
+    rounded = json.loads(json.dumps(report), parse_float=lambda digits: round(float(digits), 4))
+    (given.out / "elsewhere.json").write_text(json.dumps(rounded, separators=(",", ":")) + "\n")
     page = given.out / "elsewhere.md"
     said = page.read_text().partition("<!-- tables -->")[0] if page.exists() else "# Elsewhere\n\n"
     page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables(report)) + "\n")
