@@ -1,6 +1,6 @@
 """What a sample costs: milliseconds per stage, samples per second and core, memory and size; then whole runs.
 
-    python benchmarks/generate.py [--kind pillar] [--seconds 10] [--runs]
+    python benchmarks/generate.py [--kind pillar] [--seconds 10] [--runs] [--plot stages.png]
 
 The stages are those of the real pipeline, timed where it calls them. Two have a baseline in the same run: scipy's exact
 distance transform, and zlib at the same level. `--runs` also times `scenegen generate --n 2500` on all cores.
@@ -21,6 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bars import draw
 from scipy import ndimage
 
 import scenegen.dataset.shard as shard_module
@@ -69,8 +70,8 @@ class Stopwatch:
         return timed
 
 
-def measure(kind: str, seconds: float, watch: Stopwatch) -> None:
-    """Write shards in this process for `seconds`, and print what they took."""
+def measure(kind: str, seconds: float, watch: Stopwatch) -> dict[str, float]:
+    """Write shards in this process for `seconds`, print what they took, and return the milliseconds of each stage."""
     recipe = preset(kind)
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
         plan = plan_dataset(
@@ -90,12 +91,13 @@ def measure(kind: str, seconds: float, watch: Stopwatch) -> None:
     )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{size / samples / 1e3:.1f} KB a sample, peak memory {peak:.0f} MB")
-    accounted = 0.0
-    for name in STAGES:
-        print(f"  {name:34} {watch.seconds[name] / samples * 1e3:6.3f} ms")
-        accounted += 0.0 if name.startswith("  ") else watch.seconds[name]
-    print(f"  {'everything else':34} {(spent - accounted) / samples * 1e3:6.3f} ms")
+    stages = {name: watch.seconds[name] / samples * 1e3 for name in STAGES}
+    whole = {name: ms for name, ms in stages.items() if not name.startswith("  ")}
+    whole["everything else"] = spent / samples * 1e3 - sum(whole.values())
+    for name, ms in (stages | whole).items():
+        print(f"  {name:34} {ms:6.3f} ms")
     _baselines(kind)
+    return whole
 
 
 def _baselines(kind: str) -> None:
@@ -159,11 +161,13 @@ def main() -> None:
     parser.add_argument("--kind", choices=kind_names(), help="one kind instead of all")
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each kind")
     parser.add_argument("--runs", action="store_true", help="also time whole runs of 2500 training samples")
+    parser.add_argument("--plot", type=Path, help="a picture of the stages, PNG")
     options = parser.parse_args()
     kinds = [options.kind] if options.kind else kind_names()
     watch = Stopwatch()
-    for kind in kinds:
-        measure(kind, options.seconds, watch)
+    rows = {kind: measure(kind, options.seconds, watch) for kind in kinds}
+    if options.plot:
+        draw(options.plot, rows, "What a sample takes, one core", stacked=True)
     if options.runs:
         print()
         for kind in kinds:

@@ -1,7 +1,7 @@
 """Inference on the CPU: milliseconds a map by variant, stem and runtime, and against eager torch in the same run.
 
 python benchmarks/inference.py                          # all variants, both stems; compiling takes a minute each
-python benchmarks/inference.py --variant proposed --stem-stride 2 --no-compile
+python benchmarks/inference.py --variant proposed --stem-stride 2 --no-compile --plot docs/pictures/runtimes.png
 """
 
 import argparse
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from bars import draw
 
 from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
@@ -32,15 +33,20 @@ def main() -> None:
     parser.add_argument("--stem-stride", nargs="*", type=int, choices=(2, 1), default=(2, 1))
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--no-compile", action="store_true")
+    parser.add_argument("--plot", type=Path, help="a picture of the table, PNG")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     print(f"{options.threads} threads, one map of {GRID.shape}, median of {ROUNDS} rounds in turn; (ratio to eager)")
+    rows = {}
     for stride in options.stem_stride:
         for variant in options.variant:
             network = Network(NetworkConfig(variant=variant, stem_stride=stride)).eval()
             found = measure(runners(network, options.threads, compiled=not options.no_compile))
+            rows[f"{variant}, stem {stride}"] = found
             cells = "  ".join(f"{name} {ms:6.1f} ms ({ms / found['eager']:.2f})" for name, ms in found.items())
             print(f"{variant:<9} stem {stride}:  {cells}", flush=True)
+    if options.plot:
+        draw(options.plot, rows, f"One map of {GRID.shape}, {options.threads} threads", stacked=False)
 
 
 def runners(network: Network, threads: int, *, compiled: bool) -> dict[str, Callable[[dict[str, torch.Tensor]], Any]]:

@@ -1,6 +1,8 @@
-"""What a sample of each family of sensors costs, and what noise and labels add: CPU time, whole shards, interleaved.
+"""What a sample of each family of sensors costs, and what noise, labels and several scans add: CPU time, whole shards,
+interleaved.
 
 python benchmarks/sensors.py --kind pillar --samples 20 --rounds 3
+python benchmarks/sensors.py --only default --only scans --samples 100 --rounds 5
 """
 
 import argparse
@@ -17,11 +19,18 @@ from lidarsim.sensors import SENSORS
 from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.shard import write_shard
 from scenegen.labels import labels_by
+from scenegen.mapping import Mapper
 from scenegen.recipe import Recipe, preset
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
 
 SENSOR_NAMES = ("velodyne-vlp-16", "ouster-os1-64", "livox-mid-360", "livox-avia", "realsense-d435")
+MAPPINGS = {
+    "5 scans": Mapper(scans=5),
+    "5 scans, log-odds": Mapper(scans=5, fusion="log-odds"),
+    "1 scan, leaning": Mapper(tilt_mps=2.0),
+    "1 scan, map ahead": Mapper(map_ahead_m=(8.0, 0.0, 0.0)),
+}
 CHAINS = ("range", "dropout", "divergence,range", "grazing", "faint")
 
 
@@ -40,7 +49,9 @@ def recipes(kind: str) -> dict[str, Recipe]:
     plain = preset(kind)
     sensors = {name: dataclasses.replace(plain, lidar=SENSORS.find(name)) for name in SENSOR_NAMES}
     noises = {f"noise {text}": dataclasses.replace(plain, noise=Noise.parse(text)) for text in CHAINS}
-    return {"default": plain, **sensors, **noises, "labels": dataclasses.replace(plain, labels=labels_by("name", ()))}
+    labels = {"labels": dataclasses.replace(plain, labels=labels_by("name", ()))}
+    mappings = {name: dataclasses.replace(plain, mapping=mapping) for name, mapping in MAPPINGS.items()}
+    return {"default": plain, **sensors, **noises, **labels, **mappings}
 
 
 def main() -> None:
@@ -49,9 +60,12 @@ def main() -> None:
     parser.add_argument("--kind", default="pillar", choices=kind_names())
     parser.add_argument("--samples", type=int, default=20)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--only", action="append", help="rows whose names hold this word; repeatable")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     asked = recipes(given.kind)
+    if given.only:
+        asked = {name: recipe for name, recipe in asked.items() if any(word in name for word in given.only)}
     for recipe in asked.values():
         cost_ms(recipe, recipe.flight.viewpoints)  # compiles, where nothing is cached
     spent: dict[str, list[float]] = {name: [] for name in asked}
@@ -60,7 +74,7 @@ def main() -> None:
             spent[name].append(cost_ms(recipe, given.samples))
     rows = {}
     for name, recipe in asked.items():
-        milliseconds, rays = statistics.median(spent[name]), math.prod(recipe.lidar.shape)
+        milliseconds, rays = statistics.median(spent[name]), recipe.mapping.scans * math.prod(recipe.lidar.shape)
         rows[name] = {
             "ms_a_sample": round(milliseconds, 2),
             "rays": rays,

@@ -17,19 +17,21 @@ if TYPE_CHECKING:
     from lidarsim.engines import Engine
     from lidarsim.engines.analytic import AnalyticEngine
     from lidarsim.engines.mujoco import MujocoEngine
+    from lidarsim.fusion import Fusion
     from lidarsim.grid import GridSpec
     from lidarsim.pose import Pose
     from lidarsim.scan import Scan, cast
     from lidarsim.sensors import Sensor
     from lidarsim.sensors.raster import Lidar
     from lidarsim.sensors.table import BeamTable
-    from lidarsim.voxelize import ObservedGrid, voxelize
+    from lidarsim.voxelize import ObservedGrid, fuse, voxelize
 
 __all__ = [
     "AnalyticEngine",
     "Attached",
     "BeamTable",
     "Engine",
+    "Fusion",
     "GridSpec",
     "Lidar",
     "MujocoEngine",
@@ -39,6 +41,7 @@ __all__ = [
     "Sensor",
     "attach",
     "cast",
+    "fuse",
     "voxelize",
 ]
 
@@ -48,13 +51,14 @@ _PLACES = {
     "engines": ("Engine",),
     "engines.analytic": ("AnalyticEngine",),
     "engines.mujoco": ("MujocoEngine",),
+    "fusion": ("Fusion",),
     "grid": ("GridSpec",),
     "pose": ("Pose",),
     "scan": ("Scan", "cast"),
     "sensors": ("Sensor",),
     "sensors.raster": ("Lidar",),
     "sensors.table": ("BeamTable",),
-    "voxelize": ("ObservedGrid", "voxelize"),
+    "voxelize": ("ObservedGrid", "fuse", "voxelize"),
 }
 
 

@@ -1,11 +1,14 @@
-"""A scan becomes two grids: the voxels that hold returns, and the voxels that rays crossed."""
+"""Scans become two grids: the voxels that hold returns, and the voxels that rays crossed."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.elementary import log
+from lidarsim.fusion import Fusion
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
 from lidarsim.scan import Scan
@@ -16,7 +19,7 @@ TOUCH_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ObservedGrid:
-    """What one scan tells about a grid. A voxel neither free nor observed is unknown."""
+    """What one scan, or several, tell about a grid. A voxel neither free nor observed is unknown."""
 
     observed: NDArray[np.bool_]
     """(*shape): holds at least one return."""
@@ -40,6 +43,48 @@ def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = No
     free = np.zeros(grid.shape, dtype=np.bool_)
     _walk(position, directions, scan.ranges.reshape(-1), scan.lidar.max_range_m, origin, grid.voxel_m, observed, free)
     return ObservedGrid(observed, free, origin)
+
+
+def fuse(
+    scans: Sequence[Scan], grid: GridSpec, origin: NDArray[np.float64], fusion: Fusion | None = None
+) -> ObservedGrid:
+    """Sort several scans, in the order in which they were made, into the `grid` with least corner `origin` (3,).
+
+    By visibility, the order says nothing: a voxel is observed where any scan has a return in it, and free where none
+    has and some ray of any crosses it. By log-odds, see `Fusion`, each scan raises those of the voxels that it
+    observes and lowers those that it finds free, within bounds; a voxel that no scan met stays unknown. Only a voxel
+    with a return can be observed, whatever the parameters, because `Fusion.occupied` is at least one half. Raises
+    ValueError where there is no scan.
+    """
+    if not scans:
+        raise ValueError("no scans to fuse; expected one at least")
+    seen = [voxelize(scan, grid, origin) for scan in scans]
+    rule = fusion or Fusion()
+    if rule.fusion == "visibility":
+        found, *others = seen
+        for one in others:
+            found.observed[one.observed] = True
+            found.free[one.free] = True
+        found.free[found.observed] = False
+        return found
+    given = np.array([rule.hit, rule.miss, rule.least, rule.most, rule.occupied])
+    hit, miss, least, most, occupied = (log(given) - log(1.0 - given)).tolist()
+    odds, met = np.zeros(grid.shape), np.zeros(grid.shape, np.bool_)
+    for one in seen:
+        _weigh(one.observed.reshape(-1), one.free.reshape(-1), odds.reshape(-1), hit, miss, least, most)
+        met |= one.observed | one.free
+    observed = met & (odds >= occupied)
+    return ObservedGrid(observed, met & ~observed, origin)
+
+
+@kernel
+def _weigh(observed, free, odds, hit, miss, least, most):
+    """Add to log-odds what one scan says of each voxel."""
+    for n in range(len(odds)):
+        if observed[n]:
+            odds[n] = min(odds[n] + hit, most)
+        elif free[n]:
+            odds[n] = max(odds[n] + miss, least)
 
 
 def crossed(

@@ -15,17 +15,27 @@ from torch import Tensor, nn
 class Columns(nn.Module):
     """(B, inputs, X, Y, Z) and the 3-D skips, (B, c_l, X_l, Y_l, Z_l), finest first → features of the same shapes.
 
-    `height` is Z, `levels` are pairs (c_l, Z_l), and `widths` are the flat net's channels, level by level.
+    `height` is Z, `levels` are pairs (c_l, Z_l), and `widths` are the flat net's channels, level by level. Where it is
+    `alone`, there are no skips, and features of the finest level only.
     """
 
-    def __init__(self, inputs: int, height: int, levels: Sequence[tuple[int, int]], widths: Sequence[int]):
+    def __init__(
+        self,
+        inputs: int,
+        height: int,
+        levels: Sequence[tuple[int, int]],
+        widths: Sequence[int],
+        *,
+        alone: bool = False,
+    ):
         super().__init__()
-        self._levels = tuple(levels)
-        cells = [channels * z for channels, z in levels]
+        self._levels = tuple(levels[:1] if alone else levels)
+        cells = [channels * z for channels, z in self._levels]
         below = [widths[0], *widths]
         self.stem = _convolution(inputs * height, widths[0], stride=2)
         self.down = nn.ModuleList(_convolution(below[n], width, stride=2 if n else 1) for n, width in enumerate(widths))
-        self.take = nn.ModuleList(nn.Conv2d(count, width, 1) for count, width in zip(cells, widths, strict=True))
+        met = list(zip(cells, widths, strict=not alone))
+        self.take = nn.ModuleList() if alone else nn.ModuleList(nn.Conv2d(count, width, 1) for count, width in met)
         self.mix = nn.ModuleList(_convolution(width, width) for width in widths)
         self.up = nn.ModuleList(
             nn.ConvTranspose2d(above, width, kernel_size=2, stride=2) for width, above in itertools.pairwise(widths)
@@ -33,13 +43,17 @@ class Columns(nn.Module):
         self.refine = nn.ModuleList(
             nn.Sequential(_convolution(2 * width, width), _convolution(width, width)) for width in widths[:-1]
         )
-        self.give = nn.ModuleList(nn.Conv2d(width, count, 1) for count, width in zip(cells, widths, strict=True))
+        self.give = nn.ModuleList(nn.Conv2d(width, count, 1) for count, width in met)
 
-    def forward(self, x: Tensor, skips: Sequence[Tensor]) -> list[Tensor]:
+    def forward(self, x: Tensor, skips: Sequence[Tensor] = ()) -> list[Tensor]:
         """See the class."""
         flat, seen = self.stem(_flat(x)), []
-        for down, take, mix, skip in zip(self.down, self.take, self.mix, skips, strict=True):
-            flat = mix(down(flat) + take(_flat(skip)))
+        for down, mix, taken in itertools.zip_longest(self.down, self.mix, zip(self.take, skips, strict=True)):
+            flat = down(flat)
+            if taken is not None:
+                take, skip = taken
+                flat = flat + take(_flat(skip))
+            flat = mix(flat)
             seen.append(flat)
         found = [flat]
         for up, refine, skip in reversed(list(zip(self.up, self.refine, seen, strict=False))):
@@ -47,7 +61,7 @@ class Columns(nn.Module):
             found.insert(0, flat)
         return [
             give(flat).unflatten(1, level).permute(0, 1, 3, 4, 2)
-            for give, flat, level in zip(self.give, found, self._levels, strict=True)
+            for give, flat, level in zip(self.give, found, self._levels, strict=False)
         ]
 
 

@@ -28,11 +28,12 @@ class Variant:
     tasks: tuple[str, ...]
     """What it predicts, with a head for each: some of `TASKS`, in their order."""
     decoders: tuple[str, ...]
-    """Its decoders: one for each task, or `SHARED`."""
+    """Its decoders: one for each task, or `SHARED`; () where all of it is flat."""
     coupled: bool = False
     """Whether its two decoders inform each other after every stage."""
     columns: tuple[int, ...] = ()
-    """Channels, level by level, of a flat U-Net over whole columns beside its 3-D one; () for none."""
+    """Channels, level by level, of a flat U-Net over whole columns, beside its 3-D one if it has decoders; () for
+    none."""
     meaning: str
     """What it is, for docs/network.md."""
 
@@ -45,6 +46,9 @@ VARIANTS = {
     "shared": Variant(tasks=TASKS, decoders=SHARED, meaning="the cheapest network with both outputs"),
     "columns": Variant(
         tasks=TASKS, decoders=SHARED, columns=(64, 96, 128), meaning="`shared`, and a flat U-Net over whole columns"
+    ),
+    "flat": Variant(
+        tasks=TASKS, decoders=(), columns=(64, 96, 128), meaning="a flat U-Net over whole columns alone, as in LMSCNet"
     ),
 }
 """Every variant by its name; `scenegen.model.network` builds what is said here."""

@@ -38,20 +38,21 @@ class Network(nn.Module):
     def __init__(self, config: NetworkConfig):
         super().__init__()
         self.config = config
-        widths = [config.width * 2**level for level in range(LEVELS)]
-        self.preprocess = Preprocess(len(config.inputs), widths[0], config.stem_stride)
-        self.encoder = nn.ModuleList(
-            Encode(below, width, stride=1 if level == 0 else 2)
-            for level, (below, width) in enumerate(zip([widths[0], *widths], widths, strict=False))
-        )
-        self.attention = SelfAttention(widths[-1], config.heads)
         variant = VARIANTS[config.variant]
+        widths = [config.width * 2**level for level in range(LEVELS)]
+        if variant.decoders:
+            self.preprocess = Preprocess(len(config.inputs), widths[0], config.stem_stride)
+            self.encoder = nn.ModuleList(
+                Encode(below, width, stride=1 if level == 0 else 2)
+                for level, (below, width) in enumerate(zip([widths[0], *widths], widths, strict=False))
+            )
+            self.attention = SelfAttention(widths[-1], config.heads)
         self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in variant.decoders})
         self.fusion = nn.ModuleList(CrossFusion(width) for width in widths) if variant.coupled else None
-        heights = [config.height // 2 ** (level + 1) for level in range(LEVELS)]
-        flat = list(zip(widths, heights, strict=True)), variant.columns
-        self.columns = Columns(len(config.inputs), config.height, *flat) if variant.columns else None
-        features = 2 * widths[0] if variant.columns else widths[0]
+        levels = [(width, config.height // 2 ** (level + 1)) for level, width in enumerate(widths)]
+        flat = len(config.inputs), config.height, levels, variant.columns
+        self.columns = Columns(*flat, alone=not variant.decoders) if variant.columns else None
+        features = 2 * widths[0] if variant.columns and variant.decoders else widths[0]
         self.head = nn.ModuleDict({task: FinalUp(features, widths[0]) for task in config.tasks})
 
     def placed(self, device: torch.device | str) -> "Network":
@@ -65,6 +66,15 @@ class Network(nn.Module):
     def forward(self, batch: Mapping[str, Tensor]) -> Output:
         """See the class."""
         given = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
+        if self.columns is not None and not self.decoder:
+            features = {"shared": self.columns(given)[0]}
+        else:
+            features = self._decoded(given)
+        found = {task: head(features.get(task, features.get("shared"))) for task, head in self.head.items()}  # eq. 6
+        return Output(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
+
+    def _decoded(self, given: Tensor) -> dict[str, Tensor]:
+        """What the decoders give of the finest level, by branch, (B, width or twice that, X/2, Y/2, Z/2)."""
         x, skips = self.preprocess(given), []
         for encode in self.encoder:
             x = encode(x)
@@ -85,8 +95,7 @@ class Network(nn.Module):
                     branch: torch.cat((values, columns[0]), dim=1) if level == 0 else values + columns[level]
                     for branch, values in features.items()
                 }
-        found = {task: head(features.get(task, features.get("shared"))) for task, head in self.head.items()}  # eq. 6
-        return Output(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
+        return features
 
 
 class Preprocess(nn.Sequential):

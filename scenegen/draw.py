@@ -2,19 +2,20 @@
 
 import functools
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from lidarsim import AnalyticEngine, Engine, Pose, Scan, cast, voxelize
+from lidarsim import AnalyticEngine, Engine, Pose, Scan, cast, fuse
 from lidarsim.engines import EngineFactory
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
-from scenegen.flight import plan, viewpoints
+from scenegen.flight import Viewpoints, plan, viewpoints
 from scenegen.labels import labelled
 from scenegen.noise import with_noise
 from scenegen.recipe import Recipe
-from scenegen.sample import Sample
+from scenegen.sample import Sample, earlier_fields, whole
 from scenegen.source import Source
 from scenegen.truth import distance_field, rasterize
 from scenegen.world import World
@@ -58,16 +59,14 @@ def draw_unit(
     rejected = Rejections()
     number, turn = source.number(split, unit)
     for attempt in range(recipe.accept.max_draws):
-        streams = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
-        world_rng, flight_rng = (np.random.default_rng(stream) for stream in streams)
-        world = source.world(split, number, rng=world_rng)
+        world = source.world(split, number, rng=_stream(0, seed, split, unit, attempt))
         caster = engine_of(engine, world)
-        views = _fly(world, caster, recipe, rejected, rng=flight_rng)
+        views = _fly(world, caster, recipe, rejected, rng=flight_rng(seed, split, unit, attempt))
         if views:
             first = turn * recipe.flight.viewpoints
             samples = tuple(
                 sample_of(
-                    with_noise(scan, recipe.noise, world, caster, seed=seed, split=split, unit=unit, view=n),
+                    with_noise(scans, recipe.noise, world, caster, seed=seed, split=split, unit=unit, view=n),
                     occupancy,
                     recipe,
                     world,
@@ -75,10 +74,21 @@ def draw_unit(
                     viewpoint=first + n,
                     derived=derived,
                 )
-                for n, (scan, occupancy) in enumerate(views)
+                for n, (scans, occupancy) in enumerate(views)
             )
             return Unit(number, world, samples, rejected)
     raise GenerationError(_hopeless(recipe, rejected, split, number))
+
+
+def flight_rng(seed: int, split: str, unit: int, attempt: int) -> np.random.Generator:
+    """What the flights of a draw of a unit are planned by."""
+    return _stream(1, seed, split, unit, attempt)
+
+
+def _stream(number: int, seed: int, split: str, unit: int, attempt: int) -> np.random.Generator:
+    """One of the two streams of a draw: the world's, 0, and the flight's, 1."""
+    spawned = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
+    return np.random.default_rng(spawned[number])
 
 
 @functools.lru_cache(maxsize=8)
@@ -89,26 +99,30 @@ def engine_of(engine: EngineFactory, world: World) -> Engine:
 
 def _fly(
     world: World, engine: Engine, recipe: Recipe, rejected: Rejections, *, rng: np.random.Generator
-) -> list[tuple[Scan, np.ndarray]] | None:
+) -> list[tuple[list[Scan], np.ndarray]] | None:
     """Scans and occupancies from one flight's viewpoints, in flight order; None, with the reason counted, if the world
-    yields no acceptable flight."""
+    yields no acceptable flight. Of a viewpoint's scans, the first is its own; the others were made before it."""
     reason = "no_flight"
     for _ in range(recipe.flight.flights_per_world):
         path = plan(world.clearance, world.flight_bounds, recipe.flight, rng=rng)
         if path is None:
             continue
         candidates = viewpoints(path, recipe.flight.spacing_m, rng=rng)
-        if _solids_nearby(world, candidates.positions, recipe) < recipe.accept.min_solids:
+        if _solids_nearby(world, _middles(candidates, recipe), recipe) < recipe.accept.min_solids:
             reason = "few_solids"
             break
-        kept: list[tuple[float, Scan, np.ndarray]] = []
+        kept: list[tuple[int, Scan, np.ndarray]] = []
         for n in range(len(candidates)):
             if _apart(candidates.positions[n], kept, recipe.flight.spacing_m):
-                view = _look(world, engine, candidates.pose(n), recipe, rejected)
+                view = _look(world, engine, candidates.pose(n, recipe.mapping), recipe, rejected)
                 if view is not None:
-                    kept.append((candidates.flown_m[n], *view))
+                    kept.append((n, *view))
             if len(kept) == recipe.flight.viewpoints:
-                return [(scan, occupancy) for _, scan, occupancy in sorted(kept, key=lambda view: view[0])]
+                kept.sort(key=lambda view: candidates.flown_m[view[0]])
+                return [
+                    ([scan, *scans_from(candidates.before(n, recipe.mapping), engine, recipe)], occupancy)
+                    for n, scan, occupancy in kept
+                ]
         reason = "few_viewpoints"
     rejected.worlds[reason] += 1
     return None
@@ -118,47 +132,72 @@ def _look(
     world: World, engine: Engine, pose: Pose, recipe: Recipe, rejected: Rejections
 ) -> tuple[Scan, np.ndarray] | None:
     """The scan and the occupancy at a viewpoint; None, with the reason counted, where there is next to nothing."""
-    try:
-        scan = cast(engine, recipe.lidar, pose)
-    except ValueError as error:
-        raise GenerationError(f"the engine fails: {error}") from None
+    (scan,) = scans_from([pose], engine, recipe)
     if np.count_nonzero(np.isfinite(scan.ranges)) < scan.ranges.size * recipe.accept.min_returned_share:
         rejected.viewpoints["few_returns"] += 1
         return None
-    occupancy = rasterize(world.solids, recipe.grid, recipe.grid.origin_at(pose.position))
+    occupancy = rasterize(world.solids, recipe.grid, recipe.mapping.origin(recipe.grid, pose))
     if np.count_nonzero(occupancy) < occupancy.size * recipe.accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
     return scan, occupancy
 
 
+def scans_from(poses: Sequence[Pose], engine: Engine, recipe: Recipe) -> list[Scan]:
+    """The clean scans of the recipe's sensor from `poses`. Raises GenerationError where the engine fails."""
+    try:
+        return [cast(engine, recipe.lidar, pose) for pose in poses]
+    except ValueError as error:
+        raise GenerationError(f"the engine fails: {error}") from None
+
+
 def sample_of(
-    scan: Scan, occupancy: np.ndarray, recipe: Recipe, world: World, *, number: int, viewpoint: int, derived: bool
+    scans: Sequence[Scan],
+    occupancy: np.ndarray,
+    recipe: Recipe,
+    world: World,
+    *,
+    number: int,
+    viewpoint: int,
+    derived: bool,
 ) -> Sample:
-    """The record of one view: what the scan shows of the grid, and the truth."""
-    seen = voxelize(scan, recipe.grid)
-    sample = Sample(
-        observed=seen.observed,
-        free=seen.free,
-        occupancy=occupancy,
-        tudf=distance_field(occupancy, recipe.grid) if derived else np.empty(0, np.float32),
-        ranges=scan.ranges,
-        position=scan.pose.position,
-        quaternion=scan.pose.quaternion,
-        origin=seen.origin,
-        world=number,
-        viewpoint=viewpoint,
+    """The record of one view: what its scans, its own first, show of the grid, and the truth."""
+    own, *earlier = scans
+    seen = fuse(scans[::-1], recipe.grid, recipe.mapping.origin(recipe.grid, own.pose), recipe.mapping)
+    sample = whole(
+        {
+            "observed": seen.observed,
+            "free": seen.free,
+            "occupancy": occupancy,
+            "tudf": distance_field(occupancy, recipe.grid) if derived else np.empty(0, np.float32),
+            "ranges": own.ranges,
+            "position": own.pose.position,
+            "quaternion": own.pose.quaternion,
+            "origin": seen.origin,
+            "world": number,
+            "viewpoint": viewpoint,
+            **earlier_fields(earlier),
+        }
     )
     return labelled(sample, world, recipe.lidar, recipe.grid, recipe.labels)
 
 
-def _apart(position: np.ndarray, kept: list[tuple[float, Scan, np.ndarray]], spacing_m: float) -> bool:
+def _middles(candidates: Viewpoints, recipe: Recipe) -> np.ndarray:
+    """The middles (m, 3) of the candidates' maps, world metres."""
+    if recipe.mapping.centred:
+        return candidates.positions
+    corners = [recipe.mapping.origin(recipe.grid, candidates.pose(n)) for n in range(len(candidates))]
+    return np.array(corners).reshape(-1, 3) + recipe.grid.extent_m / 2
+
+
+def _apart(position: np.ndarray, kept: list[tuple[int, Scan, np.ndarray]], spacing_m: float) -> bool:
     """Whether a position keeps the least distance from all kept ones."""
     return all(((position - scan.pose.position) ** 2).sum() >= spacing_m * spacing_m for _, scan, _ in kept)
 
 
 def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float:
-    """Solids whose bounding boxes reach into the map, averaged over a flight's candidate viewpoints (m, 3)."""
+    """Solids whose bounding boxes reach into the map, averaged over the maps of a flight's candidate viewpoints, whose
+    middles are `positions` (m, 3)."""
     if not len(positions):
         return 0.0
     half = recipe.grid.extent_m / 2

@@ -1,6 +1,7 @@
 """Flights: OMPL's RRT between a random start and goal, and the viewpoints along the path."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from ompl import util as ou
 from lidarsim import Pose
 from lidarsim.limits import MOST_LENGTH_M
 from lidarsim.parameters import check, number
+from scenegen.attitude import acceleration, leaning
 from scenegen.clearance import CAP_M, Clearance
 from scenegen.errors import GenerationError
 from scenegen.limits import (
@@ -21,6 +23,7 @@ from scenegen.limits import (
     MOST_ITERATIONS,
     MOST_VIEWPOINTS,
 )
+from scenegen.mapping import Mapper
 
 ou.noOutputHandler()
 
@@ -140,6 +143,60 @@ def _start_and_goal(
 
 
 @dataclass(frozen=True, eq=False)
+class Route:
+    """A path of straight legs, (n, 3) world metres, by the metres flown along it."""
+
+    path: NDArray[np.float64]
+
+    @cached_property
+    def legs(self) -> NDArray[np.float64]:
+        """(n - 1, 3): from each point to the next, metres."""
+        return np.diff(self.path, axis=0)
+
+    @cached_property
+    def lengths(self) -> NDArray[np.float64]:
+        """(n - 1,): of the legs, metres."""
+        return np.sqrt((self.legs**2).sum(axis=1))
+
+    @cached_property
+    def ends(self) -> NDArray[np.float64]:
+        """(n,): metres flown at each point."""
+        return np.concatenate([[0.0], np.cumsum(self.lengths)])
+
+    @cached_property
+    def headings(self) -> NDArray[np.float64]:
+        """(n - 1, 2): x and y of the legs; where one climbs straight up, the body looks as it did before."""
+        legs = self.legs
+        level = np.sqrt(legs[:, 0] * legs[:, 0] + legs[:, 1] * legs[:, 1]) > 1e-6
+        turned = np.maximum.accumulate(np.where(level, np.arange(len(legs)), 0))
+        return np.asarray(np.where(level[:, None], legs[:, :2], (1.0, 0.0))[turned])
+
+    @cached_property
+    def turns(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """How the direction of flight changes at each point, its begin and end included, (k, 3), and the metres flown
+        there, (k,)."""
+        there = self.lengths > 0.0
+        direction = self.legs[there] / self.lengths[there, None]
+        still = np.zeros((1, 3))
+        return np.diff(np.concatenate([still, direction, still]), axis=0), self.ends[np.append(there, True)]
+
+    def at(self, flown_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions (m, 3) and headings (m, 2) at `flown_m` (m,)."""
+        leg = np.minimum(np.searchsorted(self.ends, flown_m, side="right") - 1, len(self.legs) - 1)
+        along = (flown_m - self.ends[leg]) / self.lengths[leg]
+        return self.path[leg] + along[:, None] * self.legs[leg], self.headings[leg]
+
+    def pose(self, flown_m: float, mapping: Mapper) -> Pose:
+        """The body's pose at `flown_m`, level, or leaning as `mapping` has it."""
+        positions, headings = self.at(np.array([flown_m]))
+        level = Pose.facing(positions[0], headings[0])
+        if not mapping.tilt_mps:
+            return level
+        pull = acceleration(*self.turns, flown_m, speed_mps=mapping.tilt_mps, settle_s=mapping.settle_s)
+        return leaning(level, pull, most_deg=mapping.most_tilt_deg)
+
+
+@dataclass(frozen=True, eq=False)
 class Viewpoints:
     """Places along a flight where the sensor could scan: m of them, in the order in which to try them."""
 
@@ -149,27 +206,30 @@ class Viewpoints:
     """(m, 3): world metres."""
     headings: NDArray[np.float64]
     """(m, 2): world x and y, of any length; the body is level and looks along the flight."""
+    route: Route
 
     def __len__(self) -> int:
         return len(self.flown_m)
 
-    def pose(self, n: int) -> Pose:
-        """The body's pose at viewpoint `n`."""
+    def pose(self, n: int, mapping: Mapper | None = None) -> Pose:
+        """The body's pose at viewpoint `n`, level unless `mapping` tilts it."""
+        if mapping is not None and mapping.tilt_mps:
+            return self.route.pose(float(self.flown_m[n]), mapping)
         return Pose.facing(self.positions[n], self.headings[n])
+
+    def before(self, n: int, mapping: Mapper) -> list[Pose]:
+        """The poses from which the earlier scans of viewpoint `n` are made, the last one first."""
+        back = [mapping.scan_spacing_m * number for number in range(1, mapping.scans)]
+        return [self.route.pose(max(float(self.flown_m[n]) - metres, 0.0), mapping) for metres in back]
 
 
 def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator) -> Viewpoints:
     """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it, in random order.
 
-    Where the path climbs straight up, the body looks as it did before. Raises GenerationError where there would be more
-    than `MOST_CANDIDATES`.
+    Raises GenerationError where there would be more than `MOST_CANDIDATES`.
     """
-    legs = np.diff(path, axis=0)
-    lengths = np.sqrt((legs**2).sum(axis=1))
-    ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    level = np.sqrt(legs[:, 0] * legs[:, 0] + legs[:, 1] * legs[:, 1]) > 1e-6
-    turned = np.maximum.accumulate(np.where(level, np.arange(len(legs)), 0))
-    heading = np.where(level[:, None], legs[:, :2], (1.0, 0.0))[turned]
+    route = Route(path)
+    ends = route.ends
     if ends[-1] > MOST_CANDIDATES * spacing_m:
         raise GenerationError(
             f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on a flight of "
@@ -177,6 +237,4 @@ def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Ge
         )
     flown = np.arange(rng.uniform(0.0, spacing_m), ends[-1], spacing_m)
     flown = flown[rng.permutation(len(flown))]
-    leg = np.minimum(np.searchsorted(ends, flown, side="right") - 1, len(legs) - 1)
-    along = (flown - ends[leg]) / lengths[leg]
-    return Viewpoints(flown, path[leg] + along[:, None] * legs[leg], heading[leg])
+    return Viewpoints(flown, *route.at(flown), route)

@@ -20,7 +20,7 @@ def inspect(folder: Path, *, most: int = 200) -> dict[str, Any]:
     it = dataset.manifest
     found = {
         **{"kind": it.kind, "seed": it.seed, "complete": it.complete, "digest": it.digest, "fields": list(it.fields)},
-        **{"grid": it.parameters["grid"], "rejected": it.rejected},
+        **{"grid": it.parameters["grid"], "rejected": it.rejected, "mapping": it.parameters.get("mapping")},
     }
     splits: dict[str, Any] = {}
     for name in SPLITS:
@@ -46,9 +46,10 @@ def _describe(dataset: Dataset, name: str, most: int) -> dict[str, Any]:
 
 
 def _figures(sample: Sample) -> dict[str, float]:
-    hit = np.isfinite(sample.ranges)
+    ranges = np.array([sample.ranges, *getattr(sample, "earlier_ranges", ())])
+    hit = np.isfinite(ranges)
     found = {"occupied": sample.occupancy.mean(), "observed": sample.observed.mean(), "free": sample.free.mean()}
-    found |= {"returned": hit.mean(), "range_m": sample.ranges[hit].mean() if hit.any() else np.nan}
+    found |= {"returned": hit.mean(), "range_m": ranges[hit].mean() if hit.any() else np.nan}
     return {name: float(value) for name, value in (found | {"tudf_m": sample.tudf.mean()}).items()}
 
 

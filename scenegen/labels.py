@@ -3,7 +3,7 @@
 import functools
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import mujoco
@@ -14,7 +14,7 @@ from lidarsim import AnalyticEngine, GridSpec, Pose, Sensor
 from lidarsim.pose import rotate
 from scenegen.errors import GenerationError, short
 from scenegen.limits import MOST_CLASSES
-from scenegen.sample import LabelledSample, Sample
+from scenegen.sample import Sample, whole
 from scenegen.truth.labels import owners
 from scenegen.world import World
 
@@ -87,14 +87,9 @@ def labelled(sample: Sample, world: World, lidar: Sensor, grid: GridSpec, labels
     met = _engine(world).hits(pose.position[None], directions[None], lidar.max_range_m).geoms[0]
     returned = np.where(np.isfinite(sample.ranges), met, -1).astype("<i4")
     voxels = owners(world.solids, sample.occupancy, grid, sample.origin).astype("<i4")
-    values: dict[str, Any] = {item.name: getattr(sample, item.name) for item in fields(Sample)}
-    return LabelledSample(
-        **values,
-        return_geom=returned,
-        return_class=classes[returned].astype("<u2"),
-        voxel_geom=voxels,
-        voxel_class=classes[voxels].astype("<u2"),
-    )
+    values: dict[str, Any] = {name: getattr(sample, name) for name in sample.names}
+    values |= {"return_geom": returned, "return_class": classes[returned].astype("<u2")}
+    return whole(values | {"voxel_geom": voxels, "voxel_class": classes[voxels].astype("<u2")})
 
 
 @functools.lru_cache(maxsize=4)

@@ -9,6 +9,10 @@ MOST_VIEWPOINTS = 10_000
 """The most viewpoints of one flight."""
 MOST_VOXELS_IN_FLIGHT = 1 << 30
 """The most voxels in all maps of one flight together: they are in memory at once, with some eight bytes a voxel."""
+MOST_SCANS = 100
+"""The most scans of one sample."""
+MOST_RAYS_IN_SAMPLE = 4_000_000
+"""The most rays in all scans of one sample together."""
 MOST_CANDIDATES = 100_000
 """The most places along one flight at which a scan is tried."""
 MOST_DRAWS = 10_000

@@ -1,5 +1,7 @@
 """The noise of a dataset: what becomes of a sample's clean ranges, by the sample's own place and the seed alone."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lidarsim import Engine, Scan
@@ -14,9 +16,18 @@ STREAM = 2
 
 
 def with_noise(
-    scan: Scan, noise: Noise, world: World, engine: Engine, *, seed: int, split: str, unit: int, view: int
-) -> Scan:
-    """A clean scan of `world` as the sensor of view `view` of unit `unit` has it; without stages, `scan` itself.
+    scans: Sequence[Scan], noise: Noise, world: World, engine: Engine, *, seed: int, split: str, unit: int, view: int
+) -> list[Scan]:
+    """The clean scans of view `view` of unit `unit`, through `world`, as the sensor has them: the view's own, and those
+    before it, the last one first. Without stages, they are `scans` themselves. Raises GenerationError."""
+    place = (SPLITS.index(split), unit, 0, STREAM, view)
+    places = (place, *((*place, before) for before in range(1, len(scans))))
+    streams = [np.random.SeedSequence(seed, spawn_key=key) for key in places]
+    return [_observed(scan, noise, world, engine, stream) for scan, stream in zip(scans, streams, strict=True)]
+
+
+def _observed(scan: Scan, noise: Noise, world: World, engine: Engine, stream: np.random.SeedSequence) -> Scan:
+    """One of them.
 
     Its stream belongs to the sample's place, not to the draw that was kept: what is scanned again from the same pose
     has the same noise. Raises GenerationError where a stage fails, or gives what a dataset's `ranges` cannot hold:
@@ -24,7 +35,6 @@ def with_noise(
     """
     if not noise.stages:
         return scan
-    stream = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, 0, STREAM, view))
     try:
         seen = noise.observe(scan, engine, rng=np.random.default_rng(stream), albedo=albedo_of(world.model))
     except ValueError as error:

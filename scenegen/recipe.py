@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,12 @@ from scenegen.lidar import beam_table, named_noise, sensor_of
 from scenegen.limits import (
     MOST_CANDIDATES,
     MOST_DRAWS,
+    MOST_RAYS_IN_SAMPLE,
     MOST_SEARCHED,
     MOST_VOXELS,
     MOST_VOXELS_IN_FLIGHT,
 )
+from scenegen.mapping import Mapper
 from scenegen.recipes import find_kind
 from scenegen.recipes.kind import WorldKind
 from scenegen.tables import check_name, from_table, read_toml
@@ -80,6 +83,8 @@ class Recipe:
     """What becomes of the clean ranges. Worlds, flights and viewpoints do not depend on it."""
     labels: Labels | None = None
     """What samples say of geoms and classes; nothing for None. Nothing else depends on it."""
+    mapping: Mapper = field(default_factory=Mapper)
+    """Which scans make a map, how the sensor is held, and where the map lies."""
 
     def __post_init__(self) -> None:
         if any(getattr(self.lidar, "lever_arm_m", ())):
@@ -102,6 +107,7 @@ class Recipe:
                 f"[grid] voxel_m = {grid.voxel_m}: expected at most the sensor's range, lidar.max_range_m = "
                 f"{self.lidar.max_range_m}"
             )
+        self.mapping.check_reach(grid, self.lidar.max_range_m, math.prod(self.lidar.shape), MOST_RAYS_IN_SAMPLE)
         if self.accept.max_draws * flight.flights_per_world * flight.iterations > MOST_SEARCHED:
             raise ValueError(
                 f"[accept] max_draws = {self.accept.max_draws}: times flight.flights_per_world = "
@@ -124,25 +130,36 @@ class Recipe:
         return 0 if self.world is None else self.world.version
 
     def resolved(self) -> dict[str, Any]:
-        """The manifest's `recipe`: all but sensor, noise and grid, as plain JSON values."""
+        """The manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
         resolved: dict[str, Any] = {"version": self.version}
         resolved |= {name: dataclasses.asdict(table) for name, table in tables.items() if table is not None}
         return resolved
 
 
-def preset(kind: str, *, lidar: Sensor | None = None, noise: str | None = None) -> Recipe:
-    """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`. Raises RecipeError for
-    an unknown kind, suggesting the nearest."""
-    return make_recipe(kind, _stages(noise), where="preset", sensor=lidar)
+def preset(
+    kind: str,
+    *,
+    lidar: Sensor | None = None,
+    noise: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
+) -> Recipe:
+    """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`, or with these parameters
+    of `mapping`. Raises RecipeError for an unknown kind, suggesting the nearest."""
+    return make_recipe(kind, _given(noise, mapping), where="preset", sensor=lidar)
 
 
 def read_recipe(
-    path: Path, kind: str | None = None, *, lidar: Sensor | None = None, noise: str | None = None
+    path: Path,
+    kind: str | None = None,
+    *,
+    lidar: Sensor | None = None,
+    noise: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
 ) -> Recipe:
-    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar], [noise] and [grid] of what
-    differs from the preset. `kind`, `lidar` and `noise`, where given, stand in for the file's; a file with a table
-    [lidar] beside a `lidar`, or [noise] beside `noise`, is refused.
+    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar], [noise], [mapping] and [grid]
+    of what differs from the preset. `kind`, `lidar`, `noise` and `mapping`, where given, stand in for the file's; a
+    file with a table [lidar] beside a `lidar` is refused, and so is one with the same of the others.
 
     A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its `[lidar] sensor` first.
     Raises RecipeError naming the file, the table and the parameter.
@@ -160,11 +177,16 @@ def read_recipe(
         raise RecipeError(f"{where}: has a table [lidar], and --lidar names a sensor, too; leave one of the two out")
     if noise is not None and "noise" in tables:
         raise RecipeError(f"{where}: has a table [noise], and --noise names stages, too; leave one of the two out")
-    return make_recipe(named, tables | _stages(noise), where=where, folder=path.parent, sensor=lidar)
+    if mapping and "mapping" in tables:
+        raise RecipeError(
+            f"{where}: has a table [mapping], and {', '.join(mapping)} are given beside it; leave one of the two out"
+        )
+    return make_recipe(named, tables | _given(noise, mapping), where=where, folder=path.parent, sensor=lidar)
 
 
-def _stages(noise: str | None) -> dict[str, Any]:
-    return {} if noise is None else {"noise": {"stages": noise}}
+def _given(noise: str | None, mapping: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Tables of what stands beside a file."""
+    return ({} if noise is None else {"noise": {"stages": noise}}) | ({"mapping": dict(mapping)} if mapping else {})
 
 
 def make_recipe(
@@ -177,6 +199,7 @@ def make_recipe(
     looked at. Raises RecipeError naming the table and the parameter.
     """
     parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec, "noise": Faults}
+    parts["mapping"] = Mapper
     defaults: dict[str, dict[str, Any]] = {}
     if kind != "scene":
         try:

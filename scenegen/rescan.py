@@ -2,27 +2,49 @@
 
 from collections.abc import Sequence
 
-from lidarsim import Pose, Scan, Sensor, cast
-from lidarsim.engines import Engine, EngineFactory
-from scenegen.draw import Rejections, Unit, engine_of, sample_of
+import numpy as np
+
+from lidarsim import Pose
+from lidarsim.engines import EngineFactory
+from scenegen.draw import Rejections, Unit, engine_of, flight_rng, sample_of, scans_from
 from scenegen.errors import GenerationError
+from scenegen.flight import plan, viewpoints
 from scenegen.noise import with_noise
 from scenegen.recipe import Recipe
 from scenegen.truth import rasterize
 from scenegen.world import World
 
 
-def clean_scan(engine: Engine, lidar: Sensor, pose: Pose) -> Scan:
-    """What `cast` gives. Raises GenerationError where the engine fails."""
-    try:
-        return cast(engine, lidar, pose)
-    except ValueError as error:
-        raise GenerationError(f"the engine fails: {error}") from None
+def fly_again(
+    world: World, poses: Sequence[Pose], recipe: Recipe, *, seed: int, split: str, unit: int
+) -> list[list[Pose]]:
+    """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each its own first: the
+    unit's flight is planned again, and known by its passing all of them, to the bit.
+
+    Raises GenerationError where no draw's flight does.
+    """
+    for attempt in range(recipe.accept.max_draws):
+        rng = flight_rng(seed, split, unit, attempt)
+        for _ in range(recipe.flight.flights_per_world):
+            path = plan(world.clearance, world.flight_bounds, recipe.flight, rng=rng)
+            if path is None:
+                continue
+            passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
+            places = [np.flatnonzero((passed.positions == pose.position).all(axis=1)) for pose in poses]
+            if all(len(place) == 1 for place in places):
+                return [
+                    [pose, *passed.before(int(place[0]), recipe.mapping)]
+                    for pose, place in zip(poses, places, strict=True)
+                ]
+    raise GenerationError(
+        f"{split} flight {unit} comes out otherwise here, so that nobody knows where earlier scans were made; generate "
+        "the dataset with --scans, or scan it again with the software that made it"
+    )
 
 
 def scan_again(
     world: World,
-    poses: Sequence[Pose],
+    poses: Sequence[Sequence[Pose]],
     recipe: Recipe,
     *,
     seed: int,
@@ -32,7 +54,8 @@ def scan_again(
     derived: bool = True,
     engine: EngineFactory,
 ) -> Unit:
-    """The unit whose flight through `world` had these sensor `poses`, as the recipe's sensor and noise see it.
+    """The unit whose flight through `world` had these sensor `poses`, as the recipe's sensor and noise see it: of each
+    sample its own, and then those of its earlier scans, the last one first.
 
     `names` are the world's number and the first sample's viewpoint. Nothing is drawn but the noise, and nothing is
     rejected. With what the unit was drawn with, the same samples come out, bit for bit. Raises GenerationError.
@@ -42,7 +65,7 @@ def scan_again(
     samples = tuple(
         sample_of(
             with_noise(
-                clean_scan(caster, recipe.lidar, pose),
+                scans_from(views, caster, recipe),
                 recipe.noise,
                 world,
                 caster,
@@ -51,13 +74,13 @@ def scan_again(
                 unit=unit,
                 view=n,
             ),
-            rasterize(world.solids, recipe.grid, recipe.grid.origin_at(pose.position)),
+            rasterize(world.solids, recipe.grid, recipe.mapping.origin(recipe.grid, views[0])),
             recipe,
             world,
             number=number,
             viewpoint=first + n,
             derived=derived,
         )
-        for n, pose in enumerate(poses)
+        for n, views in enumerate(poses)
     )
     return Unit(number, world, samples, Rejections())

@@ -1,26 +1,27 @@
 """One sample: the record, which is also the schema on disk, and what of it follows from the rest."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Pose, Scan, Sensor, voxelize
+from lidarsim import Fusion, GridSpec, Pose, Scan, Sensor, fuse
+from lidarsim.pose import rotate
 from scenegen.truth import distance_field
 
 
 def _stored(dtype: str, axes: str, meaning: str, *, unit: str = "", derived: bool = False) -> Any:
-    """A field of the record: its type on disk, its shape (`grid`, `rays`, a count or nothing), what it means, its unit
-    (nothing for a count, a flag or a ratio), and whether it follows from the other fields."""
+    """A field of the record: its type on disk, its axes (`grid`, `rays`, `earlier` scans, a count, or none), what it
+    means, its unit (nothing for a count, a flag or a ratio), and whether it follows from the other fields."""
     return field(metadata={"dtype": dtype, "axes": axes, "unit": unit, "meaning": meaning, "derived": derived})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Sample:
-    """What one scan saw and what was there. Grids are indexed x, y, z; lengths are metres; positions in the world.
+    """What was seen and what was there. Grids are indexed x, y, z; lengths are metres; positions in the world.
 
     What each field means stands in its metadata, once for readers, cards and this code alike.
     """
@@ -47,17 +48,31 @@ class Sample:
     viewpoint: int = _stored("<i8", "", "the sample's place among its world's accepted viewpoints")
 
     def points(self, lidar: Sensor | None = None, *, frame: Literal["world", "body"] = "world") -> NDArray[np.float64]:
-        """The returns (M, 3) in ray order, metres, in the world or in the body's frame.
+        """The returns (M, 3) of all its scans, in their order and in ray order, metres, in the world or in the body's
+        frame, which is that of the sample's own scan.
 
         A sample of a dataset knows its sensor; another needs `lidar`, and raises TypeError without it.
         """
+        own, *earlier = self.scans(lidar)
+        if frame == "world":
+            return np.concatenate([scan.points() for scan in (own, *earlier)])
+        hit, back = np.isfinite(self.ranges), self.quaternion * (1.0, -1.0, -1.0, -1.0)
+        first = self.ranges[hit].astype(np.float64)[:, None] * own.lidar.directions_body[hit]
+        return np.concatenate([first, *(rotate(back, scan.points() - self.position) for scan in earlier)])
+
+    def scans(self, lidar: Sensor | None = None) -> list[Scan]:
+        """The scans that its map is made of: its own, and then those before it, the last made first. See `points`."""
         lidar = lidar if lidar is not None else self._sensor()
         if lidar is None:
-            raise TypeError("points() needs the sensor that made this sample, such as recipe.lidar")
-        if frame == "world":
-            return Scan(self.ranges, Pose(self.position, self.quaternion), lidar).points()
-        hit = np.isfinite(self.ranges)
-        return self.ranges[hit].astype(np.float64)[:, None] * lidar.directions_body[hit]
+            raise TypeError("points() and scans() need the sensor that made this sample, such as recipe.lidar")
+        earlier = zip(*(getattr(self, name) for name in EARLIER if name in self.names), strict=True)
+        views = [(self.ranges, self.position, self.quaternion), *earlier]
+        return [Scan(ranges, Pose(*pose), lidar) for ranges, *pose in views]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its fields."""
+        return tuple(item.name for item in fields(self))
 
     def _sensor(self) -> Sensor | None:
         """The sensor that made the sample, where it is known."""
@@ -71,8 +86,8 @@ class Sample:
     def _repr_html_(self) -> str:
         """For notebooks: each field with its shape, its share or value, and its meaning."""
         rows = []
-        for name, about in SCHEMA.items():
-            value = np.asarray(getattr(self, name))
+        for name in self.names:
+            about, value = FIELDS[name], np.asarray(getattr(self, name))
             said = f"{100 * value.mean():.2f} %" if value.dtype == bool else str(value) if value.size <= 4 else ""
             rows.append(f"<tr><td>{name}</td><td>{value.shape}</td><td>{said}</td><td>{about['meaning']}</td></tr>")
         return f"<table>{''.join(rows)}</table>"
@@ -85,6 +100,19 @@ class Sample:
         for name in ("ranges", "position", "quaternion", "origin", "world", "viewpoint"):
             digest.update(np.asarray(getattr(self, name), dtype=SCHEMA[name]["dtype"]).tobytes())
         return digest.digest()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class EarlierScans(Sample):
+    """A sample whose map is made of several scans: its own, and others before it, the last made first."""
+
+    earlier_ranges: NDArray[np.float32] = _stored("<f4", "earlier rays", "as `ranges`, of the scans before", unit="m")
+    earlier_position: NDArray[np.float64] = _stored("<f8", "earlier 3", "of the sensor at each: x, y, z", unit="m")
+    earlier_quaternion: NDArray[np.float64] = _stored("<f8", "earlier 4", "the body's attitude at each: w, x, y, z")
+
+    def sha256(self) -> bytes:
+        """The sample's own digest (32 bytes): that without earlier scans, and these."""
+        return _digest_with(super().sha256(), self, EARLIER)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -103,10 +131,20 @@ class LabelledSample(Sample):
 
     def sha256(self) -> bytes:
         """The sample's own digest (32 bytes): that without labels, and the labels."""
-        digest = hashlib.sha256(super().sha256())
-        for name, meta in LABELS.items():
-            digest.update(np.asarray(getattr(self, name), dtype=meta["dtype"]).tobytes())
-        return digest.digest()
+        return _digest_with(super().sha256(), self, LABELS)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class LabelledEarlierScans(LabelledSample, EarlierScans):
+    """A sample with labels, of its own scan and its map, and with earlier scans."""
+
+
+def _digest_with(digest: bytes, sample: Sample, names: Mapping[str, Any]) -> bytes:
+    """A digest over another one and the fields `names` of a sample."""
+    found = hashlib.sha256(digest)
+    for name, meta in names.items():
+        found.update(np.asarray(getattr(sample, name), dtype=meta["dtype"]).tobytes())
+    return found.digest()
 
 
 class LazySample(Sample):
@@ -124,67 +162,79 @@ class LazySample(Sample):
             raise AttributeError(f"a sample has no field {name!r}; it has {', '.join(SCHEMA)}")
         return self.__dict__.setdefault(name, self.find(name))
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Its fields."""
-        return tuple(SCHEMA)
-
     def __reduce__(self) -> tuple[Any, ...]:
         return whole, ({name: getattr(self, name) for name in self.names},)
 
 
 def whole(values: Mapping[str, Any]) -> Sample:
-    """The sample that has these values of its fields, with labels where they are among them."""
-    return LabelledSample(**values) if values.keys() >= LABELS.keys() else Sample(**values)
+    """The sample that has these values of its fields, with labels and earlier scans where they are among them."""
+    labelled, earlier = values.keys() >= LABELS.keys(), values.keys() >= EARLIER.keys()
+    kinds = {
+        (False, False): Sample,
+        (False, True): EarlierScans,
+        (True, False): LabelledSample,
+        (True, True): LabelledEarlierScans,
+    }
+    return kinds[labelled, earlier](**values)
+
+
+def earlier_fields(scans: Sequence[Scan]) -> dict[str, NDArray[Any]]:
+    """The fields of a sample that hold the scans before its own, the last made first; none where there is none."""
+    if not scans:
+        return {}
+    values = zip(*((scan.ranges, scan.pose.position, scan.pose.quaternion) for scan in scans), strict=True)
+    return {name: np.array(value) for name, value in zip(EARLIER, values, strict=True)}
 
 
 SCHEMA = {item.name: item.metadata for item in fields(Sample)}
 """Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning` and whether it is `derived`."""
 
 
+EARLIER = {item.name: item.metadata for item in fields(EarlierScans) if item.name not in SCHEMA}
+"""The same of what a dataset with several scans a sample stores besides."""
 LABELS = {item.name: item.metadata for item in fields(LabelledSample) if item.name not in SCHEMA}
 """The same of what a dataset with labels stores besides."""
-FIELDS = SCHEMA | LABELS
+FIELDS = SCHEMA | EARLIER | LABELS
 
 
-def stored_fields(compact: bool, labels: bool = False) -> tuple[str, ...]:
+def fields_of(scans: int, *, labels: bool) -> tuple[str, ...]:
+    """Names of all fields of a sample of so many scans."""
+    return (*SCHEMA, *(EARLIER if scans > 1 else ()), *(LABELS if labels else ()))
+
+
+def stored_fields(compact: bool, labels: bool = False, scans: int = 1) -> tuple[str, ...]:
     """Names of the fields that a dataset stores."""
-    stored = tuple(name for name, meta in SCHEMA.items() if not (compact and meta["derived"]))
-    return stored + tuple(LABELS) if labels else stored
+    return tuple(name for name in fields_of(scans, labels=labels) if not (compact and FIELDS[name]["derived"]))
 
 
-def shape_of(name: str, grid: GridSpec, lidar: Sensor) -> tuple[int, ...]:
-    """Shape of one sample's field `name`."""
-    axes = FIELDS[name]["axes"]
-    named: dict[str, tuple[int, ...]] = {"grid": grid.shape, "rays": lidar.shape, "": ()}
-    return named[axes] if axes in named else (int(axes),)
+def shape_of(name: str, grid: GridSpec, lidar: Sensor, scans: int = 1) -> tuple[int, ...]:
+    """Shape of the field `name` of one sample of so many scans."""
+    named: dict[str, tuple[int, ...]] = {"grid": grid.shape, "rays": lidar.shape, "earlier": (scans - 1,)}
+    axes = FIELDS[name]["axes"].split()
+    return tuple(count for axis in axes for count in (named[axis] if axis in named else (int(axis),)))
 
 
-def describe_fields(grid: GridSpec, lidar: Sensor, *, labels: bool = False) -> dict[str, dict[str, Any]]:
-    """Every field of a sample, with or without `labels`: name to its numpy `dtype`, `shape`, `unit` ("" for none), and
-    `meaning`."""
+def describe_fields(
+    grid: GridSpec, lidar: Sensor, *, labels: bool = False, scans: int = 1
+) -> dict[str, dict[str, Any]]:
+    """Every field of a sample of so many scans, with or without `labels`: name to its numpy `dtype`, `shape`, `unit`
+    ("" for none), and `meaning`."""
     return {
         name: {
-            "dtype": np.dtype(meta["dtype"]).name,
-            "shape": shape_of(name, grid, lidar),
-            "unit": meta["unit"],
-            "meaning": meta["meaning"],
+            "dtype": np.dtype(FIELDS[name]["dtype"]).name,
+            "shape": shape_of(name, grid, lidar, scans),
+            "unit": FIELDS[name]["unit"],
+            "meaning": FIELDS[name]["meaning"],
         }
-        for name, meta in (FIELDS if labels else SCHEMA).items()
+        for name in fields_of(scans, labels=labels)
     }
 
 
 def derive_free(
-    ranges: NDArray[np.float32],
-    position: NDArray[np.float64],
-    quaternion: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    *,
-    lidar: Sensor,
-    grid: GridSpec,
+    scans: Sequence[Scan], origin: NDArray[np.float64], *, grid: GridSpec, fusion: Fusion
 ) -> NDArray[np.bool_]:
-    """The `free` of a sample from its stored ranges (*lidar.shape), pose and origin, bit for bit."""
-    return voxelize(Scan(ranges, Pose(position, quaternion), lidar), grid, origin).free
+    """The `free` of a sample from its stored `scans`, see `Sample.scans`, and its origin (3,), bit for bit."""
+    return fuse(scans[::-1], grid, origin, fusion).free
 
 
 def derive_tudf(occupancy: NDArray[np.bool_], *, grid: GridSpec) -> NDArray[np.float32]:

@@ -143,7 +143,8 @@ def run_bench(
         methods.append(predicted)
     for dataset in datasets:
         for method in methods:
-            if warning := getattr(method, "unlike", lambda lidar: "")(dataset.lidar):
+            unlike = getattr(method, "unlike", lambda lidar, mapping: "")
+            if warning := unlike(dataset.lidar, dataset.manifest.mapping):
                 warn(f"note: {dataset.folder}: {warning}")
     results = []
     for dataset in datasets:

@@ -17,9 +17,10 @@ from torch import Tensor
 
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.locate import client_output, without_tokens
-from scenegen.dataset.manifest import differences
+from scenegen.dataset.manifest import described, differences
 from scenegen.dataset.sensor import entry_of
 from scenegen.errors import needs, printable
+from scenegen.mapping import Mapper
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled
@@ -133,12 +134,13 @@ class Completer:
         if grid != self.grid:
             raise ValueError(f"{self.name} completes maps on {self.grid}, these are on {grid}")
 
-    def unlike(self, lidar: Any) -> str:
-        """How the sensor `lidar` differs from the one that the network learned from, in one line; "" where it does not.
+    def unlike(self, lidar: Any, mapping: Mapper | None = None) -> str:
+        """How the sensor `lidar`, and maps made by `mapping`, differ from those that the network learned from, in one
+        line; "" where they do not.
 
         Networks of earlier commits name none: they learned from the paper's.
         """
-        return unlike(self.name, self.about, lidar)
+        return unlike(self.name, self.about, lidar, mapping)
 
     def _derived(self, observed: Maps) -> dict[str, Maps]:
         """All inputs of maps of which the observed voxels alone are known."""
@@ -176,13 +178,17 @@ class Completer:
         return probability, tudf
 
 
-def unlike(name: str, about: Mapping[str, Any], lidar: Any) -> str:
+def unlike(name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None = None) -> str:
     """See `Completer.unlike`, of the network called `name` that `about` tells of."""
-    learned, met = about.get("lidar") or entry_of(Lidar()), entry_of(lidar)
-    if learned == met:
+    plain = described(Mapper())
+    learned = (about.get("lidar") or entry_of(Lidar()), {"mapping": about.get("mapping") or plain["mapping"]})
+    met = (entry_of(lidar), plain if mapping is None else described(mapping))
+    sensor, maps = (differences(*both) for both in zip(learned, met, strict=True))
+    if not sensor + maps:
         return ""
-    said = "; ".join(differences(learned, met))[:MOST_SAID].replace("there", "in training").replace("asked for", "here")
-    return f"{name} was trained on another sensor, so expect worse completions: {printable(said)}"
+    said = "; ".join(sensor + maps)[:MOST_SAID].replace("there", "in training").replace("asked for", "here")
+    what = "another sensor" if sensor else "maps made otherwise"
+    return f"{name} was trained on {what}, so expect worse completions: {printable(said)}"
 
 
 def called(name: str | Path, path: Path) -> str:

@@ -19,6 +19,7 @@ from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.careful import plan_carefully
 from scenegen.model.evaluation.planning.trials import draw_trials
 from scenegen.model.evaluation.pretrained import Pretrained
+from scenegen.model.evaluation.run import check_middle
 from scenegen.model.evaluation.tuning import spread
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify
 from scenegen.model.uncertainty import fit
@@ -69,6 +70,8 @@ def calibrate(
             raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
         if dataset.grid != grid:
             raise DatasetError(f"{dataset.folder}: its maps are on {dataset.grid}, the network's on {grid}")
+        if trials:
+            check_middle(dataset, "give --trials 0")
     indices = [spread(len(one.split(split)), samples or len(one.split(split))) for one in datasets]
 
     def look(what: str, at: Look) -> list[Any]:

@@ -7,6 +7,7 @@ import torch
 
 from scenegen.dataset.read import Split
 from scenegen.errors import DatasetError, printable
+from scenegen.mapping import Mapper
 from scenegen.model.checkpoint import load_network
 from scenegen.model.completion.completer import Completer, called, locate, unlike
 from scenegen.model.completion.protocol import Prediction
@@ -34,9 +35,9 @@ class Pretrained:
         self.name = printable(called(weights, self._path))
         """How the network is called in tables, in one line."""
 
-    def unlike(self, lidar: Any) -> str:
+    def unlike(self, lidar: Any, mapping: Mapper | None = None) -> str:
         """See `Completer.unlike`."""
-        return unlike(self.name, self.about, lidar)
+        return unlike(self.name, self.about, lidar, mapping)
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises DatasetError for another grid."""

@@ -22,11 +22,13 @@ REGIONS = ("map", "unobserved")
 """Rows of a sample's reconstruction before those of the classes of voxels."""
 
 
-def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any]) -> dict[str, Any]:
+def build_report(
+    results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any], tests: bool = True
+) -> dict[str, Any]:
     """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``, each {mean, std,
     low, high, n}, at the paper's thresholds; variants under their own keys beside them; `about` as it is. Where there
     is one world, low and high are None; where nothing was measured, mean and std are, too. No number is NaN or
-    infinite, which JSON has no words for: those are None."""
+    infinite, which JSON has no words for: those are None. Every two methods are compared where `tests` asks for it."""
     report: dict[str, Any] = {**about, "reconstruction": {}, "planning": {}, "tests": {}, "datasets": {}}
     for result in results:
         rng = np.random.default_rng(seed)
@@ -43,7 +45,7 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Mapping[
         }
         report["reconstruction"][result.kind] = {name: _reconstruction(found, result, rng) for name, found in methods}
         report["planning"][result.kind] = {name: _planning(found, result, rng) for name, found in methods}
-        report["tests"][result.kind] = _tests(result, rng)
+        report["tests"][result.kind] = _tests(result, rng) if tests else []
         if result.config.study:
             report.setdefault("study", {})[result.kind] = study_of(result, np.random.default_rng(seed))
     return _finite(report)

@@ -85,6 +85,17 @@ class _Found:
     """Empty unless asked for."""
 
 
+def check_middle(dataset: Dataset, instead: str = "bench datasets whose maps lie around the sensor") -> None:
+    """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle, would not begin at
+    the sensor."""
+    mapping = dataset.manifest.mapping
+    if not mapping.centred:
+        raise DatasetError(
+            f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the sensor, and plans begin in a "
+            f"map's middle; {instead}"
+        )
+
+
 def bench(
     dataset: Dataset,
     methods: Sequence[Method],
@@ -102,6 +113,7 @@ def bench(
     split = dataset.split(config.split)
     if not len(split):
         raise DatasetError(f"{dataset.folder}: {empty_split(config.split)}, or give another --split")
+    check_middle(dataset)
     indices = spread(len(split), config.samples or len(split))
     tuned = [tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods]
     work = partial(_work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim import AnalyticEngine
-from lidarsim.pose import rotate
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import BrokenError, DatasetError, SceneError
@@ -40,9 +39,13 @@ def seen_occupancy(sample: Sample, split: Split) -> NDArray[np.bool_]:
     """
     dataset = split.dataset
     solids, engine = _world(dataset.folder, split.name, int(sample.world))
-    directions = rotate(sample.quaternion, dataset.lidar.directions_body)
-    hits = engine.hits(sample.position[None], directions[None], dataset.lidar.max_range_m)
-    geoms = hits.geoms[0][np.isfinite(sample.ranges)]
+    scans = sample.scans()
+    origins, directions = (
+        np.array([scan.pose.position for scan in scans]),
+        np.array([scan.directions for scan in scans]),
+    )
+    hits = engine.hits(origins, directions, dataset.lidar.max_range_m)
+    geoms = hits.geoms[np.isfinite([scan.ranges for scan in scans])]
     return rasterize(some_of(solids, np.unique(geoms)), dataset.grid, sample.origin)
 
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import DRAWS
+from scenegen.model.reproduce.runs import Run
 
 Verdict = Literal["confirmed", "refuted", "undecided"]
 QUESTIONS = {
@@ -33,6 +33,12 @@ ABOUT = {
     "Q3": ("min_clearance", "avg_clearance", "length"),
 }
 """The metrics by which a question is answered; other cells are judged, and answer none."""
+TOLD = ("iou", "near_rmse", "success")
+"""The metrics by which runs are compared that no claim is about."""
+
+
+BESIDE = (("proposed-1", "proposed"), ("proposed-1", "occ"), ("columns", "occ"), ("columns", "proposed-1"))
+"""What is judged beside the paper's claims, by `TOLD`: the first before the second."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,21 +89,25 @@ def claims() -> tuple[Claim, ...]:
     )
 
 
+def beside() -> tuple[Claim, ...]:
+    """What the study asks on its own account."""
+    return tuple(
+        Claim(kind=kind, metric=metric, best=best, other=other)
+        for kind in paper.PLANNING
+        for best, other in BESIDE
+        for metric in TOLD
+    )
+
+
 def judge(claim: Claim, result: DatasetResult, *, seeds: Sequence[int], seed: int) -> list[Contrast]:
     """The claim's contrast for every one of `seeds` whose networks `result` holds, as rows named ``occ-s0``; `seed` is
     the bootstrap's."""
     found = []
     for number in seeds:
-        rows = [result.methods.get(f"{name}-s{number}") for name in (claim.best, claim.other)]
-        if None in rows:
-            continue
-        if claim.metric in METRICS:
-            column, worlds = list(METRICS).index(claim.metric), result.worlds
-            pair = [row.reconstruction[:, 0, column] for row in rows if row is not None]
-        else:
-            of, worlds = PLAN_METRICS[claim.metric].of, result.trial_worlds
-            pair = [np.array([of(trial) for trial in row.trials], np.float64) for row in rows if row is not None]
-        found.append(_contrast(claim.metric, number, pair, worlds, np.random.default_rng(seed)))
+        best, other = f"{claim.best}-s{number}", f"{claim.other}-s{number}"
+        if {best, other} <= result.methods.keys():
+            difference, low, high = _gain(claim.metric, result, best, other, seed)
+            found.append(Contrast(seed=number, difference=difference, low=low, high=high))
     return found
 
 
@@ -110,10 +120,13 @@ def verdict(contrasts: Sequence[Contrast]) -> Verdict:
     return "confirmed" if signs == {1} else "refuted"
 
 
-def judged(result: DatasetResult, *, seeds: Sequence[int], seed: int = 0) -> list[dict[str, Any]]:
-    """Every claim about `result`'s kind, as JSON: what it says, its question, its verdict, and each seed's contrast."""
+def judged(
+    result: DatasetResult, asked: Sequence[Claim], *, seeds: Sequence[int], seed: int = 0
+) -> list[dict[str, Any]]:
+    """Those claims of `asked` that are about `result`'s kind, as JSON: what each says, its question, its verdict, and
+    each seed's contrast."""
     found = []
-    for claim in claims():
+    for claim in asked:
         if claim.kind == result.kind:
             contrasts = judge(claim, result, seeds=seeds, seed=seed)
             said = {"question": claim.question, "verdict": verdict(contrasts)}
@@ -138,16 +151,35 @@ def _loss(metric: str, value: Any) -> Any:
     return -value if better == "higher" else value if better == "lower" else np.abs(value)
 
 
-def _contrast(
-    metric: str,
-    number: int,
-    pair: Sequence[NDArray[np.float64]],
-    worlds: NDArray[np.int64],
-    rng: np.random.Generator,
-) -> Contrast:
-    """Each method's mean is over its own values, as in the tables; worlds are drawn with replacement for both alike."""
+def contrasts(result: DatasetResult, runs: Sequence[Run], *, seed: int) -> list[dict[str, Any]]:
+    """How much better each of `runs` is than the one that it is compared with, by `TOLD`, as JSON: one seed, so that
+    no verdict follows."""
+    return [
+        {"run": run.name, "against": run.against, "kind": result.kind, "metric": metric}
+        | dict(zip(("difference", "low", "high"), _gain(metric, result, run.name, run.against, seed), strict=True))
+        for run in runs
+        if run.against in result.methods
+        for metric in TOLD
+    ]
+
+
+def _gain(
+    metric: str, result: DatasetResult, best: str, other: str, seed: int
+) -> tuple[float, float | None, float | None]:
+    """By how much row `best` of `result` is better than row `other`, and the interval's ends, as in `Contrast`.
+
+    Each method's mean is over its own values, as in the tables; worlds are drawn with replacement for both alike.
+    """
+    rows = [result.methods[name] for name in (best, other)]
+    if metric in METRICS:
+        column, worlds = list(METRICS).index(metric), result.worlds
+        pair = [row.reconstruction[:, 0, column] for row in rows]
+    else:
+        of, worlds = PLAN_METRICS[metric].of, result.trial_worlds
+        pair = [np.array([of(trial) for trial in row.trials], np.float64) for row in rows]
     names, member = np.unique(worlds, return_inverse=True)
-    weights = np.vstack([np.ones(len(names)), rng.multinomial(len(names), np.full(len(names), 1 / len(names)), DRAWS)])
+    drawn = np.random.default_rng(seed).multinomial(len(names), np.full(len(names), 1 / len(names)), DRAWS)
+    weights = np.vstack([np.ones(len(names)), drawn])
     losses = []
     for values in pair:
         held = np.isfinite(values)
@@ -159,6 +191,6 @@ def _contrast(
             losses.append(_loss(metric, (weights @ sums) / (weights @ counts)))
     gains = losses[1] - losses[0]
     if len(names) < 2 or not np.isfinite(gains[1:]).any():
-        return Contrast(seed=number, difference=float(gains[0]), low=None, high=None)
+        return float(gains[0]), None, None
     low, high = np.nanpercentile(gains[1:], [2.5, 97.5])
-    return Contrast(seed=number, difference=float(gains[0]), low=float(low), high=float(high))
+    return float(gains[0]), float(low), float(high)

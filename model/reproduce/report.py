@@ -1,10 +1,10 @@
 """The study for people: what it found, from what ``study.json`` holds and nothing else."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.study.report import brief
+from scenegen.model.evaluation.study.report import brief, fate_lines, success_lines
 from scenegen.model.evaluation.tables import head, interval, line
 
 SHOWN = {"reconstruction": ("iou", "near_rmse"), "planning": ("success",)}
@@ -13,13 +13,20 @@ SHOWN = {"reconstruction": ("iou", "near_rmse"), "planning": ("success",)}
 
 def to_markdown(study: Mapping[str, Any]) -> str:
     """Verdicts, then the figures behind them."""
-    settings = study["settings"]
+    settings, runs = study["settings"], study["runs"]
+    devices = ", ".join(sorted({run["device"] for run in runs.values()}))
+    hours = sum(run["hours"] for run in runs.values())
     lines = [
         "# The study",
         "",
-        f"{len(study['runs'])} networks, each trained on {settings['maps'] * settings['scale']:.0f} maps seen, scale "
-        f"{settings['scale']:g}, on {study['device']}, at commit {study['commit']}. Written by `scenegen reproduce`; "
-        "every figure here stands in `study.json`, with many more.",
+        f"{len(runs)} networks at scale {settings['scale']:g}; the whole budget is "
+        f"{settings['maps'] * settings['scale']:.0f} maps seen. They were trained in {hours:.1f} hours on {devices}; "
+        f"they were measured at commit {study['commit']}. Written by `scenegen reproduce`; `study.json` holds every "
+        "figure of this page, and many more.",
+    ]
+    if study["missing"]:
+        lines += ["", f"**Not trained yet**, so that what needs them is undecided: {_names(study['missing'])}."]
+    lines += [
         "",
         "## Verdicts",
         "",
@@ -31,26 +38,65 @@ def to_markdown(study: Mapping[str, Any]) -> str:
     ]
     for name, said in study["verdicts"].items():
         lines.append(line(f"{name}: {said['asks']}", (f"**{said['verdict']}**", _counts(said["claims"]))))
-    for kind, report in study["reports"].items():
+    for kind in study["report"]["reconstruction"]:
         lines += ["", f"## {kind}", "", "How much better by each seed, with 95 % intervals:", ""]
-        lines += head(("verdict", "seeds"))
-        for claim in study["claims"]:
-            if claim["kind"] == kind:
-                name = f"{claim['metric']}: {claim['best']} before {claim['other']}"
-                lines.append(line(name, (claim["verdict"], _seeds(claim["seeds"]))))
-        columns = [(table, name) for table, names in SHOWN.items() for name in names]
-        lines += ["", "Means over test maps and trials, with 95 % intervals:", ""]
-        lines += head([(METRICS | PLAN_METRICS)[name].label for _, name in columns])
-        for row in report["reconstruction"][kind]:
-            lines.append(line(row, (brief(report[table][kind][row][name]) for table, name in columns)))
-    lines += ["", "## Runs", "", *head(("asks", "weights"))]
-    lines += [line(f"`{name}`", (run["asks"], f"{run['sha256'][:12]}…")) for name, run in study["runs"].items()]
+        lines += [*head(("verdict", "seeds")), *_judged(study["claims"], kind)]
+        lines += ["", "Beside the paper's claims, judged alike:", ""]
+        lines += [*head(("verdict", "seeds")), *_judged(study["beside"], kind)]
+        lines += ["", "Means over test maps and trials, with 95 % intervals:", "", *_means(study["report"], kind)]
+        if studied := study["report"].get("study", {}).get(kind):
+            lines += [
+                *success_lines(studied, "search"),
+                *success_lines(studied, "clearance_weight"),
+                *fate_lines(studied),
+            ]
+        compared = [row for row in study["contrasts"] if row["kind"] == kind]
+        if study["short"]["reconstruction"][kind]:
+            lines += ["", "Runs with a part of the budget, one seed:", "", *_means(study["short"], kind)]
+        if compared:
+            lines += ["", "How much better than the run that they are compared with:", "", *_compared(compared)]
+    lines += ["", "## Runs", "", *head(("what for", "maps, hours", "weights"))]
+    for name, run in runs.items():
+        spent = f"{run['maps']:.0f} of {run['samples']}, {run['hours']:.1f}"
+        lines.append(line(f"`{name}`", (run["asks"], spent, f"{run['sha256'][:12]}…")))
     return "\n".join(lines) + "\n"
+
+
+def _means(report: Mapping[str, Any], kind: str) -> list[str]:
+    columns = [(table, name) for table, names in SHOWN.items() for name in names]
+    titles = head([_label(name) for _, name in columns])
+    rows = report["reconstruction"][kind]
+    return [*titles, *(line(row, (brief(report[table][kind][row][name]) for table, name in columns)) for row in rows)]
+
+
+def _judged(claims: Sequence[Mapping[str, Any]], kind: str) -> Iterable[str]:
+    for claim in claims:
+        if claim["kind"] == kind:
+            name = f"{_label(claim['metric'])}: {claim['best']} before {claim['other']}"
+            yield line(name, (claim["verdict"], "; ".join(map(_gain, claim["seeds"])) or "–"))
+
+
+def _compared(rows: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        found.setdefault(f"{row['run']} than {row['against']}", []).append(_gain(row))
+    metrics = dict.fromkeys(row["metric"] for row in rows)
+    yield from head([_label(name) for name in metrics])
+    for name, cells in found.items():
+        yield line(name, cells)
+
+
+def _label(metric: str) -> str:
+    return (METRICS | PLAN_METRICS)[metric].label
+
+
+def _names(runs: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in runs)
 
 
 def _counts(claims: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {said}" for said, count in sorted(claims.items()))
 
 
-def _seeds(contrasts: Sequence[Mapping[str, Any]]) -> str:
-    return "; ".join(f"{one['difference']:+.3f} {interval(one, '+.3f')}" for one in contrasts) or "–"
+def _gain(found: Mapping[str, Any]) -> str:
+    return f"{found['difference']:+.3f} {interval(found, '+.3f')}"

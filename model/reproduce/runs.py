@@ -1,15 +1,18 @@
 """What the study trains: every run by name."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+import numpy as np
 
-Row = tuple[str, str, Mapping[str, Any], Mapping[str, Any]]
-"""Name without seed, what it is for, network, loss."""
+from scenegen.model.config import PROTOCOLS, LossConfig, NetworkConfig, Thresholds, TrainConfig
+from scenegen.model.uncertainty.calibration import corrected
+
 SEEDS = (0, 1)
 """Seeds of the runs that a verdict compares: no ordering is claimed from one."""
+SHORT = 0.25
+"""The part of the budget that a run has where it shows what one choice is worth, and where its opposite has as much."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,9 +25,17 @@ class Run:
     """What it is for."""
     network: Mapping[str, Any] = field(default_factory=dict)
     loss: Mapping[str, Any] = field(default_factory=dict)
+    protocol: Mapping[str, Any] = field(default_factory=dict)
+    """What it has in place of other settings of `TrainConfig`."""
     seed: int = 0
     share: float = 1.0
     """Its part of the study's budget of maps."""
+    samples: float = 1.0
+    """Its part of the training samples."""
+    probability: float = Thresholds().probability
+    """Where the bench takes a voxel for occupied."""
+    against: str | None = None
+    """The run that it is compared with: it has all else in common with this one."""
 
     def config(self, maps: int) -> TrainConfig:
         """The run's settings at a study's budget of `maps` seen."""
@@ -33,44 +44,73 @@ class Run:
             loss=LossConfig(**self.loss),
             maps=max(round(maps * self.share), 1),
             seed=self.seed,
+            **self.protocol,
         )
 
 
 def _runs() -> tuple[Run, ...]:
-    level = {"occupancy": 1.0}
-    both = {"inputs": ("observed", "free")}
-    claimed: list[Row] = [
-        ("occ", "the paper's OCC-only", {"variant": "occ"}, {}),
-        ("proposed", "the paper's network, λ_occ 0.1", {}, {}),
-        ("tudf", "the paper's TUDF-only", {"variant": "tudf"}, {}),
-        ("proposed-1", "λ_occ 1: whether distances leave occupancy its share", {}, level),
-        ("columns", "columns seen whole, free space, λ_occ 1", {"variant": "columns", **both}, level),
-    ]
-    single: list[Row] = [
-        ("dual", "what CrossFusion is worth", {"variant": "dual"}, {}),
-        ("dual-1", "the same at λ_occ 1", {"variant": "dual"}, level),
-        ("shared", "what two decoders are worth", {"variant": "shared"}, {}),
-        ("shared-1", "the same at λ_occ 1", {"variant": "shared"}, level),
-        ("proposed-no-eikonal", "what the Eikonal term is worth", {}, {"eikonal": 0.0}),
-        ("proposed-scaled", "distances in units of the truncation", {}, {"beta_m": 2.0, "tudf": 0.5, "eikonal": 0.1}),
-        ("occ-wide", "OCC-only with as many parameters as `proposed`", {"variant": "occ", "width": 11}, {}),
-        ("tudf-wide", "TUDF-only with as many parameters as `proposed`", {"variant": "tudf", "width": 11}, {}),
-        ("occ-weight-1", "OCC-only without the class weight", {"variant": "occ"}, {"occupied_weight": 1.0}),
-        ("dual-1-free", "free space as an input", {"variant": "dual", **both}, level),
-        ("columns-observed", "columns without free space", {"variant": "columns"}, level),
-    ]
-    found = [
-        Run(name=f"{name}-s{seed}", asks=asks, network=network, loss=loss, seed=seed)
-        for seed in SEEDS
-        for name, asks, network, loss in claimed
-    ]
-    found += [Run(name=f"{name}-s0", asks=asks, network=network, loss=loss) for name, asks, network, loss in single]
-    finer = {"stem_stride": 1}
-    return (
-        *found,
-        Run(name="proposed-stem-1-s0", asks="a finer stem, a quarter of the maps", network=finer, share=0.25),
+    level, both = {"occupancy": 1.0}, {"inputs": ("observed", "free")}
+    claimed = (
+        Run(name="occ", asks="the paper's OCC-only", network={"variant": "occ"}),
+        Run(name="proposed", asks="the paper's network, λ_occ 0.1"),
+        Run(name="proposed-1", asks="λ_occ 1: whether distances leave occupancy its share", loss=level),
+        Run(name="tudf", asks="the paper's TUDF-only", network={"variant": "tudf"}),
+        Run(name="columns", asks="columns seen whole, free space", network={"variant": "columns", **both}, loss=level),
+    )
+    long = [replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in claimed]
+    occ, proposed, proposed_1, tudf, columns = (
+        replace(run, name=f"{run.name}-short", asks=f"{run.asks}, a part of the maps", share=SHORT) for run in claimed
     )
 
+    def unlike(base: Run, name: str, asks: str, **changed: Any) -> Run:
+        return replace(base, name=name, asks=asks, against=base.name, **changed)
 
+    dual_1 = unlike(proposed_1, "dual-1", "without CrossFusion at λ_occ 1", network={"variant": "dual"})
+    short = [
+        occ,
+        proposed,
+        proposed_1,
+        tudf,
+        columns,
+        unlike(proposed, "dual", "without CrossFusion", network={"variant": "dual"}),
+        dual_1,
+        unlike(proposed, "shared", "one decoder with two heads", network={"variant": "shared"}),
+        unlike(proposed_1, "shared-1", "the same at λ_occ 1", network={"variant": "shared"}),
+        unlike(dual_1, "dual-1-free", "free space as an input", network={"variant": "dual", **both}),
+        unlike(columns, "columns-observed", "without free space", network={"variant": "columns"}),
+        unlike(columns, "flat", "without the 3-D net, as in LMSCNet", network={"variant": "flat", **both}),
+        unlike(
+            columns, "deep", "a plain large 3-D U-Net in its place", network={"variant": "shared", "width": 24, **both}
+        ),
+        unlike(proposed, "proposed-no-eikonal", "without the Eikonal term", loss={"eikonal": 0.0}),
+        unlike(
+            proposed,
+            "proposed-scaled",
+            "distances in units of the truncation",
+            loss={"beta_m": 2.0, "tudf": 0.5, "eikonal": 0.1},
+        ),
+        unlike(proposed, "proposed-paper", "the paper's protocol", protocol=PROTOCOLS["paper"]),
+        unlike(proposed, "proposed-plain", "without symmetries", protocol={"augment": False}),
+        unlike(occ, "occ-plain", "without symmetries", protocol={"augment": False}),
+        unlike(occ, "occ-wide", "with as many parameters as `proposed`", network={"variant": "occ", "width": 11}),
+        unlike(tudf, "tudf-wide", "with as many parameters as `proposed`", network={"variant": "tudf", "width": 11}),
+        unlike(
+            occ,
+            "occ-weight-1",
+            "no class weight, and a threshold that undoes it",
+            loss={"occupied_weight": 1.0},
+            probability=EVEN_THRESHOLD,
+        ),
+        unlike(proposed, "proposed-stem-1", "a finer stem", network={"stem_stride": 1}),
+    ]
+    fewer = [
+        unlike(proposed_1, f"proposed-1-of-{name}", f"one of {name} samples", samples=1 / part)
+        for name, part in (("2", 2), ("10", 10), ("40", 40))
+    ]
+    return (*long, *short, *fewer)
+
+
+EVEN_THRESHOLD = float(corrected(np.array(Thresholds().probability, np.float32), LossConfig().occupied_weight))
+"""Where a network without a class weight stands when one with the paper's says the paper's threshold."""
 RUNS = _runs()
 """All runs of the study, those that decide most first."""

@@ -4,7 +4,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,20 +20,23 @@ from scenegen.files import disk_error, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.unlearned import Extrude, Returns
+from scenegen.model.config import Thresholds, TrainConfig
 from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.evaluation.keep import keep, kept
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.run import DatasetResult, bench
 from scenegen.model.evaluation.seen import Seen
-from scenegen.model.reproduce.claims import answers, judged
+from scenegen.model.reproduce.claims import answers, beside, claims, contrasts, judged
 from scenegen.model.reproduce.config import ReproduceConfig
+from scenegen.model.reproduce.figures import draw
 from scenegen.model.reproduce.report import to_markdown
 from scenegen.model.reproduce.runs import RUNS, SEEDS, Run
 from scenegen.model.training.data import opened
-from scenegen.model.training.device import choose_device, device_name
+from scenegen.model.training.device import choose_device
 from scenegen.model.training.loop import Watcher, train
-from scenegen.model.training.run_folder import BEST, CONFIG
+from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, read_rows
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
 from scenegen.workers import run as run_workers
@@ -42,9 +45,11 @@ if TYPE_CHECKING:
     from scenegen.terminal.progress import Progress
 
 KINDS = ("geometric", "pillar")
-SETTINGS, STUDY, TEXT = "settings.json", "study.json", "study.md"
+SETTINGS, STUDY, TEXT, FIGURES = "settings.json", "study.json", "study.md", "figures"
 TRIALS = 2000
 """Planning trials a kind at scale 1 (the paper's)."""
+CURVE = ("maps", "seconds", "train_loss", "val_loss", "val_occupancy", "val_iou", "val_near_rmse")
+"""What is told of every round of a run."""
 
 
 def reproduce(
@@ -60,29 +65,40 @@ def reproduce(
     On a CPU, `workers` networks are trained side by side, one thread each; on a GPU, one after the other. Raises
     DatasetError for a folder that holds another study, and what its stages raise.
     """
-    chosen = runs(config)
     begin(out, config)
     folders = [_dataset(out / "data" / kind, kind, config, workers, progress(kind)) for kind in KINDS]
     where = choose_device(device)
     with progress("networks") as shown:
+        chosen = runs(config)
         shown.start(sum(run.config(config.scaled(config.maps)).maps or 0 for run in chosen))
         work = partial(_train, out, folders, config, str(where), shown if workers == 1 else None)
         side_by_side = 1 if where.type == "cuda" else workers
         for maps in run_workers(work, chosen, side_by_side, lambda: None):
             shown.count(maps)
-    measured = [_measure(out, folder, chosen, config, workers, progress(f"bench {folder.name}")) for folder in folders]
-    claims = [claim for one in measured for claim in one["claims"]]
+    done = [run for run in RUNS if run in chosen or _complete(out / "runs" / run.name, run, config)]
+    measured = [_measure(out, folder, done, config, workers, progress(f"bench {folder.name}")) for folder in folders]
+    short = {run.name for run in done if run.share < 1}
+    said, others = (
+        [row for one in measured for row in judged(one, asked, seeds=SEEDS, seed=config.seed)]
+        for asked in (claims(), beside())
+    )
     study = {
-        "settings": asdict(config),
+        "settings": {name: value for name, value in asdict(config).items() if name != "only"},
         "commit": commit(),
-        "device": device_name(where),
-        "runs": {run.name: {"asks": run.asks, **_trained(out / "runs" / run.name)} for run in chosen},
-        "verdicts": answers(claims),
-        "claims": claims,
-        "reports": {folder.name: one["report"] for folder, one in zip(folders, measured, strict=True)},
+        "missing": [run.name for run in RUNS if run not in done],
+        "runs": {run.name: _told(run, out / "runs" / run.name) for run in done},
+        "verdicts": answers(said),
+        "claims": said,
+        "beside": others,
+        "contrasts": [row for one in measured for row in contrasts(one, done, seed=config.seed)],
+        "report": _report(measured, lambda name: name not in short, config.seed),
+        "short": _report(measured, lambda name: name in short, config.seed),
     }
-    write_whole(out / STUDY, (json.dumps(study, indent=1, allow_nan=False) + "\n").encode())
+    write_whole(out / STUDY, (json.dumps(study, allow_nan=False) + "\n").encode())
     write_whole(out / TEXT, to_markdown(study).encode())
+    (out / FIGURES).mkdir(exist_ok=True)
+    for name, picture in draw(study).items():
+        write_whole(out / FIGURES / name, picture)
     return study
 
 
@@ -150,7 +166,7 @@ def _train(
 
     def go_on() -> None:
         train(
-            opened(folders, "train"),
+            opened(folders, "train", run.samples),
             opened(folders, "val"),
             settings,
             folder,
@@ -168,55 +184,76 @@ def _train(
     return 0 if shown else settings.maps or 0
 
 
-def _trained(folder: Path) -> dict[str, Any]:
-    """What is told of a finished run: its settings, its hardware, its network's digest."""
+def _complete(folder: Path, run: Run, config: ReproduceConfig) -> bool:
+    """Whether `folder` holds `run` to its last map, as `config` has it."""
+    held, asked = _read(folder / CONFIG), run.config(config.scaled(config.maps))
+    if held is None or asked.maps is None or differences(held.get("settings", {}), _settings(held, asked)):
+        return False
+    return (folder / ROWS).exists() and read_rows(folder)[-1]["maps"] > asked.maps - asked.batch
+
+
+def _settings(held: dict[str, Any], asked: TrainConfig) -> dict[str, Any]:
+    """The settings of a run's folder with all that `asked` decides in their place."""
+    given = json.loads(json.dumps(asdict(asked)))
+    given["network"] |= {"height": held["settings"]["network"].get("height")}  # which the data give
+    return held["settings"] | {name: value for name, value in given.items() if name != "precision"}
+
+
+def _told(run: Run, folder: Path) -> dict[str, Any]:
+    """What is told of a finished run: what it is for, its settings, hardware, time and curve, its network's digest."""
     held = _read(folder / CONFIG)
     if held is None:
         raise DatasetError(f"{folder / CONFIG}: is damaged; remove the folder, and the run is made again")
-    return {name: held.get(name) for name in ("settings", "device", "commit")} | {"sha256": _sha256(folder / BEST)}
+    curve = read_rows(folder)
+    return {
+        "asks": run.asks,
+        "against": run.against,
+        "seed": run.seed,
+        "samples": held["settings"]["samples"],
+        "maps": curve[-1]["maps"],
+        "hours": sum(row["seconds"] for row in curve) / 3600,
+        "curve": [{name: row[name] for name in CURVE if name in row} for row in curve],
+        "sha256": _sha256(folder / BEST),
+    } | {name: held.get(name) for name in ("settings", "device", "commit", "command")}
 
 
 def _measure(
-    out: Path, folder: Path, chosen: Sequence[Run], config: ReproduceConfig, workers: int, shown: "Progress"
-) -> dict[str, Any]:
-    """The bench of every network on one dataset, and the claims; kept while networks, data and settings stay."""
-    networks = [out / "runs" / run.name for run in chosen]
-    dataset, file = Dataset(folder), out / "bench" / f"{folder.name}.json"
-    benched = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed, study=True)
-    stamp = {
-        "networks": [_sha256(network / BEST) for network in networks],
-        "dataset": str(dataset.manifest.digest),
-        "bench": json.loads(json.dumps(asdict(benched))),
-    }
-    held = _read(file)
-    if held is not None and held.get("stamp") == stamp and held.get("sha256") == _digest(held):
-        return held
+    out: Path, folder: Path, done: Sequence[Run], config: ReproduceConfig, workers: int, shown: "Progress"
+) -> DatasetResult:
+    """The bench of every network on one dataset; each is kept by itself while it, the data and the settings stay.
+
+    Networks with the whole budget are studied, and so is what needs no network; others have their rows in the tables.
+    """
+    dataset = Dataset(folder)
+    usual = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed, study=True)
     unlearned: list[Method] = [Completed(Returns()), Completed(Extrude()), Truth(), Seen()]
+    tasks = [("unlearned", "", unlearned, usual)]
+    for run in done:
+        network = out / "runs" / run.name
+        at = replace(usual, study=run.share == 1, thresholds=Thresholds(probability=run.probability))
+        tasks.append((run.name, _sha256(network / BEST), [Pretrained(str(network))], at))
+    found = []
     with shown:
-        result = bench(
-            dataset,
-            [*unlearned, *(Pretrained(str(network)) for network in networks)],
-            benched,
-            workers=workers,
-            on_start=shown.start,
-            on_done=shown.count,
-        )
-    found = {
-        "stamp": stamp,
-        "report": build_report([result], seed=config.seed, about={"split": benched.split}),
-        "claims": judged(result, seeds=SEEDS, seed=config.seed),
-    }
-    found = json.loads(json.dumps(found, allow_nan=False))
-    found["sha256"] = _digest(found)
-    file.parent.mkdir(exist_ok=True)
-    write_whole(file, (json.dumps(found, indent=1) + "\n").encode())
-    return found
+        shown.start(len(tasks) * len(dataset.split(usual.split)))
+        for name, digest, methods, asked in tasks:
+            file = out / "bench" / folder.name / f"{name}.npz"
+            stamp = {"network": digest, "dataset": str(dataset.manifest.digest), "bench": asdict(asked)}
+            result = kept(file, asked, stamp)
+            if result is None:
+                result = bench(dataset, methods, asked, workers=workers, on_done=shown.count)
+                keep(file, result, stamp)
+            else:
+                shown.count(len(result.worlds))
+            found.append(result)
+    return replace(found[0], methods={name: row for result in found for name, row in result.methods.items()})
 
 
-def _digest(found: dict[str, Any]) -> str:
-    """The SHA-256 of all but itself."""
-    text = json.dumps({name: value for name, value in found.items() if name != "sha256"}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+def _report(measured: Sequence[DatasetResult], named: Callable[[str], bool], seed: int) -> dict[str, Any]:
+    """The bench's report of those rows whose names are `named`."""
+    chosen = [replace(one, methods={name: row for name, row in one.methods.items() if named(name)}) for one in measured]
+    studied = [all(row.study is not None for row in one.methods.values()) for one in chosen]
+    chosen = [replace(one, config=replace(one.config, study=whole)) for one, whole in zip(chosen, studied, strict=True)]
+    return build_report(chosen, seed=seed, about={"split": measured[0].config.split}, tests=False)
 
 
 def _sha256(path: Path) -> str:

@@ -54,21 +54,27 @@ class Samples(Protocol):
 class SplitSamples:
     """The samples of a dataset's split. Files are opened in the process that reads them."""
 
-    def __init__(self, dataset: SampleDataset, split: str):
+    def __init__(self, dataset: SampleDataset, split: str, share: float = 1.0):
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
         self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
+        self.mapping = dataset.manifest.mapping
         self._split = dataset.split(split)
+        self._count = len(self._split)
+        if share < 1:
+            self._count = max(round(share * self._count), 1)
+            self.digest += f", the first {self._count}"
 
     def __len__(self) -> int:
-        return len(self._split)
+        return self._count
 
     def __getitem__(self, index: int) -> Sample:
         return self._split[index]
 
 
-def opened(folders: Sequence[Path | str], split: str) -> list[Samples]:
-    """The samples of one split of every dataset in `folders`. Raises DatasetError for a folder that holds none."""
-    return [SplitSamples(SampleDataset(folder), split) for folder in folders]
+def opened(folders: Sequence[Path | str], split: str, share: float = 1.0) -> list[Samples]:
+    """The samples of one split of every dataset in `folders`, or the first `share` of them. Raises DatasetError for a
+    folder that holds none."""
+    return [SplitSamples(SampleDataset(folder), split, share) for folder in folders]
 
 
 class Maps(Dataset):

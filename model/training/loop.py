@@ -17,9 +17,10 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from scenegen.checkout import commit
-from scenegen.dataset.manifest import differences, installed, software
+from scenegen.dataset.manifest import differences, installed, mapping_entry, software
 from scenegen.dataset.sensor import entry_of
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
+from scenegen.mapping import Mapper
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.config import VARIANTS, TrainConfig
 from scenegen.model.losses import objective
@@ -96,6 +97,7 @@ def train(
         versions = software() | {"python": platform.python_version()} | {name: installed(name) for name in PACKAGES}
         about = {"command": command, "commit": commit(), "versions": versions, "device": device_name(where)}
         about["lidar"] = entry_of(maps.sources[0].lidar)
+        about |= mapping_entry(getattr(maps.sources[0], "mapping", Mapper()))
         group.first_alone(lambda: folder.open({"settings": settings, **about}))
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, where, precision, group)

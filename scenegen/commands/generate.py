@@ -10,11 +10,16 @@ import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
 from scenegen.limits import USUAL_IN_SHARD
+from scenegen.mapping import Mapper
 from scenegen.recipes import KINDS
 from scenegen.terminal.options import (
     json_option,
     lidar_option,
+    mapping_given,
+    mapping_options,
     noise_option,
+    on_option,
+    options_of,
     out_option,
     quiet_option,
     seed_option,
@@ -38,6 +43,8 @@ NETWORK_EDGE = 8
 @click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
 @lidar_option("The sensor", "  [default: the recipe's]")
 @noise_option
+@mapping_options
+@options_of(Mapper, tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.")
 @click.option(
     "--engine",
     type=Named(ENGINES),
@@ -51,6 +58,7 @@ NETWORK_EDGE = 8
 @seed_option("The same seed, the same dataset.")
 @out_option("Folder of the dataset.  [default: data/<kind>]")
 @workers_option
+@on_option
 @click.option(
     "--labels",
     type=click.Choice(["name", "material", "group"]),
@@ -72,6 +80,7 @@ def generate(
     val: int | None,
     test: int | None,
     workers: int,
+    on: str,
     dry_run: bool,
     as_json: bool,
     quiet: bool,
@@ -90,6 +99,7 @@ def generate(
     if talk:
         announce_compilation()
     from scenegen.dataset.build import build, check_folder
+    from scenegen.executors import executor
     from scenegen.workers import keep_memory
 
     keep_memory()
@@ -107,7 +117,8 @@ def generate(
     if dry_run:
         _show_plan(plan, as_json)
         return
-    chosen = plan.shards[slice(*shard_range)] if shard_range else plan.shards
+    execute = executor(on, workers)
+    chosen = execute.mine(plan.shards[slice(*shard_range)] if shard_range else plan.shards)
     names = {shard.file.name for shard in chosen}
 
     def start() -> None:
@@ -119,6 +130,7 @@ def generate(
     with Progress(plan.parameters["kind"], shown=talk) as progress:
         summary = build(
             plan,
+            execute=execute,
             workers=workers,
             shard_range=shard_range,
             force=options["force"],
@@ -146,7 +158,7 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     named = kind if scene is None else "scene"
     lidar = None if options["lidar"] is None else named_lidar(options["lidar"])
-    own = {"lidar": lidar, "noise": options["noise"]}
+    own: dict[str, Any] = {"lidar": lidar, "noise": options["noise"], "mapping": mapping_given(options)}
     recipe = preset(named, **own) if file is None else read_recipe(file, named, **own)
     source: Source
     if scene is not None:
@@ -178,7 +190,7 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
         return
     from scenegen.publish.regenerate import recipe_text
 
-    of_recipe = ("kind", "recipe", "lidar", "noise", "grid")
+    of_recipe = ("kind", "recipe", "lidar", "noise", "mapping", "grid")
     show_table(
         rows | flat({key: value for key, value in plan.parameters.items() if key not in of_recipe}), "would make"
     )

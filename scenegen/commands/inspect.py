@@ -6,6 +6,7 @@ from typing import Any
 
 import rich_click as click
 
+from scenegen.mapping import Mapper
 from scenegen.terminal.options import dataset_argument, json_option
 from scenegen.terminal.show import rejections, show_table
 
@@ -34,6 +35,7 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
             "complete": "yes" if found["complete"] else "no",
             "digest": found["digest"],
             "grid": f"{found['grid']['shape']} voxels of {found['grid']['voxel']} m",
+            "maps": Mapper(**(found["mapping"] or {})),
             "fields": ", ".join(found["fields"]),
             "samples": found["samples"],
             "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a sample",

@@ -13,6 +13,8 @@ from scenegen.terminal.options import (
     dataset_argument,
     json_option,
     lidar_option,
+    mapping_given,
+    mapping_options,
     noise_option,
     out_option,
     quiet_option,
@@ -26,6 +28,7 @@ from scenegen.terminal.types import Named
 @dataset_argument
 @lidar_option("The sensor", "  [default: the dataset's]")
 @noise_option
+@mapping_options
 @click.option("--engine", type=Named(ENGINES), help="What casts the rays.  [default: what cast the dataset's]")
 @out_option("Folder of the new dataset.")
 @workers_option
@@ -42,10 +45,12 @@ def rescan(
     force: bool,
     as_json: bool,
     quiet: bool,
+    **options: Any,
 ) -> None:
     """Scan the worlds of a dataset again, from the same poses: a pair, sample by sample.
 
-    Given again after a stop, it goes on where it was.
+    What is not said of the sensor and of maps is as in the dataset, but for noise. Given again after a stop, it goes on
+    where it was.
     """
     if out is None:
         raise click.UsageError("give the new dataset's folder with -o")
@@ -61,7 +66,7 @@ def rescan(
     source = Dataset(dataset)
     sensor = None if lidar is None else named_lidar(lidar)
     chain = named_noise(noise, sensor or source.lidar)
-    plan = plan_rescan(source, out, lidar=sensor, chain=chain, engine=engine)
+    plan = plan_rescan(source, out, lidar=sensor, chain=chain, engine=engine, mapping=mapping_given(options))
 
     def count(report: Any, fresh: bool) -> None:
         progress.count(report.samples)

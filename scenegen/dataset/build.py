@@ -3,8 +3,9 @@
 import math
 import os
 import shutil
+import time
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,17 +17,22 @@ from scenegen.dataset import manifest
 from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError, short
+from scenegen.executors import Executor
+from scenegen.executors.local import Local
 from scenegen.files import remove_drafts
 from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
 from scenegen.recipe import Recipe
 from scenegen.source import Source
 from scenegen.stopping import undone_if_stopped
-from scenegen.workers import run
+
+NOTE_S = 30.0
+"""Seconds after which a run writes down what is finished."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """What a run did, and what is there now."""
+    """What a run did, and what it knows to be there; a job with a part of the shards looks at no others until all are
+    there."""
 
     folder: Path
     complete: bool
@@ -115,18 +121,11 @@ def _check_asked(option: str, value: int, least: int, most: int) -> None:
         raise DatasetError(f"{option} {short(value)}: expected a whole number from {least} to {most}")
 
 
-Execute = Callable[
-    [Callable[[ShardSpec], ShardReport], list[ShardSpec], Callable[[], None]], Generator[ShardReport, None, None]
-]
-"""Has a function's results over tasks made somewhere, and yields them as they come, in any order; it calls its third
-argument once the work has begun. What one task gives depends on the task alone."""
-
-
 def build(
     plan: Plan,
     *,
     workers: int = 1,
-    execute: Execute | None = None,
+    execute: Executor | None = None,
     shard_range: tuple[int, int] | None = None,
     force: bool = False,
     on_start: Callable[[], None] = lambda: None,
@@ -134,7 +133,7 @@ def build(
 ) -> Summary:
     """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
 
-    `workers` processes of this machine write the shards, or what `execute` chooses instead. `force` replaces another
+    `workers` processes of this machine write the shards, or whatever `execute` has do it. `force` replaces another
     dataset in the folder. `on_start` is called once the work has begun, and `on_shard` for every shard that is there
     already (False) and for every one that is written (True). A run that ends in any way leaves whole shards, and the
     next one goes on from there. The run that finds every shard completes the manifest.
@@ -142,10 +141,12 @@ def build(
     Raises DatasetError for a folder that holds something else, and what writing shards raises.
     """
     first, stop = shard_range or (0, len(plan.shards))
+    execute = execute or Local("", workers)
     state = State(plan, force=force)
     begun = state.begun
-    state.look(verify=True)
-    missing = [shard for shard in plan.shards[first:stop] if shard.file not in state.reports]
+    mine = execute.mine(plan.shards[first:stop])
+    state.look(mine, workers=workers)
+    missing = [shard for shard in mine if shard.file not in state.reports]
     _check_space(plan, missing)
     # kernels compile here, once, before workers start, and hopeless parameters end here, before anything is written
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
@@ -153,18 +154,20 @@ def build(
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
-    written = 0
+    written, noted = 0, time.monotonic()
     with undone_if_stopped(lambda: remove_drafts(plan.folder)):
         try:
-            made = execute(write_shard, missing, on_start) if execute else run(write_shard, missing, workers, on_start)
-            with closing(made) as results:
+            with closing(execute(write_shard, missing, on_start)) as results:
                 for report in results:
                     state.reports[plan.folder / report.file] = report
                     written += report.samples
                     on_shard(report, True)
+                    if len(mine) == len(plan.shards) and time.monotonic() - noted > NOTE_S:
+                        state.note()
+                        noted = time.monotonic()
         finally:
             remove_drafts(plan.folder)
-    return _summarise(state, state.sign(), written)
+    return _summarise(state, state.sign(workers=workers), written)
 
 
 def _first_unit(shard: ShardSpec) -> None:
@@ -209,7 +212,7 @@ def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
-        shards_missing=len(plan.shards) - len(reports),
+        shards_missing=len(state.absent()) or len(plan.shards) - len(reports),
         samples_written=written,
         digest=final["digest"],
     )

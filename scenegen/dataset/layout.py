@@ -35,9 +35,9 @@ Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 """Every dataset that a shard has to hold: its type, and the shape of one sample."""
 
 
-def layout_of(fields: Iterable[str], grid: GridSpec, lidar: Sensor) -> Layout:
-    """The layout of a shard that stores `fields`."""
-    found = {name: (np.dtype(FIELDS[name]["dtype"]), shape_of(name, grid, lidar)) for name in fields}
+def layout_of(fields: Iterable[str], grid: GridSpec, lidar: Sensor, scans: int = 1) -> Layout:
+    """The layout of a shard that stores `fields` of samples of so many `scans`."""
+    found = {name: (np.dtype(FIELDS[name]["dtype"]), shape_of(name, grid, lidar, scans)) for name in fields}
     return {**found, DIGEST: (np.dtype(np.uint8), (32,))}
 
 

@@ -16,6 +16,7 @@ from scenegen.dataset.sensor import entry_of
 from scenegen.errors import MOST_TOLD, DatasetError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
+from scenegen.mapping import Mapper
 from scenegen.sample import stored_fields
 
 if TYPE_CHECKING:  # these draw worlds, and import what that takes
@@ -26,9 +27,9 @@ if TYPE_CHECKING:  # these draw worlds, and import what that takes
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
-"""What a manifest says that has nothing of `MINOR`."""
-MINOR = 1.2
-"""What one says that has noise or labels, or was scanned again: readers of earlier versions refuse it."""
+"""What a manifest says that has none of the entries of `MINOR`."""
+MINOR: Mapping[float, tuple[str, ...]] = {1.2: ("noise", "labels", "rescan"), 1.3: ("mapping",)}
+"""Versions that one says with any of these entries, the highest of them: readers of earlier versions refuse it."""
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
@@ -51,15 +52,16 @@ def parameters(
     more = noise.entry_of(recipe.noise, recipe.lidar.max_range_m)
     if recipe.labels is not None:
         more["labels"] = _plain(dataclasses.asdict(recipe.labels))
+    more |= mapping_entry(recipe.mapping)
     return {
         "format": FORMAT,
-        "version": MINOR if more else VERSION,
+        "version": version_of(more),
         "generator": GENERATOR,
         "kind": recipe.kind,
         "seed": seed,
         "counts": {split: counts[split] for split in SPLITS},
         "recipe": _plain(recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})),
-        "fields": list(stored_fields(compact, labels=recipe.labels is not None)),
+        "fields": list(stored_fields(compact, labels=recipe.labels is not None, scans=recipe.mapping.scans)),
         "grid": _plain({name: getattr(recipe.grid, ours) for name, ours in GRID.items()}),
         "lidar": entry_of(recipe.lidar),
         **more,
@@ -67,6 +69,22 @@ def parameters(
         **({} if engine == MUJOCO else {"engine": engine}),
         "software": software(),
     }
+
+
+def version_of(given: Mapping[str, Any]) -> float:
+    """The version of a manifest that has the entries `given`."""
+    minor = [version for version, names in MINOR.items() if any(given.get(name) is not None for name in names)]
+    return max([VERSION, *minor])
+
+
+def mapping_entry(mapping: Mapper) -> dict[str, Any]:
+    """What the manifest says of how maps are made; nothing where each is one scan around a level sensor."""
+    return {} if mapping.plain else described(mapping)
+
+
+def described(mapping: Mapper) -> dict[str, Any]:
+    """Every parameter of how maps are made, as plain JSON values; those of the default for what is the same."""
+    return {"mapping": _plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))}
 
 
 def software() -> dict[str, str]:
@@ -158,11 +176,9 @@ def read(folder: Path) -> dict[str, Any]:
         ) from None
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "shards" not in manifest:
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
-    if manifest.get("version") not in (VERSION, MINOR):
-        there = short(manifest.get("version"))
-        raise DatasetError(
-            f"{path}: format version {there}, this scenegen reads {VERSION} and {MINOR}; install one that matches"
-        )
+    if manifest.get("version") not in (VERSION, *MINOR):
+        there, ours = short(manifest.get("version")), ", ".join(map(str, (VERSION, *MINOR)))
+        raise DatasetError(f"{path}: format version {there}, this scenegen reads {ours}; install one that matches")
     return manifest
 
 

@@ -16,7 +16,7 @@ from scenegen.dataset import trust
 from scenegen.dataset.archive import open_archive
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.sample import LABELS, SCHEMA, LazySample, Sample, derive_free, derive_tudf, describe_fields
+from scenegen.sample import LazySample, Sample, derive_free, derive_tudf, describe_fields, fields_of
 
 MOST_OPEN = 64
 """Shards that a reader keeps open in one process; a large dataset has more than a process may open."""
@@ -128,7 +128,8 @@ class Split(Sequence[Sample]):
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
-        return describe_fields(self.dataset.grid, self.dataset.lidar, labels=self.dataset.manifest.labels is not None)
+        it = self.dataset.manifest
+        return describe_fields(it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans)
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
@@ -181,8 +182,8 @@ class _Stored(LazySample):
     @property
     def names(self) -> tuple[str, ...]:
         """See `LazySample.names`."""
-        labelled = self._split.dataset.manifest.labels is not None
-        return (*SCHEMA, *LABELS) if labelled else tuple(SCHEMA)
+        it = self._split.dataset.manifest
+        return fields_of(it.mapping.scans, labels=it.labels is not None)
 
     def find(self, name: str) -> Any:
         """See `LazySample.find`. Raises DatasetError."""
@@ -197,11 +198,11 @@ class _Stored(LazySample):
         dataset = self._split.dataset
         if name == "tudf":
             return derive_tudf(self.occupancy, grid=dataset.grid)
-        pose = self.ranges, self.position, self.quaternion, self.origin
         try:
-            if not np.isfinite(self.origin).all() or not (self.ranges >= 0).all():
+            ranges = [getattr(self, name) for name in self.names if name.endswith("ranges")]
+            if not np.isfinite(self.origin).all() or not all((each >= 0).all() for each in ranges):
                 raise ValueError("origin or ranges are no lengths")
-            return derive_free(*pose, lidar=dataset.lidar, grid=dataset.grid)
+            return derive_free(self.scans(), self.origin, grid=dataset.grid, fusion=dataset.manifest.mapping)
         except ValueError as error:
             with dataset._advice():
                 raise BrokenError(f"{self._split._shards[self._number].file}: sample {self._row}: {error}") from None

@@ -21,7 +21,8 @@ from scenegen.dataset.state import Plan
 from scenegen.draw import Unit
 from scenegen.errors import DatasetError, printable, short
 from scenegen.recipe import Recipe
-from scenegen.rescan import scan_again
+from scenegen.rescan import fly_again, scan_again
+from scenegen.sample import stored_fields
 from scenegen.screen import screen
 from scenegen.world import World, compile_world
 
@@ -72,11 +73,12 @@ class Archived:
         """See `Source.describe`."""
         return {}
 
-    def poses(self, split: str, samples: Sequence[int]) -> list[Pose]:
-        """Poses of the sensor, by the samples' places in their split. Raises DatasetError."""
+    def poses(self, split: str, samples: Sequence[int]) -> list[list[Pose]]:
+        """Poses of the sensor, by the samples' places in their split: of each its own, and those before it, the last
+        one first. Raises DatasetError."""
         found = self.dataset.split(split)
         try:
-            return [Pose(found[place].position, found[place].quaternion) for place in samples]
+            return [[scan.pose for scan in found[place].scans()] for place in samples]
         except ValueError as error:
             raise DatasetError(f"{self.folder}: {split} sample: {printable(error)}; verify the dataset") from None
 
@@ -92,9 +94,15 @@ class RescanSpec(ShardSpec):
         begin = unit * each
         places = range(begin, min(begin + each, len(source.dataset.split(self.split))))
         number, turn = source.number(self.split, unit)
+        world = source.world(self.split, number, rng=np.random.default_rng(0))
+        mapping, there = self.recipe.mapping, source.dataset.manifest.mapping
+        poses = [stored[: mapping.scans] for stored in source.poses(self.split, places)]
+        if mapping.scans > there.scans or mapping.scan_spacing_m != there.scan_spacing_m:
+            own = [stored[0] for stored in poses]
+            poses = fly_again(world, own, self.recipe, seed=self.seed, split=self.split, unit=unit)
         return scan_again(
-            source.world(self.split, number, rng=np.random.default_rng(0)),
-            source.poses(self.split, places),
+            world,
+            poses,
             self.recipe,
             seed=self.seed,
             split=self.split,
@@ -112,9 +120,12 @@ def plan_rescan(
     lidar: Sensor | None = None,
     chain: Noise | None = None,
     engine: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
 ) -> Plan:
-    """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, or cast by another
-    `engine`; what is not given stays, but for noise, of which there is none then.
+    """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, cast by another `engine`,
+    or mapped otherwise, by some parameters of a `Mapper`; what is not given stays, but for noise, of which there is
+    none then. Poses are those that are stored, unless more earlier scans are asked for, or others: then flights are
+    planned again, for these alone.
 
     Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
     """
@@ -127,22 +138,25 @@ def plan_rescan(
     engine = engine or found.engine
     find_engine(engine)
     try:
-        recipe: Recipe = replace(found.recipe, lidar=lidar or found.lidar, noise=chain or Noise())
+        mapper = replace(found.mapping, **(mapping or {}))
+        recipe: Recipe = replace(found.recipe, lidar=lidar or found.lidar, noise=chain or Noise(), mapping=mapper)
     except ValueError as error:
         raise DatasetError(printable(error)) from None
     if folder.resolve() == dataset.folder.resolve():
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
-    given = {name: value for name, value in found.parameters.items() if name not in ("noise", "engine")}
+    given = {name: value for name, value in found.parameters.items() if name not in ("noise", "engine", "mapping")}
+    compact, labels = "tudf" not in found.fields, found.labels is not None
     given |= {
-        "version": manifest.MINOR,
         "generator": GENERATOR,
+        "fields": list(stored_fields(compact, labels=labels, scans=mapper.scans)),
         "lidar": entry_of(recipe.lidar),
         **noise.entry_of(recipe.noise, recipe.lidar.max_range_m),
+        **manifest.mapping_entry(mapper),
         "rescan": {"digest": found.digest},
         "engine": engine,
         "software": manifest.software(),
     }
+    given["version"] = manifest.version_of(given)
     scenes = found.tables.get("scenes") if found.kind == "scene" else None
     source = Archived(dataset.folder, None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS})
-    compact = "tudf" not in found.fields
     return divide(folder, given, recipe, source, compact=compact, engine=engine, kind=RescanSpec)

@@ -65,6 +65,14 @@ def files_of(entry: Mapping[str, Any]) -> dict[str, str]:
     return {RAYS: entry["sha256"]}
 
 
+def reach_of(entry: Mapping[str, Any]) -> tuple[float, int]:
+    """How far the sensor of an entry that `files_of` takes reaches, metres, and how many rays it has."""
+    if "sensor" in entry:
+        return float(entry["max_range_m"]), math.prod(entry["shape"])
+    lidar = _raster(entry)
+    return lidar.max_range_m, math.prod(lidar.shape)
+
+
 def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
     """The sensor of a manifest's `entry`. Raises BrokenError where it, or the table in `folder`, is damaged."""
     files = files_of(entry)

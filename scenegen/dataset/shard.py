@@ -79,7 +79,7 @@ class ShardSpec:
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of the fields that it stores."""
-        return stored_fields(self.compact, labels=self.recipe.labels is not None)
+        return stored_fields(self.compact, labels=self.recipe.labels is not None, scans=self.recipe.mapping.scans)
 
     @property
     def file(self) -> Path:
@@ -151,8 +151,8 @@ def _create(file: h5py.File, spec: ShardSpec) -> dict[str, h5py.h5d.DatasetID]:
     """Make the shard's datasets, one chunk a sample, and return those that are packed: grids and ranges."""
     found = {}
     for name in spec.fields:
-        shape = shape_of(name, spec.recipe.grid, spec.recipe.lidar)
-        packed = FIELDS[name]["axes"] in ("grid", "rays")
+        shape = shape_of(name, spec.recipe.grid, spec.recipe.lidar, spec.recipe.mapping.scans)
+        packed = not {"grid", "rays"}.isdisjoint(FIELDS[name]["axes"].split())
         packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
         dataset = file.create_dataset(
             name, shape=(spec.samples, *shape), dtype=FIELDS[name]["dtype"], chunks=(1, *shape), **packing
@@ -196,7 +196,7 @@ def read_report(spec: ShardSpec, listed: Entry | None = None, *, verify: bool = 
     written with it, is damaged, and counts as absent. `verify` also holds samples against their own digests where there
     is no such entry.
     """
-    layout = layout_of(spec.fields, spec.recipe.grid, spec.recipe.lidar)
+    layout = layout_of(spec.fields, spec.recipe.grid, spec.recipe.lidar, spec.recipe.mapping.scans)
     try:
         with open_file(spec.file) as file, open_file(spec.worlds_file) as worlds:
             shard = open_shard(file, spec.file, spec.samples, layout)

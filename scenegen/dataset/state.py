@@ -1,7 +1,9 @@
 """A folder and the dataset that is to be in it: what is there, what is missing, and what the manifest says of it."""
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,10 @@ from scenegen.dataset.sensor import write_rays
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, remove_drafts
+from scenegen.workers import run
 
+MANY = 8
+"""Shards from which on several processes read what is there."""
 FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
 """About what a sample of the default grid takes on disk; half of it may do."""
 
@@ -95,20 +100,18 @@ class State:
             )
         return None
 
-    def look(self, *, verify: bool = False) -> bool:
-        """Take in the shards on disk that are not known yet and are as the manifest says; whether there are any.
+    def look(self, shards: Sequence[ShardSpec], *, workers: int = 1) -> None:
+        """Take in those of `shards` that are on disk, are not known yet, and are as the manifest says.
 
-        `verify` holds the samples of those that it does not list against their own digests.
+        The samples of those that it does not list are held against their own digests. Each worker reads its part.
         """
         if self._listed is None:
-            return False
-        known = len(self.reports)
-        for shard in self.plan.shards:
-            if shard.file not in self.reports:
-                report = read_report(shard, self._listed.get(shard.file.name), verify=verify)
-                if report is not None:
-                    self.reports[shard.file] = report
-        return len(self.reports) > known
+            return
+        there = {entry.name for entry in os.scandir(self.plan.folder)}
+        unknown = [shard for shard in shards if shard.file not in self.reports and shard.file.name in there]
+        tasks = [(shard, self._listed.get(shard.file.name)) for shard in unknown]
+        with closing(run(_report, tasks, workers if len(tasks) >= MANY else 1)) as reports:
+            self.reports |= {self.plan.folder / report.file: report for report in reports if report is not None}
 
     def open(self) -> None:
         """Make the folder ready for shards. Nothing in it is touched unless it is this dataset's or `force`."""
@@ -131,20 +134,39 @@ class State:
             if not begun or file not in planned:  # another dataset's, or left by a replacement that was killed
                 file.unlink(missing_ok=True)
 
-    def sign(self) -> dict[str, Any]:
-        """Write the manifest of all shards that are there, complete if none is missing; the manifest.
+    def note(self) -> None:
+        """Write the manifest of the shards that are known, for a run that is stopped: the next one hashes their files,
+        and not their samples."""
+        manifest.write(self.plan.folder, manifest.assemble(self.plan.parameters, self._known(), complete=False))
 
-        Other runs may write shards meanwhile, and manifests: each manifest of this one is followed by another look.
+    def sign(self, *, workers: int = 1) -> dict[str, Any]:
+        """Write the manifest, complete if no shard is missing; the manifest.
+
+        Other jobs may write shards meanwhile, and manifests. The one that finds a file of every shard looks at all of
+        them; others leave what is not theirs alone, but look again once they have written.
         """
-        self.look()
         while True:
-            ordered = [self.reports[shard.file] for shard in self.plan.shards if shard.file in self.reports]
-            whole = len(ordered) == len(self.plan.shards)
-            final = manifest.assemble(self.plan.parameters, ordered, complete=whole)
+            if whole := not self.absent():
+                self.look(self.plan.shards, workers=workers)
+            final = manifest.assemble(
+                self.plan.parameters, self._known(), complete=len(self.reports) == len(self.plan.shards)
+            )
             if manifest.read(self.plan.folder) != final:
                 manifest.write(self.plan.folder, final)
-            if not self.look():
+            if whole or self.absent():
                 return final
+
+    def absent(self) -> list[ShardSpec]:
+        """Shards that are neither known nor on disk."""
+        there = {entry.name for entry in os.scandir(self.plan.folder)}
+        return [shard for shard in self.plan.shards if shard.file not in self.reports and shard.file.name not in there]
+
+    def _known(self) -> list[ShardReport]:
+        return [self.reports[shard.file] for shard in self.plan.shards if shard.file in self.reports]
+
+
+def _report(task: tuple[ShardSpec, trust.Entry | None]) -> ShardReport | None:
+    return read_report(*task, verify=True)
 
 
 def _shard_files(folder: Path) -> list[Path]:

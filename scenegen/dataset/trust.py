@@ -1,6 +1,7 @@
 """What readers rely on in a manifest, checked before they do: it may come from a stranger."""
 
 import dataclasses
+import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping
@@ -30,21 +31,33 @@ from scenegen.dataset.rules import (
     text,
     whole,
 )
-from scenegen.dataset.sensor import files_of, sensor_of
+from scenegen.dataset.sensor import files_of, reach_of, sensor_of
 from scenegen.errors import BrokenError, DatasetError, RecipeError, printable, short
-from scenegen.limits import MOST_CLASSES, MOST_KIND_NAME, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_VOXELS
-from scenegen.sample import LABELS, stored_fields
+from scenegen.limits import (
+    MOST_CLASSES,
+    MOST_KIND_NAME,
+    MOST_RAYS_IN_SAMPLE,
+    MOST_SAMPLES,
+    MOST_SAMPLES_IN_SHARD,
+    MOST_SEED,
+    MOST_VOXELS,
+)
+from scenegen.mapping import Mapper
+from scenegen.sample import EARLIER, LABELS, stored_fields
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
 
-MINOR = ("noise", "labels", "rescan")
-"""Entries of which a manifest of the minor version has one at least, and no other has any."""
+MINOR = tuple(name for names in manifest.MINOR.values() for name in names)
+"""Entries by which a manifest is of a minor version."""
+_MAPPING = {item.name: item.name for item in dataclasses.fields(Mapper)}
 _COUNT = whole(0, MOST_SAMPLES)
 FLAGS = (False, True)
 _FIELDS = Rule(
-    lambda value: value in [list(stored_fields(compact, labels)) for compact in FLAGS for labels in FLAGS],
-    "all, or all but the derived ones, with labels or without",
+    lambda value: (
+        value in [list(stored_fields(*given, scans)) for given in itertools.product(FLAGS, FLAGS) for scans in (1, 2)]
+    ),
+    "all, or all but the derived ones, with labels or without, with earlier scans or without",
 )
 _LABELS = {
     "by": Rule(lambda value: value in ("name", "material", "group"), "name, material or group"),
@@ -121,6 +134,8 @@ class Manifest:
     """What the samples' labels mean: `by` what geoms are of a class, and the `classes`; None without labels."""
     rescan: Mapping[str, Any] | None = ruled(optional(TABLE))
     """The `digest` of the dataset whose worlds and poses were scanned again; None where they were drawn."""
+    mapping: Mapper
+    """How maps are made."""
     shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
     software: Mapping[str, str] = ruled(_TEXTS)
     complete: bool = ruled(FLAG)
@@ -148,7 +163,7 @@ class Manifest:
     @property
     def layout(self) -> Layout:
         """What every shard has to hold."""
-        return layout_of(self.fields, self.grid, self.lidar)
+        return layout_of(self.fields, self.grid, self.lidar, self.mapping.scans)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -178,16 +193,17 @@ class Manifest:
         tables["grid"] = dataclasses.asdict(self.grid)
         if not self.drawn:
             tables.pop("world", None)
-        if "noise" in tables:
-            raise BrokenError("recipe.noise: is there, expected noise beside recipe")
+        for name in ("noise", "mapping"):
+            if name in tables:
+                raise BrokenError(f"recipe.{name}: is there, expected {name} beside recipe")
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
         try:
             found = make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
             labels = (
                 None if self.labels is None else Labels(by=self.labels["by"], classes=tuple(self.labels["classes"]))
             )
-            return dataclasses.replace(found, noise=noise, labels=labels)
-        except RecipeError as error:
+            return dataclasses.replace(found, noise=noise, labels=labels, mapping=self.mapping)
+        except (RecipeError, ValueError) as error:
             raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 
 
@@ -211,9 +227,9 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
         raise BrokenError("labels: expected exactly where `fields` names labels")
     if found["rescan"] is not None:
         check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
-    if (found["version"] == manifest.MINOR) != any(found[name] is not None for name in MINOR):
-        version, named = short(found["version"]), " or ".join(MINOR)
-        raise BrokenError(f"version = {version}: expected {manifest.MINOR} exactly where there is {named}")
+    if found["version"] != (expected := manifest.version_of(found)):
+        named = ", ".join(name for name in MINOR if found[name] is not None) or "nothing of a minor version"
+        raise BrokenError(f"version = {short(found['version'])}: expected {expected} with {named}")
     shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:
@@ -221,8 +237,12 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     grid = made(GridSpec, found["grid"], manifest.GRID, "grid")
     if math.prod(grid.shape) > MOST_VOXELS:
         raise BrokenError(f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most")
+    mapping = _mapping(found["mapping"], grid, found["lidar"])
+    if (mapping.scans > 1) != (not EARLIER.keys().isdisjoint(found["fields"])):
+        raise BrokenError("mapping.scans: expected above 1 exactly where `fields` names earlier scans")
     return Manifest(
         **plain,
+        mapping=mapping,
         parameters=manifest.parameters_of(document),
         tables=found["recipe"],
         fields=tuple(found["fields"]),
@@ -231,6 +251,19 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
         shards=shards,
         named=named,
     )
+
+
+def _mapping(entry: Any, grid: GridSpec, lidar: Mapping[str, Any]) -> Mapper:
+    """How a manifest's `entry` says that maps are made, with the sensor that it describes. Raises BrokenError."""
+    if entry is None:
+        return Mapper()
+    check(entry, dict.fromkeys(_MAPPING, _GIVEN), "mapping", _MAPPING)
+    mapping = made(Mapper, entry, _MAPPING, "mapping")
+    try:
+        mapping.check_reach(grid, *reach_of(lidar), MOST_RAYS_IN_SAMPLE)
+    except ValueError as error:
+        raise BrokenError(str(error)) from None
+    return mapping
 
 
 def load(folder: Path, name: str = "") -> Manifest:

@@ -73,7 +73,8 @@ class Publication:
     @property
     def fields(self) -> dict[str, dict[str, Any]]:
         """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
-        known = describe_fields(self.manifest.grid, self.manifest.lidar, labels=self.manifest.labels is not None)
+        it = self.manifest
+        known = describe_fields(it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans)
         stored = {name: known[name] for name in self.manifest.fields}
         return stored | {
             DIGEST: {"dtype": "uint8", "shape": (32,), "unit": "", "meaning": "the sample's own SHA-256 digest"}

@@ -45,6 +45,10 @@ def command(found: Manifest, out: str) -> str:
         words = ["scenegen", "rescan", ORIGINAL, "--lidar", SENSOR]
         if found.noise is not None:
             words += ["--noise", found.noise["stages"]]
+        made = found.mapping  # in full, since nothing here says how the original's maps are made
+        words += ["--scans", str(made.scans), "--fusion", made.fusion]
+        words += ["--scan-spacing", str(made.scan_spacing_m)] if made.scans > 1 else []
+        words += ["--map-ahead", ",".join(map(str, made.map_ahead_m))]
         return shlex.join([*words, "--engine", found.engine, "--out", out])
     words = ["scenegen", "generate", "--recipe", RECIPE]
     if found.kind == "scene":
@@ -69,6 +73,7 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     # a table of rays has its shape in the file
     tables["lidar"] = {name: value for name, value in parameters["lidar"].items() if name != "shape"}
     tables["noise"] = {"stages": parameters["noise"]["stages"]} if parameters.get("noise") else None
+    tables["mapping"] = parameters.get("mapping")
     tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():

@@ -92,7 +92,7 @@ def _fraction(weight: Any, label: str) -> Fraction:
 def _check_alike(components: Sequence[Component]) -> None:
     first, seen = components[0], dict[str, str]()
     for component in components:
-        for what in ("grid", "lidar"):
+        for what in ("grid", "lidar", "mapping"):
             theirs, ours = getattr(component.recipe, what), getattr(first.recipe, what)
             if theirs != ours:
                 raise RecipeError(

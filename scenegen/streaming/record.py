@@ -7,30 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Sensor
-from scenegen.sample import SCHEMA, LazySample, Sample, derive_tudf, shape_of
+from scenegen.sample import FIELDS, LazySample, Sample, derive_tudf, fields_of, shape_of
 
 LEVEL = 1
 """The level of compression, as in shards."""
-OWN = tuple(name for name in SCHEMA if name != "tudf")
-"""What a record holds; distances follow from occupancy, and are ten times as large as all the rest."""
 
 
-def record_type(grid: GridSpec, lidar: Sensor) -> np.dtype:
-    """The record of one sample: grids as bits, everything else as it is stored on disk."""
+def record_type(grid: GridSpec, lidar: Sensor, scans: int = 1) -> np.dtype:
+    """The record of one sample of so many scans: grids as bits, everything else as it is stored on disk. Distances
+    follow from occupancy, and are ten times as large as all the rest: they are not in it."""
     columns: list[tuple[Any, ...]] = []
-    for name in OWN:
-        shape = shape_of(name, grid, lidar)
-        bits = SCHEMA[name]["axes"] == "grid"
-        columns.append((name, "u1", -(-int(np.prod(shape)) // 8)) if bits else (name, SCHEMA[name]["dtype"], shape))
+    for name in fields_of(scans, labels=False):
+        if name != "tudf":
+            shape = shape_of(name, grid, lidar, scans)
+            bits = FIELDS[name]["axes"] == "grid"
+            columns.append((name, "u1", -(-int(np.prod(shape)) // 8)) if bits else (name, FIELDS[name]["dtype"], shape))
     return np.dtype(columns)
 
 
 def pack(sample: Sample, kind: np.dtype) -> bytes:
     """A sample's record, compressed."""
     record = np.zeros((), kind)
-    for name in OWN:
+    for name in kind.names or ():
         value = getattr(sample, name)
-        record[name] = np.packbits(value) if SCHEMA[name]["axes"] == "grid" else value
+        record[name] = np.packbits(value) if FIELDS[name]["axes"] == "grid" else value
     return isal.isal_zlib.compress(record.tobytes(), LEVEL)
 
 
@@ -55,12 +55,17 @@ class _Drawn(LazySample):
         sample.__dict__.update(_record=record, _grid=grid)
         return sample
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `Sample.names`."""
+        return fields_of(2 if "earlier_ranges" in self._record.dtype.names else 1, labels=False)
+
     def find(self, name: str) -> Any:
         """See `LazySample.find`."""
         if name == "tudf":
             return derive_tudf(self.occupancy, grid=self._grid)
         value: NDArray[Any] = self._record[name]
-        if SCHEMA[name]["axes"] == "grid":
+        if FIELDS[name]["axes"] == "grid":
             count = int(np.prod(self._grid.shape))
             return np.unpackbits(value, count=count).view(np.bool_).reshape(self._grid.shape)
-        return int(value) if SCHEMA[name]["axes"] == "" else value.copy()
+        return int(value) if FIELDS[name]["axes"] == "" else value.copy()

@@ -60,7 +60,8 @@ class Stream(Sequence[Sample]):
         self.grid, self.lidar = mixture.components[0].recipe.grid, mixture.components[0].recipe.lidar
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
-        self._record = record_type(self.grid, self.lidar)
+        self.mapping = mixture.components[0].recipe.mapping
+        self._record = record_type(self.grid, self.lidar, self.mapping.scans)
         caches = () if cache is None else tuple(self._cache(Path(cache), part) for part in mixture.components)
         self._make = Maker(mixture, caches, self._record)
         self._units: dict[int, Unit] = {}
@@ -101,7 +102,7 @@ class Stream(Sequence[Sample]):
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
-        return describe_fields(self.grid, self.lidar)
+        return describe_fields(self.grid, self.lidar, scans=self.mapping.scans)
 
     def expect(self, indices: Iterable[int]) -> None:
         """Say which samples will be asked for next, in this order: workers then make these ahead of need."""

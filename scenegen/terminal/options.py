@@ -13,8 +13,10 @@ from click.core import ParameterSource
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
+from scenegen.executors import EXECUTORS, LOCAL
 from scenegen.limits import MOST_WORKERS
-from scenegen.terminal.types import DatasetPath, Named, Number, OutputFile
+from scenegen.mapping import Mapper
+from scenegen.terminal.types import DatasetPath, Named, Number, Numbers, OutputFile, Place
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -32,6 +34,14 @@ workers_option = click.option(
     type=click.IntRange(1, MOST_WORKERS),
     callback=_workers,
     help="Processes.  [default: all cores]",
+)
+on_option = click.option(
+    "--on",
+    type=Place(EXECUTORS),
+    default=LOCAL,
+    show_default=True,
+    metavar="PLACE",
+    help=f"Where the work is done: {', '.join(EXECUTORS.known)}, or MODULE:CLASS, each with ://ADDRESS or without.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print errors alone.")
@@ -77,7 +87,8 @@ noise_option = click.option(
 
 def options_of(config: type, prefix: str = "", **helps: str) -> Callable[[Function], Function]:
     """An option for each field of the dataclass `config` that `helps` names, with that text. Its default, type, choices
-    and bounds are the field's; so is its name, after `prefix` and without a unit: `beta_m` becomes --beta."""
+    and bounds are the field's; so is its name, after `prefix` and without a unit: `beta_m` becomes --beta. Several
+    numbers are given with commas between."""
 
     def add(function: Function) -> Function:
         for name, text in reversed(helps.items()):
@@ -85,6 +96,22 @@ def options_of(config: type, prefix: str = "", **helps: str) -> Callable[[Functi
         return function
 
     return add
+
+
+def mapping_options(function: Function) -> Function:
+    """Options of how maps are made, of commands that draw or scan again."""
+    helps = {
+        "scans": "Scans that make a map: the sample's own, and those before it on the flight.",
+        "scan_spacing_m": "Metres flown from scan to scan.",
+        "fusion": "How they make one map.",
+        "map_ahead_m": "Where the map's middle lies from the sensor: metres forward, to the left, and up.",
+    }
+    return options_of(Mapper, **helps)(function)
+
+
+def mapping_given(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of `options` that the user gave and that say how maps are made."""
+    return {name: value for name, value in taken(Mapper, options).items() if was_given(name)}
 
 
 def taken(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -101,7 +128,7 @@ def was_given(name: str) -> bool:
 def _option(config: type, name: str, text: str, prefix: str) -> Callable[[Function], Function]:
     (item,) = (item for item in dataclasses.fields(config) if item.name == name)
     kind = typing.get_type_hints(config)[name]
-    flag = "--" + prefix + name.removesuffix("_m").replace("_", "-")
+    flag = "--" + prefix + name.removesuffix("_m").removesuffix("_mps").replace("_", "-")
     if kind is bool:
         flags = f"{flag}/--no-{flag[2:]}" if item.default else flag
         return click.option(flags, name, is_flag=True, default=item.default, show_default=bool(item.default), help=text)
@@ -113,5 +140,7 @@ def _option(config: type, name: str, text: str, prefix: str) -> Callable[[Functi
     bounds = item.metadata.get(BOUNDS, Bounds())
     if kind is float:
         return click.option(flag, name, type=Number(bounds), **more)
+    if typing.get_origin(kind) is tuple:
+        return click.option(flag, name, type=Numbers("X,Y,Z", len(typing.get_args(kind))), **more)
     least, most = (None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most))
     return click.option(flag, name, type=click.IntRange(least, most), **more)

@@ -29,6 +29,15 @@ class Named(click.ParamType):
         return [CompletionItem(name) for name in self.registry.known if name.startswith(incomplete)]
 
 
+class Place(Named):
+    """The name of an executor, with an address or without: ray://host:10001."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """As it is, if its name can be one."""
+        super().convert(value.partition("://")[0], param, ctx)
+        return str(value)
+
+
 class DatasetPath(click.ParamType):
     """A dataset: a folder, or hf://user/name[@revision], which the command fetches, and not the parsing."""
 
@@ -91,6 +100,8 @@ class Numbers(click.ParamType):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, ...]:
         """The numbers."""
+        if isinstance(value, tuple):  # a default
+            return value
         parts = str(value).split(",")
         if len(parts) != self.count:
             self.fail(

@@ -1,7 +1,7 @@
 """The manifest, taken at its word only after every value in it has been checked."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,13 @@ class Contract(Manifest):
             return units
         count = len(self.scenes[split])
         return sorted({unit % count for unit in units[:count]})
+
+    def of_scans(self, stored: Callable[[str], Any], *names: str) -> Iterable[tuple[Any, ...]]:
+        """The fields `names` of each scan of a sample whose fields are `stored`: its own, and those before it."""
+        columns = [[stored(name)] for name in names]
+        if self.mapping.scans > 1:
+            columns = [[*own, *stored(f"earlier_{name}")] for own, name in zip(columns, names, strict=True)]
+        return zip(*columns, strict=True)
 
     def name(self, split: str, place: int) -> tuple[int, int]:
         """(world, viewpoint) of the sample at `place` in its split, as docs/format.md numbers them."""

@@ -32,7 +32,9 @@ class ArchivedWorlds(SceneWorlds):
         return compile_world(*self.archive.world(number))
 
 
-def regenerate(contract: Contract, archive: Archive, split: str, unit: int, poses: Callable[[], list[Pose]]) -> Unit:
+def regenerate(
+    contract: Contract, archive: Archive, split: str, unit: int, poses: Callable[[], list[list[Pose]]]
+) -> Unit:
     """One flight of a dataset whose engine and noise are ours, flown again; or, where the dataset is one that was
     scanned again, scanned so from its stored `poses`. Raises BrokenError where nothing comes of it."""
     if lacking := _lacking(contract.engine):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Engine, ObservedGrid, Pose, Scan, voxelize
+from lidarsim import Engine, ObservedGrid, Pose, Scan, fuse
 from lidarsim.engines import ENGINES
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.layout import ShardFile
@@ -156,18 +156,21 @@ class Sample:
         return {name: np.packbits(self.fields[name]) for name in ("observed", "occupancy")}
 
     @functools.cached_property
-    def scan(self) -> Scan:
-        """The stored ranges and pose. Raises BrokenError where the pose is none."""
-        try:
-            pose = Pose(self.fields["position"], self.fields["quaternion"])
-        except ValueError as error:
-            raise BrokenError(f"{self.where}: {error}") from None
-        # a range that is no number is a fault of `laws`; here it counts as no return
-        ranges = np.where(np.isfinite(self.fields["ranges"]), self.fields["ranges"], np.float32(np.inf))
-        return Scan(ranges, pose, self.contract.lidar)
+    def scans(self) -> list[Scan]:
+        """The stored ranges and poses: its own scan, and those before it. Raises BrokenError where a pose is none."""
+        found = []
+        for ranges, *pose in self.contract.of_scans(self.fields.__getitem__, "ranges", "position", "quaternion"):
+            # a range that is no number is a fault of `laws`; here it counts as no return
+            clean = np.where(np.isfinite(ranges), ranges, np.float32(np.inf))
+            try:
+                found.append(Scan(clean, Pose(*pose), self.contract.lidar))
+            except ValueError as error:
+                raise BrokenError(f"{self.where}: {error}") from None
+        return found
 
     @functools.cached_property
     def seen(self) -> ObservedGrid:
-        """What follows from the stored ranges and pose. Raises BrokenError where the pose is none."""
-        seen = voxelize(self.scan, self.contract.grid, self.fields["origin"])
-        return as_rounded(seen, self.scan, self.contract.grid, self.fields) if self.contract.generator == 1 else seen
+        """What follows from the stored ranges and poses. Raises BrokenError where a pose is none."""
+        grid = self.contract.grid
+        seen = fuse(self.scans[::-1], grid, self.fields["origin"], self.contract.mapping)
+        return as_rounded(seen, self.scans[0], grid, self.fields) if self.contract.generator == 1 else seen

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Pose, Scan, Sensor
+from lidarsim import GridSpec, Sensor
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, printable
 from scenegen.sample import Sample
@@ -33,9 +33,13 @@ class Look:
     tudf: NDArray[np.float32] | None = None
     """Distances, of the grid's shape."""
     points: NDArray[np.float64] | None = None
-    """Returns (M, 3)."""
+    """Returns (M, 3) of all scans, those of its own first."""
+    own: int = 0
+    """How many returns its own scan has."""
+    scans: int = 1
+    """How many scans it has."""
     rays: int = 0
-    """How many rays the scan has."""
+    """How many rays they have."""
     missing: tuple[str, ...] = ()
     """A line for each thing that could not be read."""
 
@@ -45,9 +49,11 @@ class Look:
         if {"observed", "free"} <= self.masks.keys():
             found["unknown"] = f"{100 * (~(self.masks['observed'] | self.masks['free'])).mean():.2f} %"
         if self.points is not None:
-            found["returns"] = f"{len(self.points)} of {self.rays} rays"
-            if len(self.points):
-                found["mean range"] = f"{np.linalg.norm(self.points - self.position, axis=1).mean():.2f} m"
+            several = f" in {self.scans} scans" if self.scans > 1 else ""
+            found["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
+            if self.own:
+                ranges = np.linalg.norm(self.points[: self.own] - self.position, axis=1)
+                found["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:
             found["mean distance"] = f"{self.tudf.mean():.2f} m"
         return found
@@ -72,11 +78,13 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
             missing.append(f"{name}: {what} is not shown: {printable(error)}")
             return None
 
-    def scan() -> NDArray[np.float64]:
-        if not (sample.ranges >= 0).all():
+    def scan() -> list[NDArray[np.float64]]:
+        found = sample.scans(lidar)
+        if not all((each.ranges >= 0).all() for each in found):
             raise ValueError("ranges are no lengths")
-        return Scan(sample.ranges, Pose(position, quaternion), lidar).points()
+        return [each.points() for each in found]
 
+    points = read("the scan", scan)
     masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
     return Look(
         name=name,
@@ -86,8 +94,10 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
         quaternion=quaternion,
         masks={what: mask for what, mask in masks.items() if mask is not None},
         tudf=read("tudf", lambda: sample.tudf),
-        points=read("the scan", scan),
-        rays=int(np.prod(lidar.shape)),
+        points=None if points is None else np.concatenate(points),
+        own=0 if points is None else len(points[0]),
+        scans=1 if points is None else len(points),
+        rays=int(np.prod(lidar.shape)) * (1 if points is None else len(points)),
         missing=tuple(missing),
     )
 

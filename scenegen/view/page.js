@@ -159,7 +159,7 @@
       const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(fields.points, 3));
       return new THREE.Points(shape, new THREE.PointsMaterial({ color: 0x111111, size: 3, sizeAttenuation: false }));
     }
-    if (name === "rays" && fields.points) return lines(fields.sensor, fields.points, 0x111111, 0.15);
+    if (name === "rays" && fields.points) return lines(fields.sensor, fields.points.subarray(0, 3 * sample.own), 0x111111, 0.15);
     return fields.masks[name] && voxels(fields.masks[name], name);
   }
 

@@ -28,7 +28,8 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
     """The page of `looks`, none of whose names and texts is ever taken for HTML or for a script.
 
     Masks are bits, first voxel highest, in C order; distances are bytes, 255 for the truncation; points are int16 from
-    the sensor, 32767 for the farthest; all of it gzip in base64. Raises DatasetError for grids that no browser takes.
+    the sensor, 32767 for the farthest, and the first `own` of them are of the sample's own scan; all of it gzip in
+    base64. Raises DatasetError for grids that no browser takes.
     """
     samples: list[dict[str, Any]] = []
     notes, size = list(notes), 0
@@ -72,6 +73,7 @@ def _packed(look: Look) -> dict[str, Any]:
         from_sensor = look.points - look.position
         reach = float(np.abs(from_sensor).max(initial=1e-6))
         packed |= {"points": _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes()), "reach": reach}
+        packed["own"] = look.own
     return {
         "name": look.name,
         "shape": list(grid.shape),

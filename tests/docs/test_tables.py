@@ -26,7 +26,7 @@ def test_the_tables_of_parameters_are_those_of_the_code(page: Path) -> None:
 
 def test_the_recipes_page_lists_every_table_of_a_recipe() -> None:
     asked = {name for _, _, name, _ in tables.ASKED.findall((ROOT / "docs" / "recipes.md").read_text())}
-    assert asked == {"Pillar", "Geometric", "Flight", "Acceptance", "Lidar", "GridSpec", "Faults"}
+    assert asked == {"Pillar", "Geometric", "Flight", "Acceptance", "Lidar", "GridSpec", "Faults", "Mapper"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

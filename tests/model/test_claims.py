@@ -10,7 +10,8 @@ import pytest
 
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.reproduce.claims import Claim, Contrast, answers, claims, judge, judged, verdict
+from scenegen.model.reproduce.claims import Claim, Contrast, answers, claims, contrasts, judge, judged, verdict
+from scenegen.model.reproduce.runs import RUNS
 
 WORLDS = np.repeat(np.arange(40), 5)
 
@@ -114,7 +115,9 @@ def test_verdicts_are_plain_json_and_questions_count_them() -> None:
         one.trials = (
             type("Trial", (), dict.fromkeys(("success", "length_m", "min_clearance_m", "mean_clearance_m"), 1.0))(),
         ) * 200
-    found = [claim for kind in ("pillar", "geometric") for claim in judged(result(kind, **rows), seeds=(0, 1))]
+    found = [
+        claim for kind in ("pillar", "geometric") for claim in judged(result(kind, **rows), claims(), seeds=(0, 1))
+    ]
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert len(found) == len(claims())
     held = {claim["verdict"] for claim in found if (claim["metric"], claim["other"]) == ("iou", "occ")}
@@ -126,3 +129,15 @@ def test_verdicts_are_plain_json_and_questions_count_them() -> None:
         assert said["verdict"] == "undecided"
     agreeing = [claim | {"verdict": "refuted"} for claim in found]
     assert {one["verdict"] for one in answers(agreeing).values()} == {"refuted"}
+
+
+def test_runs_that_no_claim_is_about_are_compared_with_the_one_they_name() -> None:
+    rng = np.random.default_rng(0)
+    base = rng.normal(0.5, 0.2, 200)
+    rows = {"occ-short": row(base), "occ-wide": row(base + 0.05)}
+    both = type("Result", (), {"kind": "pillar", "worlds": WORLDS, "trial_worlds": WORLDS, "methods": rows})()
+    runs = [run for run in RUNS if run.name in ("occ-short", "occ-wide", "dual")]
+    found = {one["metric"]: one for one in contrasts(both, runs, seed=0) if one["metric"] != "success"}
+    assert {one["run"] for one in found.values()} == {"occ-wide"}
+    assert found["iou"]["difference"] == pytest.approx(0.05)
+    assert found["near_rmse"]["difference"] == 0

@@ -157,4 +157,4 @@ def test_costs_are_what_the_layers_add_up_to() -> None:
 def test_the_docs_name_every_variant_as_it_is() -> None:
     text = (Path(__file__).parents[2] / "docs" / "network.md").read_text(encoding="utf-8")
     for name, one in VARIANTS.items():
-        assert f"| `{name}` | {', '.join(one.decoders)} | {', '.join(one.tasks)} | {one.meaning} |\n" in text
+        assert f"| `{name}` | {', '.join(one.decoders) or 'none'} | {', '.join(one.tasks)} | {one.meaning} |\n" in text

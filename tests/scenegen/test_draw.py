@@ -58,8 +58,8 @@ def test_distances_equal_an_independent_transform(drawn: Drawn) -> None:
 def test_what_is_derived_follows_from_what_is_stored(drawn: Drawn) -> None:
     recipe, _ = drawn
     for sample in draw(drawn).samples:
-        pose = {name: getattr(sample, name) for name in ("ranges", "position", "quaternion", "origin")}
-        np.testing.assert_array_equal(sample.free, derive_free(**pose, lidar=recipe.lidar, grid=recipe.grid))
+        free = derive_free(sample.scans(recipe.lidar), sample.origin, grid=recipe.grid, fusion=recipe.mapping)
+        np.testing.assert_array_equal(sample.free, free)
         np.testing.assert_array_equal(sample.tudf, derive_tudf(sample.occupancy, grid=recipe.grid))
 
 

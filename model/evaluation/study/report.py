@@ -92,21 +92,29 @@ def study_lines(study: Mapping[str, Any]) -> list[str]:
     """What `study_of` gave of planning and calibration, as Markdown for people; nothing where nothing was studied."""
     if not study:
         return []
-    usual = next(iter(study.values()))["planning"][0]
-    lines = []
-    for varied, title in VARIED.items():
-        rows = [(name, row) for name, found in study.items() for row in at(found["planning"], usual, varied)]
-        values = list(SEARCHES) if varied == "search" else sorted({row[varied] for _, row in rows})
-        cells = {(f"{name}, {row['field']}", row[varied]): brief(row["success"]) for name, row in rows}
-        lines += ["", f"### Success by {title}", "", *head([str(value) for value in values])]
-        lines += [
-            line(name, (cells[name, value] for value in values)) for name in dict.fromkeys(name for name, _ in cells)
-        ]
-    lines += ["", "### What became of trials", "", *head(FATES)]
-    for name, found in study.items():
-        for row in at(found["planning"], usual):
-            lines.append(line(f"{name}, {row['field']}", (str(row["fates"][fate]) for fate in FATES)))
+    lines = [line for varied in VARIED for line in success_lines(study, varied)] + fate_lines(study)
     return lines + _probability_lines(study) + _bounds_lines(study) + _risk_lines(study)
+
+
+def success_lines(study: Mapping[str, Any], varied: str) -> list[str]:
+    """Success of every method and field over the choices of one of `VARIED`, as a Markdown table."""
+    usual = next(iter(study.values()))["planning"][0]
+    rows = [(name, row) for name, found in study.items() for row in at(found["planning"], usual, varied)]
+    values = list(SEARCHES) if varied == "search" else sorted({row[varied] for _, row in rows})
+    cells = {(f"{name}, {row['field']}", row[varied]): brief(row["success"]) for name, row in rows}
+    names = dict.fromkeys(name for name, _ in cells)
+    lines = ["", f"### Success by {VARIED[varied]}", "", *head([str(value) for value in values])]
+    return lines + [line(name, (cells[name, value] for value in values)) for name in names]
+
+
+def fate_lines(study: Mapping[str, Any]) -> list[str]:
+    """What became of every method's trials, by field, as a Markdown table."""
+    usual = next(iter(study.values()))["planning"][0]
+    return ["", "### What became of trials", "", *head(FATES)] + [
+        line(f"{name}, {row['field']}", (str(row["fates"][fate]) for fate in FATES))
+        for name, found in study.items()
+        for row in at(found["planning"], usual)
+    ]
 
 
 def _probability_lines(study: Mapping[str, Any]) -> list[str]:

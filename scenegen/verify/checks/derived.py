@@ -55,7 +55,7 @@ def _owners(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     world = sample.shard.worlds.world(sample.world)
     contract = sample.contract
-    plain: dict[str, Any] = {name: sample.fields.get(name, np.empty(0)) for name in SCHEMA}
+    plain: dict[str, Any] = {name: sample.fields.get(name, np.empty(0)) for name in SCHEMA}  # of its own scan
     again = labelled(Plain(**plain), world, contract.lidar, contract.grid, contract.recipe.labels)
     for name in LABELS:
         _same(sample, name, getattr(again, name), f"world {sample.world}", page)
@@ -63,9 +63,16 @@ def _owners(sample: Sample, page: Page) -> None:
 
 CHECKS = (
     Check(name="tudf", proves="Distances follow from `occupancy`, bit for bit.", field="tudf", sample=_tudf),
-    Check(name="voxels", proves="`observed` follows from `ranges`, pose and origin, bit for bit.", sample=_observed),
     Check(
-        name="free", proves="`free` follows from `ranges`, pose and origin, bit for bit.", field="free", sample=_free
+        name="voxels",
+        proves="`observed` follows from the ranges and poses of all scans and the origin, bit for bit.",
+        sample=_observed,
+    ),
+    Check(
+        name="free",
+        proves="`free` follows from the ranges and poses of all scans and the origin, bit for bit.",
+        field="free",
+        sample=_free,
     ),
     Check(
         name="owners",

@@ -1,13 +1,14 @@
 """Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way from the seed."""
 
-import numpy as np
-from numpy.typing import NDArray
+from functools import partial
 
-from lidarsim import Pose
+import numpy as np
+
+from lidarsim import Pose, Scan
 from lidarsim.engines import ENGINES
+from scenegen.draw import scans_from
 from scenegen.errors import GenerationError
 from scenegen.noise import with_noise
-from scenegen.rescan import clean_scan
 from scenegen.sample import FIELDS
 from scenegen.verify.check import Check
 from scenegen.verify.rays import audit, disagrees
@@ -20,42 +21,44 @@ def _cast_again(sample: Sample, page: Page) -> None:
     solids, worlds = sample.solids, sample.shard.worlds
     if solids is None or worlds is None or sample.row not in sample.shard.audited:
         return
-    fields, lidar = sample.fields, sample.contract.lidar
-    clean = fields["ranges"]
+    lidar, scans = sample.contract.lidar, sample.scans
     if sample.contract.noise is not None:
         if sample.shard.task.not_scanned:
             page.skipped = f"the noise cannot be made again, {sample.shard.task.not_scanned}"
             return
-        clean = _scanned_again(sample, worlds, page)
-    rays, found, gap = audit(
-        clean,
-        fields["position"],
-        fields["quaternion"],
-        worlds.auditor(sample.world),
-        lidar,
-        solids=len(solids.shape) + len(solids.triangles),
-        rng=sample.shard.rng,
-    )
-    wrong = disagrees(gap, found, lidar.max_range_m)
-    page.count(samples=1, rays=len(rays))
-    page.note_greatest("greatest difference in m", float(gap[~wrong].max(initial=0.0)))
-    if wrong.any():
-        n = int(np.flatnonzero(wrong)[np.argmax(gap[wrong])])
-        ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
-        page.fault(
-            f"{sample.where}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray {ray} has "
-            f"{clean[ray]} m, the solids of world {sample.world} are {found[n]:.7g} m away"
+        scans = _scanned_again(sample, worlds, page)
+    page.count(samples=1)
+    for number, scan in enumerate(scans):
+        rays, found, gap = audit(
+            scan.ranges,
+            scan.pose.position,
+            scan.pose.quaternion,
+            worlds.auditor(sample.world),
+            lidar,
+            solids=len(solids.shape) + len(solids.triangles),
+            rng=sample.shard.rng,
         )
+        wrong = disagrees(gap, found, lidar.max_range_m)
+        page.count(rays=len(rays))
+        page.note_greatest("greatest difference in m", float(gap[~wrong].max(initial=0.0)))
+        if wrong.any():
+            n = int(np.flatnonzero(wrong)[np.argmax(gap[wrong])])
+            ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
+            which = f", earlier scan {number}" if number else ""
+            page.fault(
+                f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray {ray} has "
+                f"{scan.ranges[ray]} m, the solids of world {sample.world} are {found[n]:.7g} m away"
+            )
 
 
-def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> NDArray[np.float32]:
-    """The clean ranges of a noisy sample by the dataset's own engine; with noise, they must be the stored ones. Raises
+def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
+    """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the stored ones. Raises
     BrokenError."""
     task, contract = sample.shard.task, sample.contract
     world, engine = worlds.made(sample.world)
     unit, view = divmod(task.start + sample.row, contract.viewpoints)
     try:
-        clean = clean_scan(engine, contract.lidar, Pose(sample.fields["position"], sample.fields["quaternion"]))
+        clean = scans_from([scan.pose for scan in sample.scans], engine, contract.recipe)
         seen = with_noise(
             clean,
             contract.recipe.noise,
@@ -68,9 +71,12 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> NDArray[np.flo
         )
     except (GenerationError, ValueError) as error:
         raise BrokenError(f"{sample.where}: cannot be scanned again: {error}") from None
-    wrong = np.count_nonzero(seen.ranges.view("<u4") != sample.fields["ranges"].view("<u4"))
+    wrong = sum(
+        np.count_nonzero(again.ranges.view("<u4") != stored.ranges.view("<u4"))
+        for again, stored in zip(seen, sample.scans, strict=True)
+    )
     page.expect(not wrong, f"{sample.where}: {wrong} ranges are not what its noise {contract.recipe.noise} gives")
-    return clean.ranges
+    return clean
 
 
 def _fly_again(shard: Shard, page: Page) -> None:
@@ -98,10 +104,16 @@ def _compare_flight(shard: Shard, local: int, page: Page) -> None:
     assert shard.worlds is not None
     archive = shard.worlds.archive
 
-    def poses() -> list[Pose]:
+    def poses() -> list[list[Pose]]:
         rows = range(local * each, min((local + 1) * each, task.entry.samples))
         try:
-            return [Pose(shard.file.value("position", row), shard.file.value("quaternion", row)) for row in rows]
+            return [
+                [
+                    Pose(*pose)
+                    for pose in task.contract.of_scans(partial(shard.file.value, row=row), "position", "quaternion")
+                ]
+                for row in rows
+            ]
         except ValueError as error:
             raise BrokenError(f"{task.entry.file}: {error}") from None
 
@@ -125,10 +137,10 @@ def _compare_flight(shard: Shard, local: int, page: Page) -> None:
 CHECKS = (
     Check(
         name="rays",
-        proves="The ranges of 5 % of the samples (of 8 a shard at least) are those that another engine finds: for "
-        "MuJoCo's the analytic one, with closed forms for primitives and the triangles of meshes and height fields, "
-        "for all others MuJoCo's; with noise, those of the clean scan are, of which the same noise makes the stored "
-        "ones; the directions of a raster are computed anew from [sensor.md](sensor.md).",
+        proves="The ranges of 5 % of the samples (of 8 a shard at least), of all their scans, are those that another "
+        "engine finds: for MuJoCo's the analytic one, with closed forms for primitives and the triangles of meshes and "
+        "height fields, for all others MuJoCo's; with noise, those of the clean scan are, of which the same noise "
+        "makes the stored ones; the directions of a raster are computed anew from [sensor.md](sensor.md).",
         sample=_cast_again,
     ),
     Check(

@@ -1,6 +1,7 @@
 """Checks of what is stored in each sample, which need next to no computing."""
 
 import hashlib
+import math
 
 import numpy as np
 
@@ -8,22 +9,27 @@ from lidarsim.engines import DEFAULT
 from scenegen.dataset import manifest
 from scenegen.verify.check import Check
 from scenegen.verify.contract import Contract
-from scenegen.verify.report import Page
+from scenegen.verify.report import BrokenError, Page
 from scenegen.verify.stages import Sample
 from scenegen.verify.strays import count_strays
 
 DIGESTED = ("observed", "occupancy", "ranges", "position", "quaternion", "origin", "world", "viewpoint")
 """What a sample's digest covers, in order: written anew from docs/format.md."""
+EARLIER = ("earlier_ranges", "earlier_position", "earlier_quaternion")
+"""What the digest of one of several scans covers besides, after the digest without."""
 LABELLED = ("return_geom", "return_class", "voxel_geom", "voxel_class")
-"""What the digest of one with labels covers besides, after the digest without."""
+"""What the digest of one with labels covers besides, after the digest without them."""
+LEAN = 1e-9
+"""What rounding may add to a body's lean, as a cosine."""
 
 
 def _own_digest(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     content = b"".join(sample.packed.get(name, sample.fields[name]).tobytes() for name in DIGESTED)
     digest = hashlib.sha256(content).digest()
-    if sample.contract.labels is not None:
-        digest = hashlib.sha256(digest + b"".join(sample.fields[name].tobytes() for name in LABELLED)).digest()
+    for names in (EARLIER, LABELLED):
+        if names[0] in sample.fields:
+            digest = hashlib.sha256(digest + b"".join(sample.fields[name].tobytes() for name in names)).digest()
     page.kept.append(digest)
     page.expect(digest == sample.own_digest, f"{sample.where}: its content does not have the digest stored beside it")
 
@@ -45,25 +51,39 @@ def _numbered(sample: Sample, page: Page) -> None:
 
 def _centred(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    centred = sample.contract.grid.origin_at(sample.fields["position"])
-    off = float(np.abs(sample.fields["origin"] - centred).max())
-    page.expect(off == 0.0, f"{sample.where}: origin is {off:.3g} m from position less half the grid")
-    length = float(np.sqrt((sample.fields["quaternion"] ** 2).sum()))
-    page.expect(abs(length - 1) <= 1e-9, f"{sample.where}: quaternion has length {length:g}, expected 1")
+    mapping, grid, fields = sample.contract.mapping, sample.contract.grid, sample.fields
+    attitudes = np.concatenate([fields["quaternion"][None], fields.get("earlier_quaternion", np.empty((0, 4)))])
+    for length in np.sqrt((attitudes**2).sum(axis=1)).tolist():
+        page.expect(abs(length - 1) <= 1e-9, f"{sample.where}: quaternion has length {length:g}, expected 1")
+    if mapping.tilt_mps:
+        upright = 1 - 2 * (attitudes[:, 1] ** 2 + attitudes[:, 2] ** 2)
+        most = f"mapping.most_tilt_deg = {mapping.most_tilt_deg:g}"
+        lawful = bool((upright >= math.cos(math.radians(mapping.most_tilt_deg)) - LEAN).all())
+        page.expect(lawful, f"{sample.where}: a body leans by more than {most}")
+    try:  # the sensor's own place is enough where the map is about it
+        here = grid.origin_at(fields["position"]) if mapping.centred else mapping.origin(grid, sample.scans[0].pose)
+    except ValueError as error:
+        raise BrokenError(f"{sample.where}: {error}") from None
+    off = float(np.abs(fields["origin"] - here).max())
+    place = "position" if mapping.centred else "position, moved by mapping.map_ahead_m,"
+    page.expect(off == 0.0, f"{sample.where}: origin is {off:.3g} m from {place} less half the grid")
 
 
 def _lawful(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    ranges, most = sample.fields["ranges"], sample.contract.lidar.max_range_m
-    held = (ranges >= 0) & ((ranges <= np.float32(most)) | np.isposinf(ranges))
-    page.expect(held.all(), f"{sample.where}: {np.count_nonzero(~held)} ranges are not from 0 to {most:g} m, or inf")
+    most, wrong = sample.contract.lidar.max_range_m, 0
+    for name in ("ranges", "earlier_ranges"):
+        ranges = sample.fields.get(name, np.empty(0, np.float32))
+        wrong += int((~((ranges >= 0) & ((ranges <= np.float32(most)) | np.isposinf(ranges)))).sum())
+    page.expect(not wrong, f"{sample.where}: {wrong} ranges are not from 0 to {most:g} m, or inf")
     noise = sample.contract.noise
     if noise is None:
         stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
         page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
     elif noise["bound_m"] is not None:
         fields, grid, bound = sample.fields, sample.contract.grid, noise["bound_m"]
-        stray = count_strays(sample.scan.points(), fields["occupancy"], grid, fields["origin"], bound)
+        points = np.concatenate([scan.points() for scan in sample.scans])
+        stray = count_strays(points, fields["occupancy"], grid, fields["origin"], bound)
         page.expect(not stray, f"{sample.where}: {stray} returns lie more than {bound:g} m from what is occupied")
     if "free" in sample.fields:
         both = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
@@ -107,7 +127,8 @@ CHECKS = (
     ),
     Check(
         name="centred",
-        proves="`origin` is `position` less half the grid, to the bit, and quaternions have length 1.",
+        proves="`origin` is `position` less half the grid (where the map lies ahead, moved so first), to the bit; "
+        "quaternions have length 1, and no body leans further than `mapping` allows.",
         quick=True,
         sample=_centred,
     ),

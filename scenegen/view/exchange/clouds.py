@@ -6,7 +6,7 @@ import numpy as np
 
 from lidarsim import GridSpec, Sensor
 from scenegen.points import encode_points
-from scenegen.sample import SCHEMA, Sample
+from scenegen.sample import Sample
 from scenegen.view.exchange.choices import Choices
 
 
@@ -47,7 +47,7 @@ class Npz(_Cloud):
     def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
         """Its content."""
         file = io.BytesIO()
-        fields = {name: getattr(sample, name) for name in SCHEMA}
+        fields = {name: getattr(sample, name) for name in sample.names}
         points = sample.points(lidar, frame=self.choices.frame)
         np.savez_compressed(file, allow_pickle=False, **fields, points=points, voxel_m=np.float64(grid.voxel_m))
         return (file.getvalue(),)

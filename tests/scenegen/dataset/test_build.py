@@ -6,7 +6,7 @@ import json
 import os
 import time
 import zipfile
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_data
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError, GenerationError
+from scenegen.executors.local import Local
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA
 from scenegen.source import DrawnWorlds
@@ -63,17 +64,21 @@ def test_the_number_of_workers_changes_no_byte(tmp_path: Path) -> None:
 def test_shards_may_be_written_anywhere_and_come_in_any_order(tmp_path: Path) -> None:
     """An executor of one's own: here a thread that goes through the shards from the last to the first."""
 
-    def execute(
-        function: Callable[[ShardSpec], ShardReport], tasks: list[ShardSpec], on_start: Callable[[], None]
-    ) -> Generator[ShardReport, None, None]:
-        on_start()
-        with ThreadPoolExecutor(1) as pool:
-            yield from pool.map(function, reversed(tasks))
+    class Backwards(Local):
+        def __call__(
+            self,
+            function: Callable[[ShardSpec], ShardReport],
+            tasks: Sequence[ShardSpec],
+            on_start: Callable[[], None],
+        ) -> Generator[ShardReport, None, None]:
+            on_start()
+            with ThreadPoolExecutor(1) as pool:
+                yield from pool.map(function, reversed(tasks))
 
     begun: list[bool] = []
     several = plan(tmp_path / "elsewhere")
     assert len(several.shards) > 2
-    done = build(several, execute=execute, on_start=lambda: begun.append(True))
+    done = build(several, execute=Backwards("", 1), on_start=lambda: begun.append(True))
     assert begun == [True]
     assert done.digest == make(tmp_path / "here").digest
     assert content(tmp_path / "elsewhere") == content(tmp_path / "here")
@@ -111,6 +116,42 @@ def test_a_cluster_makes_the_same_folder_in_parts(tmp_path: Path) -> None:
     last = build(parts, shard_range=(0, 2))
     assert last.complete
     assert content(tmp_path / "parts") == content(tmp_path / "whole")
+
+
+def test_a_job_reads_its_own_part_and_the_last_one_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts, read = plan(tmp_path / "d"), []
+    count = len(parts.shards)
+    assert count == 5
+    build(parts, shard_range=(0, 2))
+
+    def noted(shard: ShardSpec, *rest: Any, **more: Any) -> ShardReport | None:
+        read.append(parts.shards.index(shard))
+        return read_report(shard, *rest, **more)
+
+    monkeypatch.setattr("scenegen.dataset.state.read_report", noted)
+    build(parts, shard_range=(2, 4))
+    assert read == []
+    build(parts, shard_range=(1, 4))
+    assert read == [1, 2, 3]
+    read.clear()
+    assert build(parts, shard_range=(4, 5)).complete
+    assert sorted(read) == [0, 1, 2, 3]
+
+
+def test_what_is_finished_is_written_down_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that is killed has listed its shards, and the next one does not hash their samples again."""
+    monkeypatch.setattr(module, "NOTE_S", 0.0)
+
+    def stop(report: ShardReport, fresh: bool) -> None:
+        if report.file.startswith("val"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build(plan(tmp_path / "d"), on_shard=stop)
+    assert len(manifest.read(tmp_path / "d")["shards"]) == 3
+    monkeypatch.setattr("scenegen.dataset.shard._digests_hold", pytest.fail)
+    (tmp_path / "d" / "val-00000.h5").unlink()
+    assert make(tmp_path / "d").complete
 
 
 def test_worlds_of_different_splits_differ_and_numbers_are_dense(tmp_path: Path) -> None:

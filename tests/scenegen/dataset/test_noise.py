@@ -15,7 +15,7 @@ from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR
 from scenegen.commands.rescan import rescan
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.manifest import MINOR, NAME
+from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
@@ -25,6 +25,7 @@ from scenegen.publish.regenerate import check_source, source_file
 from scenegen.publish.stage import Request, examine, stage
 from scenegen.recipe import preset, read_recipe
 from scenegen.source import DrawnWorlds
+from scenegen.terminal.options import mapping_given
 from scenegen.verify import verify
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
@@ -57,7 +58,7 @@ def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(made: Pa
     plain, faulty = json.loads((made / NAME).read_text()), json.loads((noisy / NAME).read_text())
     assert plain["version"] == 1
     assert not plain.keys() & {"noise", "labels", "rescan"}
-    assert faulty["version"] == MINOR
+    assert faulty["version"] == 1.2
     assert faulty["noise"] == {"stages": SPELLED, "bound_m": 4 * 0.02}
     for one, other in zip(Dataset(made).split("train"), Dataset(noisy).split("train"), strict=True):
         for name in ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint"):
@@ -108,7 +109,8 @@ def test_what_was_scanned_again_is_published_with_the_command_that_does_so(
 ) -> None:
     sensor = Lidar(rows=5, columns=40)
     lidar, chain = sensor if name == "raster" else BeamTable.of(sensor), Noise.parse(noise) if noise else None
-    build(plan_rescan(Dataset(made), tmp_path / "again", lidar=lidar, chain=chain))
+    mapping = {"scans": 2, "scan_spacing_m": 0.3, "fusion": "log-odds"} if noise else {}
+    build(plan_rescan(Dataset(made), tmp_path / "again", lidar=lidar, chain=chain, mapping=mapping))
     out = tmp_path / "out"
     request = Request(dataset=tmp_path / "again", repository="ada/again", out=out)
     stage(request, (("files", "all there"),))
@@ -118,13 +120,17 @@ def test_what_was_scanned_again_is_published_with_the_command_that_does_so(
     assert f"`ORIGINAL` stands for that dataset, whose digest is `{Dataset(made).manifest.digest}`." in card
     assert not noise or "noise is simulated, `quantise:step_m=0.1`" in card
     (line,) = (line for line in card.splitlines() if line.startswith("scenegen rescan ORIGINAL"))
-    asked = rescan.make_context("rescan", shlex.split(line)[2:]).params
+    context = rescan.make_context("rescan", shlex.split(line)[2:])
+    asked = context.params
+    with context:
+        given = mapping_given(asked)
     again = plan_rescan(
         Dataset(made),
         tmp_path / "third",
         lidar=named_lidar(str(out / asked["lidar"])),
         chain=named_noise(asked["noise"], found.lidar),
         engine=asked["engine"],
+        mapping=given,
     )
     assert build(again).digest == found.manifest.digest
     edited(tmp_path / "again", kind="my_worlds:Fence")
@@ -156,14 +162,15 @@ def test_what_the_noise_cannot_have_done_is_found(noisy: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("entries", "told"),
     [
-        ({"version": 1}, "version = 1: expected 1.2 exactly where there is noise or labels or rescan"),
-        ({"noise": None}, "version = 1.2: expected 1.2 exactly"),
+        ({"version": 1}, "version = 1: expected 1.2 with noise"),
+        ({"noise": None}, "version = 1.2: expected 1 with nothing of a minor version"),
         ({"noise": {"stages": "range"}}, "noise.bound_m is missing"),
         ({"noise": {"stages": "range", "bound_m": -1.0}}, "noise.bound_m = -1.0: expected metres, or null"),
         ({"noise": {"stages": "a\nb", "bound_m": None}}, "noise.stages ="),
         ({"rescan": {"digest": "x"}}, "rescan.digest"),
         ({"labels": {"by": "name", "classes": ["nothing"]}}, "labels: expected exactly where `fields` names labels"),
-        ({"version": 1.3}, "format version 1.3, this scenegen reads 1 and 1.2"),
+        ({"version": 1.3}, "version = 1.3: expected 1.2 with noise"),
+        ({"version": 1.4}, "format version 1.4, this scenegen reads 1, 1.2, 1.3"),
     ],
 )
 def test_a_strangers_word_is_not_trusted(noisy: Path, tmp_path: Path, entries: dict[str, Any], told: str) -> None:

@@ -1,0 +1,58 @@
+"""Executors: where tasks run. One file an executor; each fills `Executor`.
+
+What one task gives depends on the task alone, so a dataset has the same bits wherever its shards are written.
+"""
+
+from collections.abc import Callable, Generator, Sequence
+from typing import Any, Protocol
+
+from lidarsim.registry import Registry
+
+
+class Executor(Protocol):
+    """A place where tasks run, made of an `address`, "" for none, and of the number of `workers` asked for."""
+
+    def __init__(self, address: str, workers: int) -> None: ...
+
+    def mine(self, tasks: Sequence[Any]) -> Sequence[Any]:
+        """Those of all `tasks` of a run, done or not, that are for this process to see to."""
+        ...
+
+    def __call__(
+        self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
+    ) -> Generator[Any, None, None]:
+        """Have `function` applied to `tasks`, and yield the results as they come, in any order.
+
+        `on_start` is called once the work has begun. `function` and tasks can be pickled; files that they name are
+        reached from everywhere. Closing the generator ends what it began, and only that. Raises GenerationError where
+        a task is lost for good, and whatever `function` raises.
+        """
+        ...
+
+
+EXECUTORS = Registry(
+    "executor",
+    {
+        "local": "scenegen.executors.local:Local",
+        "rank": "scenegen.executors.rank:Rank",
+        "ray": "scenegen.executors.ray:Ray",
+        "slurm": "scenegen.executors.slurm:Slurm",
+    },
+    needs={
+        "mine": "a method: tasks -> tasks",
+        "__call__": "a method: (function, tasks, on_start) -> results",
+    },
+)
+"""Executors by name."""
+LOCAL = "local"
+"""The one that serves where none is named."""
+
+
+def executor(place: str, workers: int) -> Executor:
+    """The executor called `place`, a name with an address or without: ``ray://10.0.0.1:10001``.
+
+    Raises ValueError, in one line, for a name that leads to none.
+    """
+    name, _, address = place.partition("://")
+    made: Executor = EXECUTORS.find(name)(address, workers)
+    return made

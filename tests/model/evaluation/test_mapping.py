@@ -1,0 +1,66 @@
+"""Networks and the bench meet maps of several scans, and maps that lie ahead."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidarsim import Lidar, Scan, voxelize
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.draw import draw_unit
+from scenegen.errors import DatasetError
+from scenegen.mapping import Mapper
+from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.seen import seen_occupancy
+from scenegen.model.evaluation.visibility import CLASSES, classify
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+
+def dataset_with(folder: Path, **mapping: object) -> Dataset:
+    recipe = small_recipe(mapping=mapping, world={"density": (0.2, 0.2)}, grid={"shape": (40, 40, 16)})
+    counts = {"train": 6, "val": 0, "test": 0}
+    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
+    return Dataset(folder)
+
+
+def test_what_any_scan_could_see_is_in_view() -> None:
+    recipe = small_recipe(mapping={"scans": 4, "scan_spacing_m": 1.0})
+    nothing = np.full(recipe.lidar.shape, np.inf, np.float32)
+    for sample in draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples:
+        classes = classify(sample, lidar=recipe.lidar, grid=recipe.grid)
+        for scan in sample.scans(recipe.lidar):
+            view = voxelize(Scan(nothing, scan.pose, recipe.lidar), recipe.grid, sample.origin).free
+            assert not (view & (classes == CLASSES.index("out_of_view"))).any()
+
+
+def test_more_scans_see_more_of_the_obstacles(tmp_path: Path) -> None:
+    one, four = (
+        dataset_with(tmp_path / str(scans), scans=scans, scan_spacing_m=1.0).split("train") for scans in (1, 4)
+    )
+    more = 0
+    for alone, several in zip(one, four, strict=True):
+        less, seen = seen_occupancy(alone, one), seen_occupancy(several, four)
+        assert (less <= seen).all()
+        assert (several.observed <= seen).all()
+        more += int(seen.sum()) - int(less.sum())
+    assert more > 0
+
+
+def test_plans_do_not_begin_where_no_sensor_is(tmp_path: Path) -> None:
+    dataset = dataset_with(tmp_path / "d", map_ahead_m=(1.0, 0.0, 0.0))
+    with pytest.raises(DatasetError, match=r"its maps lie \[1.0, 0.0, 0.0\] m ahead of the sensor") as caught:
+        bench(dataset, [], BenchConfig(split="train"))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_network_says_that_it_learned_from_other_maps() -> None:
+    unlike = pytest.importorskip("scenegen.model.completion.completer").unlike
+    lidar, several = Lidar(), Mapper(scans=5, tilt_mps=2.0)
+    assert unlike("net", {}, lidar, Mapper()) == unlike("net", {}, lidar, Mapper(scan_spacing_m=3.0)) == ""
+    said = unlike("net", {}, lidar, several)
+    assert said.startswith("net was trained on maps made otherwise")
+    assert "mapping.scans is 1 in training, 5 here; " in said
+    assert "mapping.tilt_mps is 0.0 in training, 2.0 here" in said

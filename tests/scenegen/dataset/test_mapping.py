@@ -1,0 +1,293 @@
+"""Datasets of several scans a sample, of leaning bodies, and of maps that lie ahead: pairs of the same worlds."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import scenegen
+from lidarsim import Pose
+from lidarsim.engines.analytic import AnalyticEngine
+from lidarsim.noise.chain import Noise
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.manifest import NAME
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.draw import draw_unit
+from scenegen.errors import DatasetError, GenerationError, RecipeError
+from scenegen.flight import Route
+from scenegen.inspect import inspect
+from scenegen.labels import labels_by
+from scenegen.limits import MOST_SCANS
+from scenegen.mapping import Mapper
+from scenegen.publish.regenerate import check_recipe, recipe_text
+from scenegen.recipe import Recipe, make_recipe, read_recipe
+from scenegen.rescan import scan_again
+from scenegen.sample import EARLIER, SCHEMA
+from scenegen.source import DrawnWorlds
+from scenegen.truth import rasterize
+from scenegen.verify import verify
+from scenegen.view.look import look_at
+from tests.conftest import small_recipe
+from tests.scenegen.conftest import COUNTS
+
+SEVERAL = {"scans": 4, "scan_spacing_m": 0.7}
+FEW = {"train": 3, "val": 1, "test": 3}
+SAME = ("occupancy", "tudf", "ranges", "position", "quaternion", "origin", "world", "viewpoint")
+
+
+def recipe_with(noise: str = "", **mapping: Any) -> Recipe:
+    return dataclasses.replace(small_recipe(mapping=mapping), noise=Noise.parse(noise) if noise else Noise())
+
+
+def made_with(folder: Path, recipe: Recipe, *, compact: bool = False, **options: Any) -> Dataset:
+    """The dataset of `made`, by another recipe."""
+    options = {"shard_samples": 3, "counts": FEW} | options
+    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, compact=compact, **options))
+    return Dataset(folder)
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset of `made`, with four scans a sample; not to be changed."""
+    folder = tmp_path_factory.mktemp("several") / "pillar"
+    made_with(folder, recipe_with(**SEVERAL), counts=COUNTS)
+    return folder
+
+
+def failed(folder: Path, **options: Any) -> dict[str, str]:
+    return {check.name: check.detail for check in verify(folder, **options).checks if not check.ok}
+
+
+def test_more_scans_show_more_of_the_same_maps(made: Path, several: Path) -> None:
+    plain, found = json.loads((made / NAME).read_text()), json.loads((several / NAME).read_text())
+    assert (plain["version"], found["version"]) == (1, 1.3)
+    assert "mapping" not in plain
+    assert found["mapping"]["scans"] == 4
+    more = 0
+    for one, other in zip(Dataset(made).split("train"), Dataset(several).split("train"), strict=True):
+        for name in SAME:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        assert (one.observed <= other.observed).all()
+        assert (other.observed <= other.occupancy).all()
+        assert not (other.free & other.observed).any()
+        assert len(other.points()) == sum(len(scan.points()) for scan in other.scans())
+        np.testing.assert_array_equal(other.points(frame="body")[: len(one.points())], one.points(frame="body"))
+        more += int(other.observed.sum()) - int(one.observed.sum())
+    assert more > 0
+
+
+def test_earlier_scans_lie_back_along_the_flight(several: Path) -> None:
+    """Straight lines are shorter than what was flown, and the flight begins where it begins."""
+    waited = 0
+    for sample in Dataset(several).split("train"):
+        steps = np.linalg.norm(np.diff([scan.pose.position for scan in sample.scans()], axis=0), axis=1)
+        assert (steps <= 0.7 + 1e-9).all()
+        waited += np.count_nonzero(steps == 0.0)
+        assert steps.max() > 0.3
+    route = Route(np.array([[0, 0, 1], [2, 0, 1], [2, 2, 1]], dtype=float))
+    views = [route.pose(flown, Mapper()) for flown in (0.0, 1.0, 2.5)]
+    np.testing.assert_allclose([view.position for view in views], [[0, 0, 1], [1, 0, 1], [2, 0.5, 1]])
+    assert waited > 0, "no scan waits at the begin of its flight: the test shows nothing of that"
+
+
+@pytest.mark.parametrize(
+    ("mapping", "compact", "noise"),
+    [
+        (SEVERAL, True, "range:0.02,dropout:0.05"),
+        ({"scans": 3, "fusion": "log-odds", "tilt_mps": 3.0, "map_ahead_m": (1.5, 0.2, -0.3)}, True, ""),
+        ({"tilt_mps": 5.0}, False, ""),
+    ],
+)
+def test_such_a_dataset_passes_every_check_whoever_makes_it(
+    tmp_path: Path, mapping: dict[str, Any], compact: bool, noise: str
+) -> None:
+    recipe = recipe_with(noise, **mapping)
+    dataset = made_with(tmp_path / "one", recipe, compact=compact)
+    report = verify(dataset.folder)
+    assert report.ok, failed(dataset.folder)
+    assert not [check.name for check in report.checks if check.skipped]
+    plan = plan_dataset(
+        tmp_path / "two", recipe, DrawnWorlds(recipe), seed=3, counts=FEW, compact=compact, shard_samples=3
+    )
+    build(plan, shard_range=(0, 1))  # which another run goes on from, with two workers
+    assert build(plan, workers=2).digest == dataset.manifest.digest
+    whole = made_with(tmp_path / "three", recipe, shard_samples=100).split("test")
+    np.testing.assert_array_equal(whole[2].free, dataset.split("test")[2].free)  # stored here, derived there
+
+
+def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays() -> None:
+    plain, faulty, alone = (
+        draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=2).samples
+        for recipe in (recipe_with(**SEVERAL), recipe_with("range:0.05", **SEVERAL), recipe_with("range:0.05"))
+    )
+    for clean, noisy, one in zip(plain, faulty, alone, strict=True):
+        np.testing.assert_array_equal(noisy.ranges, one.ranges)
+        both = np.isfinite(noisy.earlier_ranges) & np.isfinite(clean.earlier_ranges)
+        drawn = [noisy.earlier_ranges[n][both[n]] - clean.earlier_ranges[n][both[n]] for n in range(3)]
+        assert all(np.abs(each).max() > 0.05 for each in drawn)
+        for a, b in ((0, 1), (1, 2)):
+            assert not np.array_equal(drawn[a][:20], drawn[b][:20])
+
+
+def test_scanned_again_it_is_what_would_have_been_drawn_with_as_many_scans_or_fewer(
+    made: Path, several: Path, tmp_path: Path
+) -> None:
+    dataset = Dataset(several)
+    same = build(plan_rescan(dataset, tmp_path / "same"))
+    assert same.digest == dataset.manifest.digest
+    assert build(plan_rescan(dataset, tmp_path / "one", mapping={"scans": 1})).digest == Dataset(made).manifest.digest
+    fewer = plan_rescan(dataset, tmp_path / "fewer", mapping={"scans": 2, "fusion": "log-odds"})
+    drawn = made_with(tmp_path / "drawn", recipe_with(scans=2, scan_spacing_m=0.7, fusion="log-odds"), counts=COUNTS)
+    assert build(fewer).digest == drawn.manifest.digest
+    assert not failed(fewer.folder)
+    ahead = plan_rescan(Dataset(made), tmp_path / "ahead", mapping={"map_ahead_m": (1.0, 0.0, 0.0)})
+    build(ahead)
+    assert not failed(ahead.folder)
+
+
+def test_scanned_again_with_more_scans_the_flight_is_flown_again(made: Path, several: Path, tmp_path: Path) -> None:
+    more = plan_rescan(Dataset(made), tmp_path / "more", mapping=SEVERAL)
+    assert build(more).digest == Dataset(several).manifest.digest
+    moved = Path(shutil.copytree(made, tmp_path / "moved"))
+    with h5py.File(moved / "train-00000.h5", "r+") as file:
+        file["position"][1] = file["position"][1] + 1e-9
+    with pytest.raises(GenerationError, match="train flight 0 comes out otherwise here"):
+        build(plan_rescan(Dataset(moved), tmp_path / "no", mapping={"scans": 2}))
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_stream_gives_the_same_samples(several: Path) -> None:
+    stream = scenegen.stream(recipe_with(**SEVERAL), seed=3, engine="analytic")
+    for one, other in zip(Dataset(several).split("train")[:4], stream, strict=False):
+        for name in (*SCHEMA, *EARLIER):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert stream.describe()["earlier_ranges"]["shape"] == (3, 8, 24)
+
+
+def test_labels_are_of_the_own_scan_and_the_digest_covers_all(tmp_path: Path) -> None:
+    recipe = recipe_with(**SEVERAL)
+    labelled = dataclasses.replace(recipe, labels=labels_by("name", ()))
+    unit, plain = (
+        draw_unit(DrawnWorlds(each), each, seed=0, split="train", unit=0).samples[1] for each in (labelled, recipe)
+    )
+    np.testing.assert_array_equal(unit.return_geom >= 0, np.isfinite(unit.ranges))
+    assert unit.sha256() != plain.sha256()
+    changed = dataclasses.replace(plain, earlier_position=plain.earlier_position + 1e-9)
+    assert changed.sha256() != plain.sha256()
+    assert not failed(made_with(tmp_path / "d", labelled).folder)
+
+
+@pytest.mark.parametrize(("turns", "shift"), [(0, (5, 2, -1)), (1, (-2, 5, -1)), (2, (-5, -2, -1)), (3, (2, -5, -1))])
+def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(turns: int, shift: tuple[int, int, int]) -> None:
+    """Five voxels ahead, two to the left, one down: seen towards each side of the world, and from a leaning body."""
+    recipe = small_recipe(mapping={"map_ahead_m": (1.0, 0.4, -0.2)}, world={"density": (0.15, 0.15)})
+    unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)
+    world, heading = unit.world, [(1, 0), (0, 1), (-1, 0), (0, -1)][turns]
+    pose = Pose.facing(unit.samples[0].position, heading)
+    (sample,) = scan_again(
+        world, [[pose]], recipe, seed=0, split="train", unit=0, names=(0, 0), engine=AnalyticEngine.of
+    ).samples
+    wide = dataclasses.replace(recipe.grid, shape=tuple(n + 12 for n in recipe.grid.shape))
+    whole = rasterize(world.solids, wide, wide.origin_at(pose.position))
+    window = tuple(slice(6 + by, 6 + by + n) for by, n in zip(shift, recipe.grid.shape, strict=True))
+    np.testing.assert_array_equal(sample.occupancy, whole[window])
+    assert 0.005 < sample.occupancy.mean() < 0.9
+    leaning = Route(np.array([pose.position, pose.position + np.array([*heading, 0])])).pose(0, Mapper(tilt_mps=3.0))
+    assert abs(leaning.quaternion[1:3]).max() > 0.05
+    there = [recipe.mapping.origin(recipe.grid, each) for each in (pose, leaning)]
+    np.testing.assert_allclose(there[0], there[1], rtol=0, atol=1e-12)
+
+
+def test_what_was_changed_in_earlier_scans_is_found(several: Path, tmp_path: Path) -> None:
+    def damaged(name: str, field: str, change: float) -> dict[str, str]:
+        folder = Path(shutil.copytree(several, tmp_path / name))
+        with h5py.File(folder / "train-00000.h5", "r+") as file:
+            values = file[field][:]
+            values[0, 1] = np.where(np.isfinite(values[0, 1]), values[0, 1] + change, values[0, 1])
+            file[field][:] = values
+        return failed(folder)
+
+    assert {"digest", "voxels", "rays", "regenerated"} <= damaged("ranges", "earlier_ranges", -0.6).keys()
+    assert {"digest", "voxels", "regenerated"} <= damaged("position", "earlier_position", 0.4).keys()
+    assert {"digest", "centred"} <= damaged("quaternion", "earlier_quaternion", 0.4).keys()
+
+
+@pytest.mark.parametrize(
+    ("entries", "told"),
+    [
+        ({"version": 1}, "version = 1: expected 1.3 with mapping"),
+        ({"version": 1.2}, "version = 1.2: expected 1.3 with mapping"),
+        ({"mapping": None}, "version = 1.3: expected 1 with nothing of a minor version"),
+        ({"mapping": {"scans": 4}}, "mapping.fusion is missing"),
+        ({"mapping": {"scans": 1}}, "mapping.scans: expected above 1 exactly where `fields` names earlier scans"),
+        ({"mapping": {"scans": 10**9}}, "mapping.scans = 1000000000: expected"),
+        ({"mapping": {"scans": 5}}, "earlier_ranges is float32"),
+        ({"mapping": {"hit": 0.1}}, "mapping.hit = 0.1: expected"),
+        ({"mapping": {"odd": 1}}, "mapping: unknown parameter 'odd'"),
+        ({"mapping": {"map_ahead_m": [99.0, 0.0, 0.0]}}, "lies beyond the sensor's range"),
+        ({"mapping": {"map_ahead_m": "x"}}, "mapping.map_ahead_m = 'x': expected"),
+    ],
+)
+def test_a_strangers_word_is_not_trusted(several: Path, tmp_path: Path, entries: dict[str, Any], told: str) -> None:
+    folder = Path(shutil.copytree(several, tmp_path / "d"))
+    found = json.loads((folder / NAME).read_text())
+    if entries.get("mapping") not in (None, {"scans": 4}):
+        entries = {"mapping": found["mapping"] | entries["mapping"]}
+    (folder / NAME).write_text(json.dumps({**found, **entries}))
+    with pytest.raises(DatasetError) as caught:
+        _ = Dataset(folder).split("train")[0].observed
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ({"scans": 0}, f"[mapping] scans = 0: expected a whole number from 1 to {MOST_SCANS}"),
+        ({"scans": 2.5}, "[mapping] scans = 2.5: expected"),
+        ({"scan_spacing_m": 0.0}, "[mapping] scan_spacing_m = 0.0: expected"),
+        ({"tilt_mps": -1.0}, "[mapping] tilt_mps = -1.0: expected"),
+        ({"most_tilt_deg": 90.0}, "[mapping] most_tilt_deg = 90.0: expected"),
+        ({"fusion": "mean"}, "[mapping] fusion = 'mean': expected"),
+        ({"map_ahead_m": [1.0]}, "[mapping] map_ahead_m = [1.0]: expected three finite numbers"),
+        ({"map_ahead_m": [60.0, 0.0, 0.0]}, "[mapping] map_ahead_m = [60.0, 0.0, 0.0]: lies beyond the sensor's range"),
+        ({"scan": 2}, "[mapping]: unknown parameter 'scan'; did you mean 'scans'?"),
+    ],
+)
+def test_bad_values_end_in_one_line(table: dict[str, Any], told: str) -> None:
+    with pytest.raises(RecipeError) as caught:
+        make_recipe("pillar", {"mapping": table}, where="my.toml")
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_too_many_rays_are_refused() -> None:
+    with pytest.raises(RecipeError, match=r"\[mapping\] scans = 100: of 100000 rays each; expected 40 at most"):
+        make_recipe("pillar", {"mapping": {"scans": 100}, "lidar": {"rows": 1000, "columns": 100}}, where="test")
+
+
+def test_a_recipe_says_it_and_is_published(several: Path, tmp_path: Path) -> None:
+    dataset = Dataset(several)
+    text = recipe_text(dataset.manifest.parameters, "a recipe")
+    (tmp_path / "my.toml").write_text(text)
+    assert read_recipe(tmp_path / "my.toml").mapping == dataset.manifest.mapping == Mapper(**SEVERAL)
+    check_recipe(dataset, text)
+    with pytest.raises(RecipeError, match=r"has a table \[mapping\], and scans are given beside it"):
+        read_recipe(tmp_path / "my.toml", mapping={"scans": 2})
+
+
+def test_what_is_there_is_shown(several: Path) -> None:
+    dataset = Dataset(several)
+    found, sample = inspect(several), dataset.split("train")[0]
+    assert found["mapping"]["scans"] == 4
+    assert str(dataset.manifest.mapping) == "of 4 scans, 0.7 m apart, by visibility, around a level sensor"
+    look = look_at(sample, dataset.grid, dataset.lidar, "train 0")
+    assert look.points is not None
+    assert len(look.points) == len(sample.points()) > look.own == np.isfinite(sample.ranges).sum()
+    assert f"of {4 * 8 * 24} rays in 4 scans" in look.figures()["returns"]

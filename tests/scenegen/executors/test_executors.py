@@ -1,0 +1,79 @@
+"""Where the shards of a dataset are written changes nothing of it."""
+
+from pathlib import Path
+
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.errors import DatasetError
+from scenegen.executors import EXECUTORS, executor
+from scenegen.executors.rank import rank_of
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+COUNTS = {"train": 14, "val": 3, "test": 4}
+
+
+def make(folder: Path, place: str = "local", workers: int = 1) -> tuple[str | None, dict[str, bytes]]:
+    """The digest of a small dataset made at `place`, and all its files."""
+    recipe = small_recipe()
+    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
+    summary = build(plan, execute=executor(place, workers))
+    return summary.digest, {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_ranks_make_a_dataset_together_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each job writes its own shards and no others; whichever ends last completes the manifest."""
+    whole = make(tmp_path / "whole")
+    monkeypatch.setenv("SCENEGEN_WORLD_SIZE", "3")
+    written: set[str] = set()
+    for rank in (2, 0, 1):
+        monkeypatch.setenv("SCENEGEN_RANK", str(rank))
+        digest, files = make(tmp_path / "parts", "rank")
+        shards = {name for name in files if name.endswith(".h5")}
+        assert len(shards - written) in (2, 3)
+        written = shards
+        assert (digest is None) == (rank != 1)
+    assert make(tmp_path / "parts", "rank") == whole
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({"RANK": "1", "WORLD_SIZE": "4"}, (1, 4)),
+        ({"SLURM_PROCID": "3", "SLURM_NTASKS": "4"}, (3, 4)),
+        ({"SLURM_ARRAY_TASK_ID": "7", "SLURM_ARRAY_TASK_COUNT": "4", "SLURM_ARRAY_TASK_MIN": "5"}, (2, 4)),
+        ({"JOB_COMPLETION_INDEX": "0", "SCENEGEN_WORLD_SIZE": "2", "RANK": "1", "WORLD_SIZE": "4"}, (0, 2)),
+    ],
+)
+def test_the_environment_tells_the_rank(environment: dict[str, str], expected: tuple[int, int]) -> None:
+    assert rank_of(environment) == expected
+
+
+@pytest.mark.parametrize(
+    ("environment", "told"),
+    [
+        ({}, "the environment tells no rank; set SCENEGEN_RANK and SCENEGEN_WORLD_SIZE, or "),
+        ({"RANK": "4", "WORLD_SIZE": "4"}, "RANK='4', WORLD_SIZE='4'; expected whole numbers"),
+        ({"RANK": "-1", "WORLD_SIZE": "4"}, "RANK='-1', WORLD_SIZE='4'; expected whole numbers"),
+        ({"SCENEGEN_RANK": "one", "SCENEGEN_WORLD_SIZE": "2"}, "SCENEGEN_RANK='one', SCENEGEN_WORLD_SIZE='2'; expect"),
+        ({"SLURM_ARRAY_TASK_ID": "1", "SLURM_ARRAY_TASK_COUNT": "2", "SLURM_ARRAY_TASK_MIN": "5"}, "SLURM_ARRAY_TASK"),
+    ],
+)
+def test_an_impossible_rank_ends_in_one_line(environment: dict[str, str], told: str) -> None:
+    with pytest.raises(DatasetError) as caught:
+        rank_of(environment)
+    assert str(caught.value).startswith(f"--on rank: {told}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["local", "rank"])
+def test_places_without_an_address_take_none(name: str) -> None:
+    with pytest.raises(DatasetError, match=f"--on {name}://somewhere: "):
+        executor(f"{name}://somewhere", 1)
+
+
+def test_what_is_no_executor_is_refused() -> None:
+    with pytest.raises(ValueError, match="unknown executor 'clouds'"):
+        executor("clouds", 1)
+    assert set(EXECUTORS.known) == {"local", "rank", "ray", "slurm"}

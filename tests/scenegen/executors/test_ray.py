@@ -1,0 +1,88 @@
+"""On a real Ray cluster: the same bits, also where a node is killed on the way.
+
+python -m pytest -m slow tests/scenegen/executors/test_ray.py        needs the extra `ray`
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.errors import DatasetError, ScenegenError
+from scenegen.executors import executor
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+ray = pytest.importorskip("ray")
+cluster_utils = pytest.importorskip("ray.cluster_utils")
+pytestmark = pytest.mark.slow
+COUNTS = {"train": 60, "val": 3, "test": 3}
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """A head and two nodes of one core each, all on this machine."""
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    found = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    found.nodes = [found.add_node(num_cpus=1) for _ in range(2)]
+    ray.init(address=found.address, log_to_driver=False, configure_logging=False)
+    yield found
+    ray.shutdown()
+    found.shutdown()
+
+
+def plan(folder: Path) -> Any:
+    recipe = small_recipe()
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
+
+
+def test_a_cluster_makes_the_same_dataset_though_a_node_dies(cluster: Any, tmp_path: Path) -> None:
+    here = build(plan(tmp_path / "here"))
+    killed = []
+
+    def kill_one(report: Any, fresh: bool) -> None:
+        if fresh and not killed:
+            killed.append(cluster.nodes.pop())
+            cluster.remove_node(killed[0], allow_graceful=False)
+
+    there = build(plan(tmp_path / "there"), execute=executor("ray", 1), on_shard=kill_one)
+    assert killed
+    assert there.digest == here.digest
+    for path in (tmp_path / "here").iterdir():
+        assert (tmp_path / "there" / path.name).read_bytes() == path.read_bytes()
+    assert ray.is_initialized(), "what was there before is left"
+
+
+def test_an_error_is_raised_here_and_names_the_node(cluster: Any, tmp_path: Path) -> None:
+    """A disk that only the nodes find full, say; here a folder that became a file."""
+    asked = plan(tmp_path / "there")
+
+    def spoil(task: Any) -> None:
+        raise DatasetError(f"{task}: disk is full")
+
+    with pytest.raises(ScenegenError, match=r"3: disk is full \(on \S+\)"):
+        list(executor("ray", 1)(spoil, [3], lambda: None))
+    assert asked.samples == 66
+
+
+def test_usage_is_never_reported() -> None:
+    """The switch is off before Ray is imported, and Ray's own opinion is asked."""
+    code = (
+        "from scenegen.executors import executor\n"
+        "executor('ray', 1)\n"
+        "from ray._common.usage import usage_lib\n"
+        "assert not usage_lib.usage_stats_enabled()\n"
+    )
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    subprocess.run([sys.executable, "-c", code], check=True, env=clean, timeout=120)
+
+
+def test_an_address_where_nobody_answers_ends_in_one_line() -> None:
+    with pytest.raises(ScenegenError, match=r"--on ray://127\.0\.0\.1:9: no cluster answers there") as caught:
+        list(executor("ray://127.0.0.1:9", 1)(abs, [1], lambda: None))
+    assert "\n" not in str(caught.value)
