@@ -171,6 +171,11 @@ class Manifest:
         return manifest.fingerprint(self.parameters)
 
     @property
+    def noise_stages(self) -> str:
+        """Its stages of noise as text; "" for clean ranges."""
+        return self.noise["stages"] if self.noise else ""
+
+    @property
     def noise_is_ours(self) -> bool:
         """Whether every stage of its noise is one of scenegen's own; without noise, too."""
         return is_ours(self.noise)
