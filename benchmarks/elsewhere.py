@@ -34,7 +34,7 @@ from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import REGIONS
 from scenegen.model.evaluation.run import DatasetResult, bench
 from scenegen.model.evaluation.statistics import figure
-from scenegen.model.evaluation.tables import head, line
+from scenegen.model.evaluation.tables import head, interval, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
 from scenegen.sample import Sample
@@ -213,8 +213,8 @@ def tables(report: dict[str, Any]) -> list[str]:
 
 
 def shown(value: dict[str, Any]) -> str:
-    """A mean with its interval."""
-    return f"{value['mean']:.2f} [{value['low']:.2f}, {value['high']:.2f}]"
+    """A mean with its interval, which one flight does not give."""
+    return f"{value['mean']:.2f} {interval(value, '.2f')}"
 
 
 if __name__ == "__main__":
