@@ -2,13 +2,16 @@
 
 import difflib
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.engines.analytic import AnalyticEngine, Hits
+from lidarsim.noise.chain import Noise
+from lidarsim.noise.returns import Returns, albedo_of
 from lidarsim.pose import Pose, rotate
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
@@ -108,6 +111,16 @@ class Attached:
             raise ValueError(f"scan: {len(self._bodies)} sensors are attached; call scans, which gives one for each")
         return self.scans(data)[0]
 
+    def observe(self, data: mujoco.MjData, noise: Noise, *, rng: np.random.Generator) -> tuple[Returns, ...]:
+        """What the M sensors return with `noise`, each by a stream of its own. Raises ValueError as stages do."""
+        scans, engine, albedo = self.scans(data), self._engine, albedo_of(self._model)
+        assert engine is not None
+        past: list[Any] = [_Past(engine, int(carrier)) for carrier in self._through]
+        return tuple(
+            noise.observe(scan, one, rng=stream, albedo=albedo)
+            for scan, one, stream in zip(scans, past, rng.spawn(len(scans)), strict=True)
+        )
+
     def _follow(self, data: mujoco.MjData) -> AnalyticEngine:
         solids = self._solids.at(data)
         if self._engine is None:
@@ -120,6 +133,22 @@ class Attached:
         """Origins (M, 3) and directions (M, *shape, 3)."""
         rays = self.sensor.directions_body
         return np.array([pose.position for pose in poses]), np.array([rotate(pose.quaternion, rays) for pose in poses])
+
+
+@dataclass(frozen=True, eq=False)
+class _Past:
+    """The engine as a sensor has it that does not see its carrier."""
+
+    engine: AnalyticEngine
+    carrier: int
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
+        """See `Engine.cast`."""
+        return self.hits(origins, directions, max_range_m).ranges
+
+    def hits(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Hits:
+        """See `AnalyticEngine.hits`."""
+        return self.engine.hits(origins, directions, max_range_m, through=[self.carrier] * len(np.asarray(origins)))
 
 
 def _numbered(model: mujoco.MjModel, name: str) -> int:

@@ -90,7 +90,7 @@ def check(parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name
         try:
             value = _read(given, kind, bounds)
         except _UnfitError:
-            such = f", such as {shown(item.default)}" if isinstance(item.default, tuple) else ""
+            such = f", such as {shown(item.default)}" if isinstance(item.default, tuple) and item.default else ""
             raise ValueError(f"{item.name} = {shown(given)}: expected {_words(kind, bounds)}{such}") from None
         if value is not given:
             object.__setattr__(parameters, item.name, value)

@@ -14,12 +14,12 @@ from lidarsim.solids.shapes import HFIELD, MESH, PLANE
 from scenegen.drawing import FLIGHT_BOUNDS, least_memory
 
 
-def flatten(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, dict[str, bytes]]:
+def flatten(model: mujoco.MjModel, data: mujoco.MjData, *, materials: bool = False) -> tuple[bytes, dict[str, bytes]]:
     """The document of `model` as `data` stands, and the files that it refers to, by name.
 
     Colours are those that decide what rays see. Planes become infinite, as they are for collisions and for the truth:
     rays would pass beside the rectangle that is drawn. Joints, skins, textures, and what else no ray meets, are left
-    out.
+    out; materials too, unless `materials` keeps their names.
     """
     root = ElementTree.Element("mujoco", model="scenegen")
     ElementTree.SubElement(root, "size", memory=str(least_memory(model.ngeom)))
@@ -30,6 +30,7 @@ def flatten(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, dict[str
     asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
     files: dict[str, bytes] = {}
     named: dict[tuple[int, int], str] = {}
+    worn: dict[str, str] = {}
     for geom in np.flatnonzero(model.geom_type <= MESH):
         shape, number = int(model.geom_type[geom]), int(model.geom_dataid[geom])
         about = {"type": mujoco.mjtGeom(shape).name.removeprefix("mjGEOM_").lower(), "pos": _said(data.geom_xpos[geom])}
@@ -49,9 +50,14 @@ def flatten(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, dict[str
             about["group"] = str(model.geom_group[geom])
         dress = model.geom_matid[geom]
         about["rgba"] = _said(model.mat_rgba[dress] if dress >= 0 else model.geom_rgba[geom])
+        if materials and dress >= 0:
+            about["material"] = model.mat(int(dress)).name
+            worn[about["material"]] = about["rgba"]
         if shape == MESH:  # then MuJoCo needs no convex hull
             about |= {"contype": "0", "conaffinity": "0"}
         ElementTree.SubElement(world, "geom", about)
+    for name, rgba in worn.items():
+        ElementTree.SubElement(asset, "material", name=name, rgba=rgba)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8"), files
 

@@ -4,7 +4,7 @@ import functools
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import mujoco
 import numpy as np
@@ -18,6 +18,8 @@ from scenegen.sample import Sample, whole
 from scenegen.truth.labels import owners
 from scenegen.world import World
 
+By: TypeAlias = Literal["name", "material", "group"]
+"""What decides the class of a geom."""
 NOTHING = "nothing"
 """Class 0: of a ray without a return, and of a voxel that is not occupied."""
 SHAPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
@@ -30,11 +32,11 @@ class Labels:
     """What decides the class of a geom, and what classes there are.
 
     By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is a ``crate``, and
-    ``beech_01_bough`` a ``beech_bough``; a geom without such a name is of the class of its shape. By
-    `group`, it is MuJoCo's group.
+    ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its material in the same way. A geom without
+    such a name is of the class of its shape. By `group`, it is MuJoCo's group.
     """
 
-    by: Literal["name", "group"]
+    by: By
     classes: tuple[str, ...]
     """Names of classes; a class is its place in here, and the first is `NOTHING`."""
 
@@ -51,16 +53,20 @@ class Labels:
         return np.array([place[name] for name in named], np.uint16)
 
 
-def class_names(model: mujoco.MjModel, by: str) -> list[str]:
+def class_names(model: mujoco.MjModel, by: By) -> list[str]:
     """The name of every geom's class; see `Labels`."""
     if by == "group":
         return [GROUPS[int(group)] for group in model.geom_group]
-    parts = (re.split(r"[._-]+", model.geom(geom).name) for geom in range(model.ngeom))
+    if by == "material":
+        names = [model.mat(int(number)).name if number >= 0 else "" for number in model.geom_matid]
+    else:
+        names = [model.geom(geom).name for geom in range(model.ngeom)]
+    parts = (re.split(r"[._-]+", name) for name in names)
     stems = ("_".join(filter(None, (part.rstrip("0123456789") for part in each))) for each in parts)
     return [stem or SHAPES[int(model.geom_type[geom])] for geom, stem in enumerate(stems)]
 
 
-def labels_by(by: Literal["name", "group"], named: Iterable[str]) -> Labels:
+def labels_by(by: By, named: Iterable[str]) -> Labels:
     """The labels of worlds whose geoms' classes `named` are known besides shapes. Raises GenerationError."""
     known = GROUPS if by == "group" else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
     if len(known) >= MOST_CLASSES:

@@ -46,11 +46,16 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
         raise RecipeError(f"{where} {printable(error)}") from None
     if not dataclasses.is_dataclass(found):
         raise RecipeError(f"{where} sensor = {short(name)}: expected a dataclass, whose fields a recipe sets")
-    if isinstance(given.get("name"), str) and given["name"] in CATALOGUE:
-        raise RecipeError(
-            f"{where} name = {short(given['name'])}: is one of the catalogue's; give your sensor a name of its own"
-        )
-    return from_table(found, given, where, folder)
+    if isinstance(given.get("name"), str) and given["name"] in SENSORS.known:
+        whose = "one of the catalogue's" if given["name"] in CATALOGUE else "that of a family"
+        raise RecipeError(f"{where} name = {short(given['name'])}: is {whose}; give your sensor a name of its own")
+    made = from_table(found, given, where, folder)
+    if isinstance(own := getattr(made, "noise", None), str) and own:
+        try:
+            Noise.parse(own)
+        except ValueError as error:
+            raise RecipeError(f"{where} {printable(error)}") from None
+    return made
 
 
 def beam_table(sensor: Sensor) -> BeamTable:

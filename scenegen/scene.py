@@ -50,18 +50,19 @@ class Reading:
     """Files that it includes, resolved."""
 
 
-def read_file(path: Path) -> Reading:
+def read_file(path: Path, *, materials: bool = False) -> Reading:
     """Read one file; see `load_scene`. What is wrong with it is an outcome, too."""
     includes: frozenset[Path] = frozenset()
     try:
         is_world, includes = look_over(path)
-        return Reading(path, load_scene(path) if is_world else None, includes)
+        return Reading(path, load_scene(path, materials=materials) if is_world else None, includes)
     except SceneError as error:
         return Reading(path, error, includes)
 
 
-def load_scene(path: Path) -> Scene:
-    """Read an MJCF file and make it self-contained: geoms alone, where MuJoCo puts them.
+def load_scene(path: Path, *, materials: bool = False) -> Scene:
+    """Read an MJCF file and make it self-contained: geoms alone, where MuJoCo puts them, and with
+    `materials` the names of theirs.
 
     The document is compiled again, and its solids compared with those of the file. Raises SceneError. MuJoCo may read
     other files, run long and take memory: for files that nobody vouches for, call this in a process with limits.
@@ -76,7 +77,7 @@ def load_scene(path: Path) -> Scene:
             expected = solids_of(drawn, data)
         except ValueError as error:
             raise SceneError(f"{path}: {printable(error)}") from None
-    mjcf, assets = flatten(drawn, data)
+    mjcf, assets = flatten(drawn, data, materials=materials)
     _check_kept(path, mjcf, assets)
     world = compile_world(mjcf, assets, name=str(path))
     _check_same(path, expected, world.solids)

@@ -14,7 +14,7 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import RecipeError, SceneError, printable
-from scenegen.labels import class_names
+from scenegen.labels import By, class_names
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
 from scenegen.scene import Reading, Scene, named, read_file
@@ -66,8 +66,8 @@ class DrawnWorlds:
         """See `Source.describe`."""
         return {}
 
-    def class_names(self) -> set[str]:
-        """Classes of its worlds' geoms by name, as far as the kind says: its `classes`."""
+    def class_names(self, by: By) -> set[str]:
+        """Classes of its worlds' geoms, as far as the kind says: its `classes`."""
         return set(getattr(self.recipe.world, "classes", ()))
 
 
@@ -99,11 +99,11 @@ class SceneWorlds:
             if scenes
         }
 
-    def class_names(self) -> set[str]:
-        """Classes of its worlds' geoms by name."""
+    def class_names(self, by: By) -> set[str]:
+        """Classes of its worlds' geoms."""
         rng = np.random.default_rng(0)
         worlds = (self.world(split, n, rng=rng) for split, of in self.scenes.items() for n in range(len(of)))
-        return {name for world in worlds for name in class_names(world.model, "name")}
+        return {name for world in worlds for name in class_names(world.model, by)}
 
 
 @functools.lru_cache(maxsize=8)
@@ -118,19 +118,22 @@ def _content_digest(scene: Scene) -> str:
     return digest.hexdigest()
 
 
-def read_scenes(path: Path, counts: Mapping[str, int], *, seed: int, allow_unseen: bool = False) -> SceneWorlds:
+def read_scenes(
+    path: Path, counts: Mapping[str, int], *, seed: int, allow_unseen: bool = False, materials: bool = False
+) -> SceneWorlds:
     """The MJCF file at `path`, all for training, or the folder of them, split by world as `SHARES` says.
 
     Which world goes to which split depends on the files' names, the seed, and which splits `counts` asks for, never on
-    how many samples. Raises SceneError for a file that cannot serve, for one with geoms that rays cannot see (unless
-    `allow_unseen`), for two of the same world, and for a folder with fewer worlds than splits.
+    how many samples. With `materials`, worlds keep the names of their materials. Raises SceneError for a file that
+    cannot serve, for one with geoms that rays cannot see (unless `allow_unseen`), for two of the same world, and for a
+    folder with fewer worlds than splits.
     """
     if not path.exists():
         raise SceneError(f"{path}: no such file or folder; expected an MJCF file or a folder of them")
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path]
     if not files:
         raise SceneError(f"{path}: holds no .xml file; expected MJCF worlds")
-    scenes, parts = _read_files(files)
+    scenes, parts = _read_files(files, materials)
     if not scenes:
         raise SceneError(f"{path}: holds parts alone, which other files include; expected an MJCF world")
     _check(scenes, allow_unseen)
@@ -163,14 +166,17 @@ def read_scenes(path: Path, counts: Mapping[str, int], *, seed: int, allow_unsee
     )
 
 
-def _read_files(files: Sequence[Path]) -> tuple[dict[Path, Scene], list[str]]:
+def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scene], list[str]]:
     """The worlds among `files`, and the names of those that are parts of others.
 
     Files are read one after the other in a process of their own, which a file that never ends, or takes all memory,
     cannot outlive; it costs about a second, in which kernels are loaded that this process loads again.
     """
     limits: Limits[Path, Reading] = Limits(lambda _: SCENE_SECONDS, SCENE_BYTES, _given_up)
-    readings = sorted(run(read_file, files, 1, limits=limits), key=lambda reading: reading.path)
+    readings = sorted(
+        run(functools.partial(read_file, materials=materials), files, 1, limits=limits),
+        key=lambda reading: reading.path,
+    )
     included = {path for reading in readings for path in reading.includes}
     scenes, parts = dict[Path, Scene](), list[str]()
     for reading in readings:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -10,13 +11,17 @@ from scenegen.errors import DatasetError, RecipeError, printable, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_DEPTH, MOST_RECIPE_BYTES
 
+_DECIMAL = re.compile(r"(?<![\w.])\d+\.\d+(?:[eE][-+]?\d+)?(?![\w.])")
+"""A number's own dot, of which a list of beams has many in a line."""
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file. Raises RecipeError, naming the file."""
     where = printable(path)
     try:
         text = read_bounded(path, MOST_RECIPE_BYTES).decode()
-        if any(line.count(".") > MOST_DEPTH for line in text.splitlines() if not line.lstrip().startswith("#")):
+        lines = (_DECIMAL.sub("", line) for line in text.splitlines() if not line.lstrip().startswith("#"))
+        if any(line.count(".") > MOST_DEPTH for line in lines):
             raise RecursionError  # dotted keys: tomllib's time grows with the square of their depth, or worse
         return tomllib.loads(text)
     except OSError as error:

@@ -88,7 +88,8 @@ XT_32 = Spinning(
 )
 QT_128 = Spinning(
     name="hesai-qt-128",
-    source="Hesai QT128C2X User Manual, Q03-en-220810: specifications; its channels are spaced evenly here",
+    source="Hesai QT128C2X User Manual, Q03-en-220810: specifications; its channels are spaced evenly here, and fire "
+    "at every column, where half of them skip every other one",
     elevations_deg=_even(52.6, -52.6, 128),
     columns=900,  # 0.4° at 10 Hz
     max_range_m=50.0,
@@ -97,12 +98,14 @@ QT_128 = Spinning(
 )
 HELIOS_1615 = Spinning(
     name="robosense-helios-1615",
-    source="RoboSense RS-Helios-1615 User Manual: specifications; its channels are spaced evenly here",
+    source="RoboSense RS-Helios-1615 User Manual: specifications; its channels are spaced evenly here; times of firing "
+    "as in the maker's driver, rs_driver",
     elevations_deg=_even(15.0, -16.0, 32),
-    columns=1800,  # 0.2° at 10 Hz
+    firing_times_s=_times(32, 1.73e-6),
+    columns=1800,  # 0.2° at 10 Hz, 55.56 µs
     max_range_m=150.0,
     min_range_m=0.2,
-    noise="near:0.2,range:0.02,faint:110,quantise:0.0025",  # ± 2 cm; 110 m at 10 %
+    noise="near:0.2,range:0.02,faint:90,quantise:0.0025",  # ± 2 cm; 90 m at 10 %, of which the maker's store says 110
 )
 HELIOS_16P = Spinning(
     name="robosense-helios-16p",
@@ -111,7 +114,7 @@ HELIOS_16P = Spinning(
     columns=1800,
     max_range_m=150.0,
     min_range_m=0.2,
-    noise="near:0.2,range:0.02,faint:110,quantise:0.0025",
+    noise="near:0.2,range:0.02,faint:90,quantise:0.0025",
 )
 MID_360 = Coil(
     name="livox-mid-360",

@@ -143,8 +143,8 @@ def run_bench(
         methods.append(predicted)
     for dataset in datasets:
         for method in methods:
-            unlike = getattr(method, "unlike", lambda lidar, mapping: "")
-            if warning := unlike(dataset.lidar, dataset.manifest.mapping):
+            unlike = getattr(method, "unlike", lambda *met: "")
+            if warning := unlike(dataset.lidar, dataset.manifest.mapping, dataset.manifest.noise_stages):
                 warn(f"note: {dataset.folder}: {warning}")
     results = []
     for dataset in datasets:

@@ -60,8 +60,8 @@ def complete(
     if found.is_dir():
         with Progress("complete", shown=not quiet) as progress:
             predict_split(completer, found, split, out, batch=batch, on_start=progress.start, on_done=progress.count)
-        dataset = Dataset(found)
-        if not quiet and (warning := completer.unlike(dataset.lidar, dataset.manifest.mapping)):
+        about = Dataset(found).manifest
+        if not quiet and (warning := completer.unlike(about.lidar, about.mapping, about.noise_stages)):
             note(f"note: {warning}")
     else:
         used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())

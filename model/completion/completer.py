@@ -134,13 +134,13 @@ class Completer:
         if grid != self.grid:
             raise ValueError(f"{self.name} completes maps on {self.grid}, these are on {grid}")
 
-    def unlike(self, lidar: Any, mapping: Mapper | None = None) -> str:
-        """How the sensor `lidar`, and maps made by `mapping`, differ from those that the network learned from, in one
-        line; "" where they do not.
+    def unlike(self, lidar: Any, mapping: Mapper | None = None, noise: str = "") -> str:
+        """How the sensor `lidar`, its `noise` (stages as a manifest spells them), and maps made by `mapping`, differ
+        from those that the network learned from, in one line; "" where they do not.
 
-        Networks of earlier commits name none: they learned from the paper's.
+        Networks of earlier commits name none: they learned from the paper's, without noise.
         """
-        return unlike(self.name, self.about, lidar, mapping)
+        return unlike(self.name, self.about, lidar, mapping, noise)
 
     def _derived(self, observed: Maps) -> dict[str, Maps]:
         """All inputs of maps of which the observed voxels alone are known."""
@@ -178,16 +178,20 @@ class Completer:
         return probability, tudf
 
 
-def unlike(name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None = None) -> str:
+def unlike(name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None = None, noise: str = "") -> str:
     """See `Completer.unlike`, of the network called `name` that `about` tells of."""
     plain = described(Mapper())
     learned = (about.get("lidar") or entry_of(Lidar()), {"mapping": about.get("mapping") or plain["mapping"]})
     met = (entry_of(lidar), plain if mapping is None else described(mapping))
     sensor, maps = (differences(*both) for both in zip(learned, met, strict=True))
-    if not sensor + maps:
+    known = about.get("noise") or [""]
+    faults = [f"noise is {' or '.join(one or 'none' for one in known)} there, {noise or 'none'} asked for"]
+    if noise in known:
+        faults = []
+    if not sensor + faults + maps:
         return ""
-    said = "; ".join(sensor + maps)[:MOST_SAID].replace("there", "in training").replace("asked for", "here")
-    what = "another sensor" if sensor else "maps made otherwise"
+    said = "; ".join(sensor + faults + maps)[:MOST_SAID].replace("there", "in training").replace("asked for", "here")
+    what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
     return f"{name} was trained on {what}, so expect worse completions: {printable(said)}"
 
 

@@ -35,9 +35,9 @@ class Pretrained:
         self.name = printable(called(weights, self._path))
         """How the network is called in tables, in one line."""
 
-    def unlike(self, lidar: Any, mapping: Mapper | None = None) -> str:
+    def unlike(self, lidar: Any, mapping: Mapper | None = None, noise: str = "") -> str:
         """See `Completer.unlike`."""
-        return unlike(self.name, self.about, lidar, mapping)
+        return unlike(self.name, self.about, lidar, mapping, noise)
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises DatasetError for another grid."""

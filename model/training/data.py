@@ -57,7 +57,7 @@ class SplitSamples:
     def __init__(self, dataset: SampleDataset, split: str, share: float = 1.0):
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
         self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
-        self.mapping = dataset.manifest.mapping
+        self.mapping, self.noise = dataset.manifest.mapping, dataset.manifest.noise_stages
         self._split = dataset.split(split)
         self._count = len(self._split)
         if share < 1:

@@ -61,8 +61,9 @@ NETWORK_EDGE = 8
 @on_option
 @click.option(
     "--labels",
-    type=click.Choice(["name", "group"]),
-    help="Say of every return and voxel which geom it is of, and which class: by names of geoms, or by their group.",
+    type=click.Choice(["name", "material", "group"]),
+    help="Say of every return and voxel which geom it is of, and which class: by names or materials of geoms, or by "
+    "their group.",
 )
 @click.option("--compact", is_flag=True, help="Leave out what readers can derive: free space and distances.")
 @click.option(
@@ -150,7 +151,7 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
     from scenegen.recipe import preset, read_recipe
     from scenegen.source import DrawnWorlds, Source, read_scenes
 
-    kind, scene, file, seed = (options[name] for name in ("kind", "scene", "recipe", "seed"))
+    kind, scene, file, seed, by = (options[name] for name in ("kind", "scene", "recipe", "seed", "labels"))
     if kind is None and scene is None and file is None:
         raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
     if kind is not None and scene is not None:
@@ -161,15 +162,15 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
     recipe = preset(named, **own) if file is None else read_recipe(file, named, **own)
     source: Source
     if scene is not None:
-        source = read_scenes(scene, counts, seed=seed, allow_unseen=options["allow_unseen"])
+        source = read_scenes(scene, counts, seed=seed, allow_unseen=options["allow_unseen"], materials=by == "material")
         for line in source.notes if talk else ():
             note(line)
     elif recipe.world is None:
         raise click.UsageError(f'{file}: kind "scene" needs the worlds, too: give --scene')
     else:
         source = DrawnWorlds(recipe)
-    if options["labels"] is not None:
-        recipe = dataclasses.replace(recipe, labels=labels_by(options["labels"], source.class_names()))
+    if by is not None:
+        recipe = dataclasses.replace(recipe, labels=labels_by(by, source.class_names(by)))
     name = scene.stem if scene is not None else recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
     out = options["out"] or Path("data") / name
     more = {option: options[option] for option in ("compact", "shard_samples", "engine")}

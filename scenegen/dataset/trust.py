@@ -60,7 +60,7 @@ _FIELDS = Rule(
     "all, or all but the derived ones, with labels or without, with earlier scans or without",
 )
 _LABELS = {
-    "by": Rule(lambda value: value in ("name", "group"), "name or group"),
+    "by": Rule(lambda value: value in ("name", "material", "group"), "name, material or group"),
     "classes": Rule(
         lambda value: (
             isinstance(value, list)
@@ -169,6 +169,11 @@ class Manifest:
     def fingerprint(self) -> str:
         """What every shard carries, so that it is not taken for another dataset's."""
         return manifest.fingerprint(self.parameters)
+
+    @property
+    def noise_stages(self) -> str:
+        """Its stages of noise as text; "" for clean ranges."""
+        return self.noise["stages"] if self.noise else ""
 
     @property
     def noise_is_ours(self) -> bool:

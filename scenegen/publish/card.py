@@ -6,7 +6,7 @@ from typing import Any
 
 from scenegen.publish.lock import LOCK
 from scenegen.publish.publication import PAPER, Publication
-from scenegen.publish.regenerate import RECIPE
+from scenegen.publish.regenerate import ORIGINAL, source_file
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 """Samples below which the Hub's size category is this."""
@@ -137,24 +137,30 @@ def _statistics(it: Publication) -> str:
         for what, counts in rejected.items()
         if counts
     )
+    told = "" if it.manifest.rescan is not None else f" Rejected while drawing: {dropped or 'none'}."
     return (
         "## Statistics\n\n"
         + "\n".join(rows)
         + f"\n\nMean ± standard deviation over evenly spread samples ({measured}). "
         f"The whole takes {it.statistics['bytes'] / 1e6:.0f} MB, {it.statistics['bytes_per_sample'] / 1e3:.0f} KB a "
-        f"sample. Rejected while drawing: {dropped or 'none'}."
+        f"sample.{told}"
     )
 
 
 def _making(it: Publication) -> str:
     versions = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
-    scenes = ""
-    if it.manifest.kind == "scene":
-        scenes = "\n\n`SCENES` stands for the MJCF files whose names and digests `dataset.json` lists under `recipe`."
+    file, _ = source_file(it.manifest)
+    follows = f"every sample follows from the seed and `{file}`"
+    stands = ""
+    if it.manifest.rescan is not None:
+        follows = f"the worlds and poses of another dataset were scanned again by the sensor in `{file}`"
+        stands = f"\n\n`{ORIGINAL}` stands for that dataset, whose digest is `{it.manifest.rescan['digest']}`."
+    elif it.manifest.kind == "scene":
+        stands = "\n\n`SCENES` stands for the MJCF files whose names and digests `dataset.json` lists under `recipe`."
     checks = "\n".join(f"- {name}: {detail}" for name, detail in it.checks)
     return f"""## Make it again
 
-Nothing here was measured or labelled by hand: every sample follows from the seed and `{RECIPE}`.
+Nothing here was measured or labelled by hand: {follows}.
 
 ```
 {it.command}
@@ -166,7 +172,7 @@ result is the same to the bit, with the digest
 ```
 {it.manifest.digest}
 ```
-{scenes}
+{stands}
 Before publication `scenegen verify` found:
 
 {checks}"""

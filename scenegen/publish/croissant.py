@@ -7,6 +7,7 @@ from typing import Any
 from lidarsim.engines import MUJOCO
 from scenegen.dataset.manifest import VERSION
 from scenegen.publish.publication import PAPER, Publication
+from scenegen.publish.regenerate import RECIPE
 
 CROISSANT = "http://mlcommons.org/croissant/1.1"
 RESPONSIBLE = "http://mlcommons.org/croissant/RAI/1.0"
@@ -79,12 +80,18 @@ def _responsible(it: Publication) -> dict[str, Any]:
     """How the data came about, what they are for, and what they are not."""
     engine, by_hand = it.manifest.engine, it.manifest.kind == "scene"
     worlds = "Worlds were given as MJCF files; from" if by_hand else "Random worlds are drawn from"
-    rejected = sum(sum(counts.values()) for counts in it.manifest.rejected.values())
+    count = sum(sum(counts.values()) for counts in it.manifest.rejected.values())
+    rejected = f"{count} worlds and viewpoints with too little to see were drawn again."
+    if it.manifest.rescan is not None:
+        rejected = f"The worlds and poses are those of the dataset {it.manifest.rescan['digest']}, scanned again."
     made = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
+    recipe = RECIPE if it.manifest.rescan is None else "the recipe in dataset.json"
+    noise = it.manifest.noise
+    faults = "a scan without noise or motion" if noise is None else f"simulated noise ({noise['stages']})"
     return {
         "rai:dataCollection": (
             f"Simulated. {worlds} seed {it.manifest.seed}, a planner flies a robot through "
-            f"each, and a LiDAR of {' × '.join(map(str, it.manifest.lidar.shape))} rays is cast from its poses by "
+            f"each, and a LiDAR of {it.manifest.lidar} is cast from its poses by "
             f"{'MuJoCo' if engine == MUJOCO else f'the engine {engine}'}. "
             "Nothing was recorded in the real world."
         ),
@@ -92,7 +99,7 @@ def _responsible(it: Publication) -> dict[str, Any]:
         "rai:dataCollectionRawData": "The MJCF model of every world, in the archives beside the shards.",
         "rai:dataCollectionMissingData": (
             "Rays without a return within the sensor's reach are stored as infinity; voxels that no ray met are "
-            f"neither observed nor free. {rejected} worlds and viewpoints with too little to see were drawn again."
+            f"neither observed nor free. {rejected}"
         ),
         "rai:dataPreprocessingProtocol": [
             "Returns are sorted into voxels; voxels that rays cross are marked free.",
@@ -110,11 +117,11 @@ def _responsible(it: Publication) -> dict[str, Any]:
         "rai:dataBiases": [
             "Worlds are few, and those that their author thought of."
             if by_hand
-            else "Worlds follow the distributions of recipe.toml and no real place; the frequencies of shapes, gaps "
+            else f"Worlds follow the distributions of {recipe} and no real place; the frequencies of shapes, gaps "
             "and densities are those of the recipe."
         ],
         "rai:dataLimitations": [
-            "Rigid and static solids, a scan without noise or motion, one sensor and one voxel size.",
+            f"Rigid and static solids, {faults}, one sensor and one voxel size.",
             "Maps end at their faces: distances do not know what lies outside.",
         ],
         "rai:dataSocialImpact": "Reproducible data for research on navigation, at the price of minutes of computing.",

@@ -10,24 +10,46 @@ from pathlib import Path
 from typing import Any
 
 from lidarsim.engines import DEFAULT
-from scenegen import SPLITS
+from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.sensor import write_rays
+from scenegen.dataset.sensor import entry_of, write_rays
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
+from scenegen.lidar import named_lidar
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
 from scenegen.source import DrawnWorlds
 from scenegen.stopping import undone_if_stopped
 
-RECIPE = "recipe.toml"
+RECIPE, SENSOR = "recipe.toml", "sensor.toml"
+"""What `command` reads: all of a dataset that was drawn, or the sensor of one that was scanned again."""
+ORIGINAL = "ORIGINAL"
+"""Stands in `command` for the dataset that was scanned again."""
 _NOT_OURS = ("software", "format", "version")
 """Parameters that no recipe decides."""
 
 
+def source_file(found: Manifest) -> tuple[str, str]:
+    """Name and content of the file that `command` reads."""
+    title = f"every parameter of the dataset {found.digest}"
+    if found.rescan is None:
+        return RECIPE, recipe_text(found.parameters, title)
+    given = {name: value for name, value in found.parameters["lidar"].items() if name != "shape"}
+    return SENSOR, "\n".join([f"# the sensor of the dataset {found.digest}", *_entries(given)]) + "\n"
+
+
 def command(found: Manifest, out: str) -> str:
-    """What to type, next to `RECIPE`, to make the dataset of a manifest again in the folder `out`."""
+    """What to type, next to what `source_file` says, to make the dataset of a manifest again in the folder `out`."""
+    if found.rescan is not None:
+        words = ["scenegen", "rescan", ORIGINAL, "--lidar", SENSOR]
+        if found.noise is not None:
+            words += ["--noise", found.noise["stages"]]
+        made = found.mapping  # in full, since nothing here says how the original's maps are made
+        words += ["--scans", str(made.scans), "--fusion", made.fusion]
+        words += ["--scan-spacing", str(made.scan_spacing_m)] if made.scans > 1 else []
+        words += ["--map-ahead", ",".join(map(str, made.map_ahead_m))]
+        return shlex.join([*words, "--engine", found.engine, "--out", out])
     words = ["scenegen", "generate", "--recipe", RECIPE]
     if found.kind == "scene":
         words += ["--scene", "SCENES"]
@@ -56,8 +78,12 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():
         if table is not None:
-            lines += ["", f"[{name}]", *(f"{_key(key)} = {_toml(value)}" for key, value in table.items())]
+            lines += ["", f"[{name}]", *_entries(table)]
     return "\n".join(lines) + "\n"
+
+
+def _entries(table: Mapping[str, Any]) -> list[str]:
+    return [f"{_key(key)} = {_toml(value)}" for key, value in table.items()]
 
 
 def check_kind(there: str, named: str | None) -> None:
@@ -70,9 +96,9 @@ def check_kind(there: str, named: str | None) -> None:
         )
 
 
-def check_recipe(dataset: Dataset, text: str) -> None:
-    """Read `text` as ``scenegen generate`` would, next to the dataset's files, and hold what it resolves to against the
-    manifest.
+def check_source(dataset: Dataset, name: str, text: str) -> None:
+    """Read the file `name` that holds `text` as `command` would, next to the dataset's files, and hold what it resolves
+    to against the manifest.
 
     Raises PublishError where this version would make another dataset of it.
     """
@@ -80,18 +106,20 @@ def check_recipe(dataset: Dataset, text: str) -> None:
     if not found.noise_is_ours:
         raise PublishError(
             f"its noise, {short(dict(found.noise or {}))}, has stages that are none of scenegen's own, which are not "
-            "imported; it cannot be said whether the recipe makes the same ranges again"
+            "imported; it cannot be said whether its command makes the same ranges again"
         )
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
-        path = Path(folder, RECIPE)
+        path = Path(folder, name)
         path.write_text(text, encoding="utf-8")
         write_rays(dataset.lidar, path.parent)
         try:
+            if found.rescan is not None:
+                ours = {"generator": GENERATOR, "lidar": entry_of(named_lidar(str(path)))}
+                _check_same(found, {name: found.parameters.get(name) for name in ours}, ours)
+                return
             recipe = read_recipe(path)
         except RecipeError as error:
             raise PublishError(f"{_advice(found)}: {str(error).removeprefix(f'{path}: ')}") from None
-    if found.rescan is not None:
-        raise PublishError("it was scanned again from another dataset, and no recipe makes it; publish that one")
     given = manifest.parameters(
         dataclasses.replace(recipe, labels=found.recipe.labels),
         DrawnWorlds(recipe),
@@ -103,10 +131,13 @@ def check_recipe(dataset: Dataset, text: str) -> None:
     )
     there = {name: value for name, value in manifest.completed(found.parameters).items() if name not in _NOT_OURS}
     there["recipe"] = {name: value for name, value in found.tables.items() if name != "scenes"}
-    wrong = manifest.differences(
-        there, {name: value for name, value in manifest.completed(given).items() if name not in _NOT_OURS}
+    _check_same(
+        found, there, {name: value for name, value in manifest.completed(given).items() if name not in _NOT_OURS}
     )
-    if wrong:
+
+
+def _check_same(found: Manifest, there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
+    if wrong := manifest.differences(there, here):
         raise PublishError(f"{_advice(found)}: {wrong[0]}")
 
 

@@ -12,7 +12,6 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError
 from scenegen.files import write_whole
 from scenegen.inspect import inspect
@@ -23,7 +22,7 @@ from scenegen.publish.licence import USUAL, find_licence
 from scenegen.publish.lock import LOCK, environment_lock
 from scenegen.publish.pictures import draw_sample
 from scenegen.publish.publication import Publication
-from scenegen.publish.regenerate import RECIPE, check_kind, check_recipe, command, recipe_text
+from scenegen.publish.regenerate import check_kind, check_source, command, source_file
 
 MOST_FILES = 300
 """The most files of a published folder: the Hub, and people, work badly with more."""
@@ -87,8 +86,9 @@ def examine(request: Request) -> Dataset:
             f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; generate it again with "
             f"--shard-samples {-(-samples // room // 100) * 100 + 100}, which changes no sample"
         )
-    check_kind(dataset.manifest.kind, request.kind)
-    check_recipe(dataset, _recipe(dataset.manifest))
+    if dataset.manifest.rescan is None:
+        check_kind(dataset.manifest.kind, request.kind)
+    check_source(dataset, *source_file(dataset.manifest))
     return dataset
 
 
@@ -125,16 +125,12 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             "croissant.json": croissant(it, sums),
             "LICENSE": it.licence.text(request.repository.partition("/")[0]),
             LOCK: it.lock,
-            RECIPE: _recipe(found),
+            **dict([source_file(found)]),
         }
         for file, text in texts.items():
             write_whole(draft / file, text.encode())
         sizes = seal(draft, sums)
     return Staged(folder=request.out, repository=request.repository, tag=tag, files=sizes, digest=digest)
-
-
-def _recipe(found: Manifest) -> str:
-    return recipe_text(found.parameters, f"every parameter of the dataset {found.digest}")
 
 
 def _draw(dataset: Dataset, draft: Path) -> tuple[tuple[str, str], ...]:

@@ -61,6 +61,7 @@ class Stream(Sequence[Sample]):
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
         self.mapping = mixture.components[0].recipe.mapping
+        self.noise = mixture.components[0].recipe.noise.spelled()
         self._record = record_type(self.grid, self.lidar, self.mapping.scans)
         caches = () if cache is None else tuple(self._cache(Path(cache), part) for part in mixture.components)
         self._make = Maker(mixture, caches, self._record)

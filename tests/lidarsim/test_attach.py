@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lidarsim import AnalyticEngine, Lidar, Pose, attach
+from lidarsim.noise.chain import Noise
 from tests.lidarsim.engines.test_laws import HFIELD, MESHES
 
 WORLD = f"""<mujoco><asset>{HFIELD}{MESHES}</asset><worldbody>
@@ -126,6 +127,29 @@ def test_what_cannot_be_attached_is_told_in_one_line(model: mujoco.MjModel) -> N
     data.geom_xpos[4] = np.nan
     with pytest.raises(ValueError, match=r"geom arm: pos = \[nan, nan, nan\], expected numbers"):
         attach(model, "robot").scan(data)
+
+
+@pytest.mark.parametrize("unseen", ["nothing", "tree"])
+def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(
+    model: mujoco.MjModel, unseen: Any
+) -> None:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mounted = attach(model, "robot", LIDAR, offset=[Pose.level((0.0, 0.0, h)) for h in (0.15, 0.4)], unseen=unseen)
+    rng = np.random.default_rng
+    for scan, seen in zip(mounted.scans(data), mounted.observe(data, Noise(), rng=rng(0)), strict=True):
+        np.testing.assert_array_equal(seen.ranges[0], scan.ranges)
+    hits = mounted.hits(data)
+    light = mounted.observe(data, Noise.parse("motion:0:corrected=true,intensity"), rng=rng(0))
+    for n, one in enumerate(light):  # a motion of nothing casts anew, and intensity asks for surfaces
+        np.testing.assert_allclose(one.ranges[0], hits.ranges[n], rtol=0, atol=1e-5)
+        assert one.intensity is not None
+        normal = np.nan_to_num(hits.normals[n])
+        cosine = np.abs((normal * mounted.scans(data)[n].directions).sum(axis=-1))
+        np.testing.assert_allclose(one.intensity[0], np.where(hits.geoms[n] >= 0, 0.5 * cosine, 0.0), atol=1e-5)
+    first, second = mounted.observe(data, Noise.parse("dropout:0.5"), rng=rng(0))
+    both = np.isfinite(hits.ranges).all(axis=0)
+    assert (np.isfinite(first.ranges[0]) != np.isfinite(second.ranges[0]))[both].any()
 
 
 def test_the_documented_example_runs() -> None:

@@ -176,3 +176,12 @@ def test_a_network_says_where_a_sensor_is_not_that_of_its_training() -> None:
     said = unlike("net", {}, own)
     assert said.startswith("net was trained on another sensor")
     assert "rows is 16 in training, 8 here; max_range_m is 10.0 in training, 30.0 here" in said
+
+
+def test_a_network_says_where_noise_is_not_that_of_its_training() -> None:
+    met = "dropout:share=0.05"
+    assert unlike("net", {"noise": ["", met]}, Lidar(), None, met) == unlike("net", {"noise": ["", met]}, Lidar()) == ""
+    said = unlike("net", {}, Lidar(), None, met)
+    assert said.startswith("net was trained on other noise, so expect worse completions: ")
+    assert said.endswith("noise is none in training, dropout:share=0.05 here")
+    assert "noise is dropout:share=0.05 in training, none here" in unlike("net", {"noise": [met]}, Lidar())

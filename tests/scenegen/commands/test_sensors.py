@@ -3,7 +3,9 @@
 import io
 import json
 import math
+import re
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import numpy as np
@@ -148,6 +150,10 @@ REFUSED = {
     "a sensor beside a recipe's": (("generate", "--recipe", "small.toml", "--lidar", "mine.toml"), 1, "leave one of"),
     "a lever arm in a dataset": (("generate", "--recipe", "arm.toml"), 1, "lever_arm_m"),
     "a name of the catalogue's": (("sensors", "taken.toml"), 1, "a name of its own"),
+    "a family's name": (("sensors", "family.toml"), 1, "that of a family; give your sensor a name of its own"),
+    "noise that nobody knows": (("sensors", "noisy.toml"), 1, "did you mean 'range'"),
+    "noise that stands for itself": (("sensors", "circle.toml"), 1, "comes with none for 'datasheet'"),
+    "times that are none": (("sensors", "times.toml"), 1, "expected a list, each a finite number from 0 to 1\n"),
     "a sensor without beams": (("sensors", "none.toml"), 1, "one beam at least"),
     "a sensor that lacks its beams": (("sensors", "lacks.toml"), 1, "elevations_deg: is missing"),
     "rays of no length": (("sensors", "table.toml"), 1, "a ray's direction has length 2"),
@@ -173,6 +179,10 @@ REFUSED = {
 def test_what_cannot_be_ends_in_one_line(what: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "arm.toml").write_text((here / "bare.toml").read_text() + f"[lidar]\n{LIDAR}lever_arm_m = [0, 0, 0.3]")
     (here / "taken.toml").write_text(LIDAR.replace('"mine"', '"livox-avia"'))
+    (here / "family.toml").write_text(LIDAR.replace('"mine"', '"spinning"'))
+    (here / "noisy.toml").write_text(LIDAR.replace("range:0.02", "rnage:0.02"))
+    (here / "circle.toml").write_text(LIDAR.replace("range:0.02", "datasheet"))
+    (here / "times.toml").write_text(LIDAR + "firing_times_s = [nan, 0.0]")
     (here / "none.toml").write_text(LIDAR.replace("[-5.0, 5.0]", "[]"))
     (here / "lacks.toml").write_text(LIDAR.replace("elevations_deg = [-5.0, 5.0]", ""))
     (here / "blind.toml").write_text(LIDAR.replace("30.0", "0"))
@@ -184,3 +194,27 @@ def test_what_cannot_be_ends_in_one_line(what: str, here: Path, capsys: pytest.C
     assert (ended, said, error.count("\n")) == (code, "", 1), error
     assert told in error
     assert set(here.iterdir()) == before
+
+
+def test_the_documented_sensor_and_flight_are_such(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8")
+    (sensor,) = (text for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if "my_lidar.toml" in text)
+    (here / "my_lidar.toml").write_text(sensor)
+    assert json.loads(run(capsys, "sensors", "my_lidar.toml", "--json")[1])["my_lidar.toml"]["shape"] == [6, 900]
+    at = ("scan", "room.xml", "--pose", "1,2,0.5,30", "--lidar", "my_lidar.toml", "--noise", "datasheet", "--json")
+    assert json.loads(run(capsys, *at)[1])["returns"] > 1000
+    (flight,) = (text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "poses_in_flight" in text)
+    monkeypatch.chdir(ROOT)
+    found: dict[str, Any] = {}
+    exec(flight.replace("every_m=0.5", "every_m=3.0"), found)
+    assert len(found["points"]) > 1000
+
+
+def test_a_thousand_beams_may_stand_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    beams = ", ".join(f"{-45 + 0.09 * n:.3f}" for n in range(1000))
+    (here / "fine.toml").write_text(LIDAR.replace("-5.0, 5.0", beams))
+    ended, said, error = run(capsys, "sensors", "fine.toml", "--json")
+    assert (ended, error) == (0, "")
+    assert json.loads(said)["fine.toml"]["shape"] == [1000, 8]

@@ -25,7 +25,7 @@ from scenegen.inspect import inspect
 from scenegen.labels import labels_by
 from scenegen.limits import MOST_SCANS
 from scenegen.mapping import Mapper
-from scenegen.publish.regenerate import check_recipe, recipe_text
+from scenegen.publish.regenerate import check_source, source_file
 from scenegen.recipe import Recipe, make_recipe, read_recipe
 from scenegen.rescan import scan_again
 from scenegen.sample import EARLIER, SCHEMA
@@ -275,10 +275,10 @@ def test_too_many_rays_are_refused() -> None:
 
 def test_a_recipe_says_it_and_is_published(several: Path, tmp_path: Path) -> None:
     dataset = Dataset(several)
-    text = recipe_text(dataset.manifest.parameters, "a recipe")
+    name, text = source_file(dataset.manifest)
     (tmp_path / "my.toml").write_text(text)
     assert read_recipe(tmp_path / "my.toml").mapping == dataset.manifest.mapping == Mapper(**SEVERAL)
-    check_recipe(dataset, text)
+    check_source(dataset, name, text)
     with pytest.raises(RecipeError, match=r"has a table \[mapping\], and scans are given beside it"):
         read_recipe(tmp_path / "my.toml", mapping={"scans": 2})
 

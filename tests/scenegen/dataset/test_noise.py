@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,15 +12,20 @@ import pytest
 
 from lidarsim import BeamTable, Lidar
 from lidarsim.noise.chain import Noise
+from scenegen import GENERATOR
+from scenegen.commands.rescan import rescan
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, PublishError, RecipeError
-from scenegen.publish.regenerate import check_recipe, recipe_text
+from scenegen.lidar import named_lidar, named_noise
+from scenegen.publish.regenerate import check_source, source_file
+from scenegen.publish.stage import Request, examine, stage
 from scenegen.recipe import preset, read_recipe
 from scenegen.source import DrawnWorlds
+from scenegen.terminal.options import mapping_given
 from scenegen.verify import verify
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
@@ -95,8 +101,43 @@ def test_another_sensor_sees_the_same_worlds_from_the_same_poses(made: Path, tmp
     assert not failed(plan.folder)
     with pytest.raises(DatasetError, match="is the dataset itself"):
         plan_rescan(Dataset(made), made)
-    with pytest.raises(PublishError, match="scanned again from another"):
-        check_recipe(Dataset(plan.folder), recipe_text(plan.parameters, "a recipe"))
+
+
+@pytest.mark.parametrize(("name", "noise"), [("raster", ""), ("table", "quantise:0.1")])
+def test_what_was_scanned_again_is_published_with_the_command_that_does_so(
+    made: Path, tmp_path: Path, name: str, noise: str
+) -> None:
+    sensor = Lidar(rows=5, columns=40)
+    lidar, chain = sensor if name == "raster" else BeamTable.of(sensor), Noise.parse(noise) if noise else None
+    mapping = {"scans": 2, "scan_spacing_m": 0.3, "fusion": "log-odds"} if noise else {}
+    build(plan_rescan(Dataset(made), tmp_path / "again", lidar=lidar, chain=chain, mapping=mapping))
+    out = tmp_path / "out"
+    request = Request(dataset=tmp_path / "again", repository="ada/again", out=out)
+    stage(request, (("files", "all there"),))
+    found = Dataset(out)
+    card = (out / "README.md").read_text()
+    assert f"{found.manifest.lidar}" in card
+    assert f"`ORIGINAL` stands for that dataset, whose digest is `{Dataset(made).manifest.digest}`." in card
+    assert not noise or "noise is simulated, `quantise:step_m=0.1`" in card
+    (line,) = (line for line in card.splitlines() if line.startswith("scenegen rescan ORIGINAL"))
+    context = rescan.make_context("rescan", shlex.split(line)[2:])
+    asked = context.params
+    with context:
+        given = mapping_given(asked)
+    again = plan_rescan(
+        Dataset(made),
+        tmp_path / "third",
+        lidar=named_lidar(str(out / asked["lidar"])),
+        chain=named_noise(asked["noise"], found.lidar),
+        engine=asked["engine"],
+        mapping=given,
+    )
+    assert build(again).digest == found.manifest.digest
+    edited(tmp_path / "again", kind="my_worlds:Fence")
+    examine(request)  # a kind of somebody's own need not be named, since nothing is drawn
+    edited(tmp_path / "again", generator=GENERATOR + 1)
+    with pytest.raises(PublishError, match="would not make the same dataset again"):
+        examine(request)
 
 
 def edited(folder: Path, **entries: Any) -> Path:
@@ -155,7 +196,7 @@ def test_no_reader_imports_a_stage_that_a_manifest_names(
     skipped = {check.name for check in report.checks if check.skipped}
     assert {"rays", "regenerated"} <= skipped
     with pytest.raises(PublishError, match="none of scenegen's own"):
-        check_recipe(Dataset(folder), recipe_text(Dataset(folder).manifest.parameters, "a recipe"))
+        check_source(Dataset(folder), *source_file(Dataset(folder).manifest))
     recipe = Dataset(noisy).manifest.parameters["recipe"] | {"noise": {"stages": "trap:Stage"}}
     assert (
         "recipe.noise: is there"
@@ -189,9 +230,9 @@ def test_corrected_motion_is_refused_and_motion_that_bends_walls_is_not() -> Non
 
 def test_a_recipe_says_its_noise_and_is_held_to_it(noisy: Path, tmp_path: Path) -> None:
     dataset = Dataset(noisy)
-    text = recipe_text(dataset.manifest.parameters, "a recipe")
+    name, text = source_file(dataset.manifest)
     assert f'[noise]\nstages = "{SPELLED}"' in text
-    check_recipe(dataset, text)
+    check_source(dataset, name, text)
     file = tmp_path / "it.toml"
     file.write_text(text)
     assert read_recipe(file).noise == Noise.parse(CHAIN)

@@ -18,7 +18,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.sensor import RAYS, entry_of, sensor_of, write_rays
 from scenegen.draw import draw_unit
 from scenegen.errors import BrokenError, DatasetError, PublishError
-from scenegen.publish.regenerate import check_recipe, recipe_text
+from scenegen.publish.regenerate import check_source, source_file
 from scenegen.source import DrawnWorlds
 from scenegen.verify import verify
 from tests.conftest import small_recipe
@@ -178,12 +178,12 @@ def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
 ) -> None:
     lidar = dataclasses.replace(table, made_by="''' #")
     dataset = build_with(tmp_path / "data", lidar)
-    check_recipe(dataset, recipe_text(dataset.manifest.parameters, "a recipe"))
+    check_source(dataset, *source_file(dataset.manifest))
     (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
     monkeypatch.chdir(tmp_path)
     dataset.manifest.tables["accept"]["y = 1\n[lidar]\nsensor = 'trap:Sensor'\nx = '''"] = 1
     with pytest.raises(PublishError, match="would not make the same dataset"):
-        check_recipe(dataset, recipe_text(dataset.manifest.parameters, "a recipe"))
+        check_source(dataset, *source_file(dataset.manifest))
     assert "trap" not in sys.modules
 
 

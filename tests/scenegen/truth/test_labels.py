@@ -133,8 +133,50 @@ def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(tmp_path: Path
 def test_scenes_know_their_classes(tmp_path: Path) -> None:
     (tmp_path / "one.xml").write_text(WORLD)
     source = read_scenes(tmp_path / "one.xml", {"train": 1, "val": 0, "test": 0}, seed=0)
-    labels = Labels(by="name", classes=labels_by("name", source.class_names()).classes)
+    labels = Labels(by="name", classes=labels_by("name", source.class_names("name")).classes)
     assert {"wall", "ball", "crate", "wall_top"} <= set(labels.classes)
+
+
+DRESSED = """<mujoco><asset><material name="oak_01" rgba="0.5 0.4 0.3 1"/><material name="oak_02" rgba="0.6 0.4 0.3 1"/>
+<material name="steel"/><material name="unused"/></asset><worldbody>
+<geom name="floor" type="plane" size="5 5 1" material="steel"/>
+<geom type="box" size="0.8 0.8 0.8" pos="2 1 0.8" material="oak_01" group="3"/>
+<geom type="sphere" size="0.7" pos="-2 -1 1" material="oak_02"/>
+<geom type="cylinder" size="0.5 1" pos="2 -3 1" rgba="0.9 0.1 0.1 1"/>
+</worldbody></mujoco>"""
+
+
+def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path: Path) -> None:
+    file = tmp_path / "one.xml"
+    file.write_text(DRESSED)
+    counts = {"train": 6, "val": 0, "test": 0}
+    folders = {}
+    for by in (None, "material", "group"):
+        recipe = dataclasses.replace(small_recipe(), kind="scene", world=None)
+        source = read_scenes(file, counts, seed=0, materials=by == "material")
+        if by is not None:
+            recipe = dataclasses.replace(recipe, labels=labels_by(by, source.class_names(by)))
+        folders[by] = tmp_path / str(by)
+        build(plan_dataset(folders[by], recipe, source, seed=1, counts=counts))
+    plain, dressed, grouped = (Dataset(folder) for folder in folders.values())
+    assert b"oak" not in plain.world("train", 0)["world.xml"]  # as in datasets of earlier commits, byte for byte
+    assert b"oak_02" in dressed.world("train", 0)["world.xml"]
+    assert b"unused" not in dressed.world("train", 0)["world.xml"]
+    classes = list(dressed.manifest.labels["classes"])
+    assert classes == ["nothing", *SHAPES, "oak", "steel"]
+    assert verify(folders["material"]).ok
+    place = {name: number for number, name in enumerate(classes)}
+    wanted = np.array([place[name] for name in ("steel", "oak", "oak", "cylinder", "nothing")])
+    met: set[int] = set()
+    for n in range(counts["train"]):
+        bare, material, group = (it.split("train")[n] for it in (plain, dressed, grouped))
+        np.testing.assert_array_equal(bare.occupancy, material.occupancy)
+        np.testing.assert_array_equal(bare.ranges, material.ranges)
+        met |= set(np.unique(material.voxel_geom).tolist())
+        np.testing.assert_array_equal(material.voxel_class, wanted[material.voxel_geom])
+        np.testing.assert_array_equal(material.return_class, wanted[material.return_geom])
+        np.testing.assert_array_equal(group.voxel_class, np.array([1, 4, 1, 1, 0])[group.voxel_geom])
+    assert met == {-1, 0, 1, 2, 3}
 
 
 def test_a_dataset_with_labels_can_be_published(tmp_path: Path) -> None:

@@ -1,0 +1,221 @@
+"""The bundled networks where they were never trained: other sensors, noise, and other worlds.
+
+    python benchmarks/elsewhere.py --data /tmp/elsewhere     # makes docs/results/elsewhere.json and .md
+    python benchmarks/elsewhere.py --maps 5 --out /tmp/try   # a quick look
+
+Worlds are drawn and flown once; every sensor sees them again from the same poses (`scenegen rescan`), so that its rows
+are pairs, map by map, with those of the sensor of training. What was made in `--data` is used again. Exported networks
+(`scenegen export columns -o columns.onnx`, then `--weights columns.onnx`) take a fifth of the time.
+"""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from lidarsim.sensors import RASTER, SENSORS
+from scenegen.checkout import commit
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.lidar import named_noise
+from scenegen.model.completion.unlearned import Extrude, Returns
+from scenegen.model.config import bundled
+from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.evaluation.methods import Completed, Method
+from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.evaluation.pretrained import Pretrained
+from scenegen.model.evaluation.report import REGIONS
+from scenegen.model.evaluation.run import DatasetResult, bench
+from scenegen.model.evaluation.statistics import figure
+from scenegen.model.evaluation.tables import head, interval, line
+from scenegen.recipe import preset
+from scenegen.recipes.kind import WorldKind, yaw_quaternion
+from scenegen.sample import Sample
+from scenegen.source import DrawnWorlds, read_scenes
+
+ROOT = Path(__file__).parents[1]
+SCAFFOLD = "elsewhere:Scaffold"
+WORLDS = ("pillar", "geometric", SCAFFOLD, "scenes")
+"""Two kinds of training, drawn anew; a kind of no training; worlds drawn by hand."""
+SENSORS_SEEN = (
+    (RASTER, None),
+    (RASTER, "range:0.05"),
+    (RASTER, "dropout:0.1"),
+    ("ouster-os1-64", None),
+    ("ouster-os1-64", "datasheet,dropout:0.05"),
+    ("livox-mid-360", None),
+    ("realsense-d435", None),
+    ("realsense-d435", "datasheet"),
+)
+"""Sensors and noise; the first is that of training."""
+SEEN = ("observed voxels", "of these not occupied", "unknown voxels", "occupied voxels taken for free")
+PLACES = {name: list(METRICS).index(name) for name in ("iou", "near_rmse", "precision", "recall")}
+IOU = PLACES["iou"]
+TABLES: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "IoU over unknown voxels": lambda found: found["unobserved"]["iou"],
+    "Near-RMSE over unknown voxels, m": lambda found: found["unobserved"]["near_rmse"],
+    "IoU over the whole map": lambda found: found["map"]["iou"],
+    "Success of planning": lambda found: found["success"],
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scaffold(WorldKind):
+    """Thin beams, level and crossing, at any height on slender posts: hardly a solid like those of the presets."""
+
+    version: ClassVar[int] = 1
+    crowded_by: ClassVar[tuple[str, ...]] = ("beam_density",)
+    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (2.0, 5.0)}
+
+    ground: bool = True
+    beam_density: tuple[float, float] = (0.03, 0.10)
+    """Beams per square metre; one value a world. Every beam has two posts."""
+    half_length_m: tuple[float, float] = (1.5, 5.0)
+    """Half of a beam's length, metres."""
+    half_edge_m: tuple[float, float] = (0.1, 0.3)
+    """Half of the edges of a beam's cross-section, metres."""
+
+    def add_to(self, spec: Any, *, rng: np.random.Generator) -> None:
+        """See `WorldKind.add_to`."""
+        self.add_ground(spec)
+        count = round(rng.uniform(*self.beam_density) * self.size_m[0] * self.size_m[1])
+        low, high = zip(*((0.0, edge) for edge in self.size_m[:2]), (0.5, 8.0), (0.0, np.pi), strict=True)
+        x, y, z, yaw = rng.uniform(low, high, (count, 4)).T
+        half = np.stack([rng.uniform(*span, count) for span in (self.half_length_m, *[self.half_edge_m] * 2)], axis=1)
+        turn = yaw_quaternion(yaw)
+        box = np.full(count, int(mujoco.mjtGeom.mjGEOM_BOX))
+        spec.add_geoms(box, half, np.stack([x, y, z], axis=1), turn)
+        along = np.stack([1 - 2 * turn[:, 3] ** 2, 2 * turn[:, 0] * turn[:, 3]], axis=1)  # cos and sin of yaw
+        for end in (-0.9, 0.9):
+            foot = np.stack([x, y], axis=1) + end * half[:, :1] * along
+            spec.add_geoms(
+                np.full(count, int(mujoco.mjtGeom.mjGEOM_CYLINDER)),
+                np.stack([np.full(count, 0.08), z / 2, np.zeros(count)], axis=1),
+                np.column_stack([foot, z / 2]),
+                np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            )
+
+
+def main() -> None:
+    """Make the datasets, measure, and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--maps", type=int, default=60, help="test maps of every kind of world, five a flight")
+    parser.add_argument("--trials", type=int, default=240, help="planning trials of every dataset")
+    parser.add_argument("--data", type=Path, help="folder of the datasets  [default: one that is removed again]")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument(
+        "--weights", action="append", help="a network, as `scenegen bench` takes it  [default: all bundled]"
+    )
+    given = parser.parse_args()
+    methods: list[Method] = [Completed(Returns()), Completed(Extrude()), *map(Pretrained, given.weights or bundled())]
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as spare:
+        folder = given.data or Path(spare)
+        for worlds in WORLDS:
+            title = worlds.rpartition(":")[2].lower()
+            original = drawn(worlds, folder / title, given.maps)
+            found[title] = {}
+            usual: DatasetResult | None = None
+            for sensor, noise in SENSORS_SEEN:
+                name = " ".join(filter(None, ("default" if sensor == RASTER else sensor, noise)))
+                seen = again(original, folder / f"{title} {name.replace(':', '')}", sensor, noise)
+                config = BenchConfig(trials=given.trials)
+                result = bench(seen, methods, config, workers=given.workers)
+                found[title][name] = figures(seen, result, usual or result)
+                usual = usual or result
+                print(f"{title}, {name}", flush=True)
+    report = {"commit": commit(), "maps": given.maps, "trials": given.trials, "worlds": found}
+    given.out.mkdir(parents=True, exist_ok=True)
+    rounded = json.loads(json.dumps(report), parse_float=lambda digits: round(float(digits), 4))
+    (given.out / "elsewhere.json").write_text(json.dumps(rounded, separators=(",", ":")) + "\n")
+    page = given.out / "elsewhere.md"
+    said = page.read_text().partition("<!-- tables -->")[0] if page.exists() else "# Elsewhere\n\n"
+    page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables(report)) + "\n")
+
+
+def drawn(worlds: str, folder: Path, maps: int) -> Dataset:
+    """Test maps of the kind `worlds`, as the sensor of training sees them."""
+    counts = {"train": 0, "val": 0, "test": maps}
+    if worlds == "scenes":
+        recipe, source = preset("scene"), read_scenes(ROOT / "scenes", counts, seed=0)
+        plan = plan_dataset(folder, recipe, source, seed=0, counts=counts)
+    else:
+        recipe = preset(worlds)
+        plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts)
+    build(plan)
+    return Dataset(folder)
+
+
+def again(original: Dataset, folder: Path, sensor: str, noise: str | None) -> Dataset:
+    """The same worlds from the same poses, as `sensor` sees them with `noise`."""
+    if (sensor, noise) == SENSORS_SEEN[0]:
+        return original
+    lidar = SENSORS.find(sensor) if sensor != RASTER else None
+    build(plan_rescan(original, folder, lidar=lidar, chain=named_noise(noise, lidar or original.lidar)))
+    return Dataset(folder)
+
+
+def flights(dataset: Dataset) -> np.ndarray:
+    """The flight of every sample, (N,): what intervals draw again. A drawn world has one; a scene has several."""
+    each = dataset.manifest.recipe.flight.viewpoints
+    samples = dataset.split("test")
+    return np.unique([(one.world, one.viewpoint // each) for one in samples], axis=0, return_inverse=True)[1]
+
+
+def figures(dataset: Dataset, result: DatasetResult, usual: DatasetResult) -> dict[str, Any]:
+    """What the sensor sees and what every method makes of it, with intervals; and how much IoU over the whole map it
+    loses against the `usual` sensor, map by map."""
+    rng = np.random.default_rng(0)
+    flight = flights(dataset)
+    seen = np.array([what_is_seen(sample) for sample in dataset.split("test")])
+    said: dict[str, Any] = {"seen": {name: figure(seen[:, n], flight, rng=rng) for n, name in enumerate(SEEN)}}
+    for name, method in result.methods.items():
+        rows = {region: method.reconstruction[:, n] for n, region in enumerate(REGIONS)}
+        before = usual.methods[name].reconstruction[:, 0, IOU]
+        said[name] = {
+            region: {metric: figure(found[:, place], flight, rng=rng) for metric, place in PLACES.items()}
+            for region, found in rows.items()
+        }
+        said[name]["iou_lost"] = figure(before - rows["map"][:, IOU], flight, rng=rng)
+        said[name]["success"] = figure([trial.success for trial in method.trials], result.trial_worlds, rng=rng)
+    return said
+
+
+def what_is_seen(sample: Sample) -> tuple[float, ...]:
+    """See `SEEN`."""
+    parts = (sample.observed, sample.observed & ~sample.occupancy, ~(sample.observed | sample.free))
+    observed, wrong, unknown = (int(part.sum()) for part in parts)
+    occupied, freed = int(sample.occupancy.sum()), int((sample.free & sample.occupancy).sum())
+    return observed, wrong / max(observed, 1), unknown / sample.observed.size, freed / max(occupied, 1)
+
+
+def tables(report: dict[str, Any]) -> list[str]:
+    """The page's tables: for every kind of world, what was seen, then what was made of it."""
+    lines: list[str] = []
+    for worlds, sensors in report["worlds"].items():
+        methods = [name for name in next(iter(sensors.values())) if name != "seen"]
+        lines += ["", f"## {worlds}", "", "What the sensors see, means over maps:", "", *head(SEEN)]
+        for sensor, found in sensors.items():
+            count, *shares = (found["seen"][name]["mean"] for name in SEEN)
+            lines.append(line(sensor, (f"{count:.0f}", *(f"{share:.1%}" for share in shares))))
+        for title, of in TABLES.items():
+            lines += ["", f"{title}:", "", *head(methods)]
+            lines += [line(sensor, (shown(of(found[name])) for name in methods)) for sensor, found in sensors.items()]
+    return lines
+
+
+def shown(value: dict[str, Any]) -> str:
+    """A mean with its interval, which one flight does not give."""
+    return f"{value['mean']:.2f} {interval(value, '.2f')}"
+
+
+if __name__ == "__main__":
+    main()
