@@ -39,11 +39,13 @@ def to_markdown(study: Mapping[str, Any]) -> str:
     for name, said in study["verdicts"].items():
         lines.append(line(f"{name}: {said['asks']}", (f"**{said['verdict']}**", _counts(said["claims"]))))
     for kind in study["report"]["reconstruction"]:
-        lines += ["", f"## {kind}", "", "How much better by each seed, with 95 % intervals:", ""]
-        lines += [*head(("verdict", "seeds")), *_judged(study["claims"], kind)]
-        lines += ["", "Beside the paper's claims, judged alike:", ""]
-        lines += [*head(("verdict", "seeds")), *_judged(study["beside"], kind)]
-        lines += ["", "Means over test maps and trials, with 95 % intervals:", "", *_means(study["report"], kind)]
+        lines += ["", f"## {kind}", ""]
+        for title, claims in (("The paper's claims", study["claims"]), ("Beside them, judged alike", study["beside"])):
+            rows = [claim for claim in claims if claim["kind"] == kind]
+            tried = [claim for claim in rows if claim["seeds"]]
+            lines += [f"{title}; {len(rows) - len(tried)} of {len(rows)} have no networks yet:", ""]
+            lines += [*head(("verdict", "better by, seed by seed")), *_judged(tried), ""]
+        lines += ["Means over test maps and trials, with 95 % intervals:", "", *_means(study["report"], kind)]
         if studied := study["report"].get("study", {}).get(kind):
             lines += [
                 *success_lines(studied, "search"),
@@ -69,11 +71,10 @@ def _means(report: Mapping[str, Any], kind: str) -> list[str]:
     return [*titles, *(line(row, (brief(report[table][kind][row][name]) for table, name in columns)) for row in rows)]
 
 
-def _judged(claims: Sequence[Mapping[str, Any]], kind: str) -> Iterable[str]:
+def _judged(claims: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     for claim in claims:
-        if claim["kind"] == kind:
-            name = f"{_label(claim['metric'])}: {claim['best']} before {claim['other']}"
-            yield line(name, (claim["verdict"], "; ".join(map(_gain, claim["seeds"])) or "–"))
+        name = f"{_label(claim['metric'])}: {claim['best']} before {claim['other']}"
+        yield line(name, (claim["verdict"], "; ".join(map(_gain, claim["seeds"]))))
 
 
 def _compared(rows: Sequence[Mapping[str, Any]]) -> Iterable[str]:
