@@ -110,7 +110,7 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "reproduce": [("--scale", "0.001", "--dry-run", "--device", "cpu", *ONE)],
     "sensors": [("velodyne-vlp-16", "-o", "p.png")],
     "scan": [("w.xml", "--flight", "--noise", "range:0.02", "-o", "s.ply")],
-    "view": [("d", "--html", "v.html")],
+    "view": [("d", "--html", "v.html", "--weights", "run")],
     "render": [("d", "-o", "r.png"), ("w.xml", "--flight", "-o", "r.png")],
     "convert": [("d", "--to", "semantickitti", "-o", "k")],
     "recipe": [("pillar",)],

@@ -125,11 +125,9 @@ def run_bench(
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
 
-    methods = [*choose_methods(names), *map(_network, weights)]
+    methods = [*choose_methods(names), *map(network_row, weights)]
     predicted = None if predictions is None else Predicted(predictions)
-    named = [method.name for method in (*methods, *filter(None, (predicted,)))]
-    if twice := [name for name in named if named.count(name) > 1]:
-        raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
+    one_name_each((*methods, *filter(None, (predicted,))))
     datasets = [Dataset(folder) for folder in folders]
     kinds = [dataset.manifest.kind for dataset in datasets]
     if len(set(kinds)) < len(kinds):
@@ -206,7 +204,15 @@ def _method(name: str) -> "Method":
     return row
 
 
-def _network(weights: str) -> "Method":
+def one_name_each(methods: "Sequence[Method]") -> tuple[str, ...]:
+    """The methods' names. Raises ScenegenError where two have one."""
+    named = tuple(method.name for method in methods)
+    if twice := [name for name in named if named.count(name) > 1]:
+        raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
+    return named
+
+
+def network_row(weights: str) -> "Method":
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
     try:
         from scenegen.model.evaluation.pretrained import Pretrained

@@ -153,7 +153,7 @@ def _work(
         truth = sample.occupancy, sample.tudf
         classes = classify(sample, lidar=dataset.lidar, grid=grid)
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
-        bounds = _world_bounds(dataset, sample.origin)
+        bounds = world_bounds(dataset, sample.origin)
         drawn = draw_trials(sample.occupancy, grid, config.plan, count=trials_each, rng=rng, bounds=bounds)
         trial = partial(run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan)
         seen = _seen(sample, split) if config.study else None
@@ -208,7 +208,7 @@ def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
     return seen_occupancy(sample, split)
 
 
-def _world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """The drawn world's box (2, 3) in the map frame, metres; None for worlds from MJCF files."""
     world = dataset.manifest.tables.get("world")
     return None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - origin
