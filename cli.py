@@ -13,9 +13,9 @@ from scenegen import __version__
 from scenegen.terminal.command import Commands, run_command
 
 MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
-OF_DATA = ("generate", "rescan", "inspect", "world", "verify", "publish", "convert", "render", "recipe")
+OF_DATA = ("generate", "rescan", "inspect", "world", "verify", "publish", "convert", "recipe")
 OF_SENSORS = ("sensors", "scan")
-OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce", "view")
+OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce", "view", "render")
 PLACES = {
     **{name: f"{MADE}.{name}:{name}" for name in OF_DATA},
     **{name: f"{INFERRED}.{name}:{name}" for name in OF_NETWORKS},

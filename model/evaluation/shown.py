@@ -85,4 +85,5 @@ def route_to(
         points=None if refined is None else sample.origin + refined,
         told=told,
         fails=not measured.success,
+        hit=None if measured.hit is None else grid.centres(sample.origin).reshape(-1, 3)[measured.hit],
     )

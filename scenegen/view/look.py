@@ -30,6 +30,8 @@ class Route:
     """What came of it, in a few words."""
     fails: bool
     """Whether no path was found, or one that meets an obstacle."""
+    hit: NDArray[np.float64] | None = None
+    """The centre of the first voxel in which it does (3,)."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -180,6 +180,7 @@
       if (!route) continue;
       if (!all.children.length) all.add(ball(route.start, 3.2 * thick, data.colours.start), ball(route.goal, 3.2 * thick, data.colours.goal));
       const material = new THREE.MeshLambertMaterial({ color: rgb(methods.get(name)) });
+      if (route.hit) all.add(ball(route.hit, 2.4 * thick, data.colours.invented));
       route.points.slice(1).forEach((to, n) => {
         const from = new THREE.Vector3(...route.points[n]), end = new THREE.Vector3(...to);
         all.add(new THREE.Mesh(new THREE.TubeGeometry(new THREE.LineCurve3(from, end), 1, thick, 8), material));

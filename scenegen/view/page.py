@@ -119,7 +119,8 @@ def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
     if (route := guess.route) is not None:
         ends = {"start": (route.start - look.origin).tolist(), "goal": (route.goal - look.origin).tolist()}
         points = [] if route.points is None else np.round(route.points - look.origin, 4).tolist()
-        found["route"] = {**ends, "points": points, "fails": route.fails}
+        hit = None if route.hit is None else (route.hit - look.origin).tolist()
+        found["route"] = {**ends, "points": points, "hit": hit}
     return found
 
 

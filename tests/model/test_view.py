@@ -14,6 +14,7 @@ from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import guesses_of
+from scenegen.points import write_points
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
 from tests.command_line import run
@@ -78,3 +79,38 @@ def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder: Path
                 np.testing.assert_allclose([route.points[0], route.points[-1]], [route.start, route.goal])
     far = guesses_of(methods, config, 10_000)(split[0], split)
     assert all(guess.route is None for guess in far)
+
+
+def test_scans_completions_of_them_and_runs_are_drawn(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr("scenegen.view.still.DPI", 40)
+    points = np.random.default_rng(0).uniform(-5, 5, (500, 3))
+    for suffix in (".pcd", ".bin"):
+        write_points(tmp_path / f"scan{suffix}", points, None, {})
+    shape = (16, 16, 8)
+    with h5py.File(tmp_path / "done.h5", "w") as file:
+        file.attrs.update({"method": "mine", "origin": np.zeros(3), "voxel": 0.5})
+        file["observed"] = np.random.default_rng(1).random(shape) > 0.9
+        file["occupancy_probability"] = np.random.default_rng(2).random(shape).astype(np.float32)
+    with h5py.File(tmp_path / "split.h5", "w") as file:
+        file.attrs.update({"method": "mine", "split": "test"})
+    (tmp_path / "run").mkdir()
+    row = {"epoch": 0, "train_loss": 0.5, "val_loss": 0.6, "val_iou": 0.4, "val_near_mae": 0.2}
+    (tmp_path / "run" / "metrics.csv").write_text(f"{','.join(row)}\n{','.join(map(str, row.values()))}\n")
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "metrics.csv").write_text("epoch,val_loss\n1,much\n")
+    (tmp_path / "empty.npz").write_bytes(b"PK")
+    for name in ("scan.pcd", "scan.bin", "done.h5", "run"):
+        code, _, said = run(capsys, "render", tmp_path / name, "-o", tmp_path / "x.png", "--quiet")
+        assert (code, said) == (0, ""), name
+        assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
+        (tmp_path / "x.png").unlink()
+    for name, part in (
+        ("split.h5", "--predictions"),
+        ("bad", "metrics.csv"),
+        ("empty.npz", ".npz"),
+        ("run/x.h5", "x.h5"),
+    ):
+        code, _, said = run(capsys, "render", tmp_path / name, "-o", tmp_path / "x.png")
+        assert (code, said.count("\n")) == (1, 1), name
+        assert part in said
+        assert not (tmp_path / "x.png").exists()
