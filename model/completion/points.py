@@ -20,6 +20,8 @@ PLY_TYPES = {
     **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
 }
+MOST_SCANS = 100_000
+"""The most scans of a folder."""
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -173,3 +175,11 @@ READERS = {
     **{".xyz": _read_xyz, ".npy": _read_npy},
 }
 """File types of scans."""
+
+
+def scans_in(folder: Path) -> list[Path]:
+    """Files of these types in a folder and those below it, sorted. Raises DatasetError for more than `MOST_SCANS`."""
+    found = list(itertools.islice((path for path in folder.rglob("*") if path.suffix in READERS), MOST_SCANS + 1))
+    if len(found) > MOST_SCANS:
+        raise DatasetError(f"{folder}: holds more than {MOST_SCANS} scans; give a folder of fewer")
+    return sorted(found)
