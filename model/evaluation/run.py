@@ -59,6 +59,8 @@ class DatasetResult:
     """(N,): the samples' worlds."""
     trial_worlds: NDArray[np.int64]
     """(trials,): the trials' worlds."""
+    trial_places: tuple[tuple[int, int], ...]
+    """Of each trial: the sample's number in its split, and the trial's within the sample."""
     trial_clearance: NDArray[np.float64]
     """(trials,): the least clearance of the path that the planner finds on the truth, metres; NaN without a study."""
     excluded: Counter[str]
@@ -120,6 +122,7 @@ def bench(
         config=config,
         worlds=np.array([one.world for one in found]),
         trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
+        trial_places=tuple((found[n].index, turn) for turn, n in turns),
         trial_clearance=np.array([found[n].clearance[turn] for turn, n in turns], dtype=np.float64),
         difficulty=np.array([one.difficulty for one in found]),
         excluded=sum((one.excluded for one in found), start=Counter()),

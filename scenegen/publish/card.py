@@ -50,8 +50,14 @@ def _pictures(it: Publication) -> str:
         f"{shown}\n\nFrom left to right: what the scan observed, what is there (both coloured by height), and how far "
         "the nearest occupied voxel is, in the level just below the sensor, from dark (0 m) to light "
         f"({it.manifest.grid.truncation_m:g} m). The dot is the sensor. Shown are "
-        f"{', '.join(caption for _, caption in it.pictures)}."
+        f"{', '.join(caption for _, caption in it.pictures)}." + _page(it)
     )
+
+
+def _page(it: Publication) -> str:
+    if not it.page:
+        return ""
+    return f"\n\nMore samples in three dimensions: download [{it.page}]({it.page}), and open it in a browser."
 
 
 def _fields(it: Publication) -> str:

@@ -234,4 +234,5 @@ def line(label: str, colour: Any = INK, width: float = 0.8, style: Any = "-") ->
 def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
     """What marks mean, at the lower end."""
     looks_so: dict[str, Any] = {"fontsize": 8, "frameon": False, "labelcolor": INK, "handlelength": 3}
-    figure.legend(handles=list(handles), loc="lower center", ncols=len(handles), **looks_so)
+    fit = max(1, int(figure.get_size_inches()[0] / 1.4))  # in a row
+    figure.legend(handles=list(handles), loc="lower center", ncols=min(len(handles), fit), **looks_so)
