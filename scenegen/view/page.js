@@ -174,11 +174,13 @@
     return made;
   }
 
+  const large = () => sample.voxel * Math.max(0.02 * Math.max(...sample.shape), 0.5); // of a ball that one should see
+
   function routes() {
     const all = new THREE.Group(), thick = 0.3 * sample.voxel;
     for (const { name, route } of sample.guesses) {
       if (!route) continue;
-      if (!all.children.length) all.add(ball(route.start, 3.2 * thick, data.colours.start), ball(route.goal, 3.2 * thick, data.colours.goal));
+      if (!all.children.length) all.add(ball(route.start, 1.1 * large(), data.colours.start), ball(route.goal, large(), data.colours.goal));
       const material = new THREE.MeshLambertMaterial({ color: rgb(methods.get(name)) });
       if (route.hit) all.add(ball(route.hit, 2.4 * thick, data.colours.invented));
       route.points.slice(1).forEach((to, n) => {
@@ -232,7 +234,7 @@
     const size = sample.shape.map((count) => count * sample.voxel);
     const box = new THREE.Box3(new THREE.Vector3(), new THREE.Vector3(...size));
     scene.add(layers["#box"] = new THREE.Box3Helper(box, 0x39414b));
-    scene.add(layers["#sensor"] = ball(fields.sensor, Math.max(0.02 * Math.max(...size), 0.5 * sample.voxel), data.colours.sensor));
+    scene.add(layers["#sensor"] = ball(fields.sensor, large(), data.colours.sensor));
     ["x", "y", "z"].forEach((name, axis) => {
       const sign = Object.assign(make("canvas"), { width: 256, height: 64 }), ink = sign.getContext("2d");
       ink.font = "40px system-ui, sans-serif";
