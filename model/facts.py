@@ -15,7 +15,7 @@ from scenegen.workers import guarded
 
 
 def scan_facts(path: Path) -> dict[str, Any]:
-    """Of a file of points: how many, how far they reach, and how far away they are from its origin. Raises
+    """A file of points: how many, how far they reach, and how far away they are from its origin. Raises
     DatasetError."""
     points = read_points(path)
     returned = points[np.isfinite(points).all(axis=1)]
@@ -28,7 +28,7 @@ def scan_facts(path: Path) -> dict[str, Any]:
 
 
 def prediction_facts(path: Path) -> dict[str, Any]:
-    """Of an HDF5 file of predictions, of a split or of one scan. Raises DatasetError."""
+    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it. Raises DatasetError."""
     try:
         with open_bounded(path, 1 << 62):
             pass
@@ -54,7 +54,7 @@ def _facts(path: Path) -> dict[str, Any]:
 
 
 def run_facts(folder: Path) -> dict[str, Any]:
-    """Of a training run's folder: what was trained on what, and how far it came. Raises DatasetError."""
+    """A training run's folder: what was trained on what, and how far it came. Raises DatasetError."""
     from scenegen.model.training.curve import read_rows
     from scenegen.model.training.run_folder import ROWS, RunFolder
 

@@ -114,7 +114,7 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "render": [
         ("d", "-o", "r.png"),
         ("w.xml", "--flight", "-o", "r.png"),
-        ("d", "--predictions", "p.h5", "-o", "r.png"),
+        ("d", "--split", "test", "--predictions", "p.h5", "-o", "r.png"),
     ],
     "convert": [("d", "--to", "semantickitti", "-o", "k"), ("d", "--to", "webdataset", "-o", "t")],
     "recipe": [("pillar",)],

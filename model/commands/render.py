@@ -13,8 +13,10 @@ from scenegen.model.commands.shown import chosen, shown_options
 @render_options
 @shown_options
 def render(predictions: Path | None, weights: tuple[str, ...], trial: int, no_paths: bool, **options: Any) -> None:
-    """Draw samples of a dataset and what is predicted of them; or a world (.xml), a scan, a completion of one (.h5), or
-    a run's folder."""
+    """Draw samples of a dataset, and what is predicted of them.
+
+    Or a world (.xml), a scan, a completion of one (.h5), a run's curve from its folder.
+    """
     split = options["split"]
     draw(
         **options,

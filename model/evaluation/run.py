@@ -60,7 +60,7 @@ class DatasetResult:
     trial_worlds: NDArray[np.int64]
     """(trials,): the trials' worlds."""
     trial_places: tuple[tuple[int, int], ...]
-    """Of each trial: the sample's number in its split, and the trial's within the sample."""
+    """Each trial's sample by its number in the split, and the trial's own number within the sample."""
     trial_clearance: NDArray[np.float64]
     """(trials,): the least clearance of the path that the planner finds on the truth, metres; NaN without a study."""
     excluded: Counter[str]

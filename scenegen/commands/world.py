@@ -14,8 +14,10 @@ from scenegen.terminal.options import dataset_argument, out_option, split_option
 @split_option("train", help="The split that the world belongs to.")
 @out_option("File to write: MJCF, or .glb for its surfaces.  [default: MJCF to standard output]", file=True)
 def world(dataset: Path | str, number: int | None, split: str, out: Path | None) -> None:
-    """Take one world's MJCF, and the files it refers to, out of a dataset; or write its surfaces as .glb, or those of
-    an MJCF file (.xml)."""
+    """Take one world's MJCF, and the files it refers to, out of a dataset.
+
+    With a name that ends in .glb, write its surfaces instead, or those of an MJCF file (.xml).
+    """
     from scenegen.dataset.extract import DOCUMENT, write_extracted
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-"""Of a face, along the two axes that it spans."""
+"""A face's, along the two axes that it spans."""
 SHADES = (0.74, 0.86, 1.0)
 """Brightness of faces across x, y and z."""
 

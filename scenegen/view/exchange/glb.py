@@ -12,7 +12,7 @@ from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPH
 from scenegen.world import World
 
 SIDES = 32
-"""Of round solids, around their axis."""
+"""How many sides round solids have around their axis."""
 UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """glTF's y is up; x stays."""
 THICK_M = 0.01
