@@ -76,7 +76,7 @@ class Live(ThreadingHTTPServer):
                 f"{host}, port {port}: cannot be served on ({getattr(error, 'strerror', None) or error}); give another "
                 "--port, or 0 for any"
             ) from None
-        shown = f"[{place}]" if place.version == 6 else str(place)
+        shown = socket.gethostname() if place.is_unspecified else f"[{place}]" if place.version == 6 else str(place)
         self.address = f"http://{shown}:{self.server_address[1]}/"
         """What to open in a browser."""
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from scenegen.dataset.read import Dataset, Split
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
 
 MASKS = ("observed", "free", "occupancy")
@@ -133,7 +133,7 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
 
 
 Guesses = Callable[[Sample, Split], Sequence[Guess]]
-"""What is predicted of a sample of a split. Raises DatasetError for a sample of which nothing is."""
+"""What is predicted of a sample of a split. Raises ScenegenError for a sample of which nothing is."""
 
 
 class UnreadableError(DatasetError):
@@ -156,7 +156,7 @@ def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Loo
         return look
     try:
         return replace(look, guesses=tuple(guesses(samples[index], samples)))
-    except DatasetError as error:
+    except ScenegenError as error:
         line = f"{name}: what is predicted is not shown: {printable(error)}"
         return replace(look, missing=(*look.missing, line))
 
