@@ -15,4 +15,8 @@ from scenegen.model.commands.shown import chosen, shown_options
 def view(predictions: Path | None, weights: tuple[str, ...], trial: int, no_paths: bool, **options: Any) -> None:
     """Show a dataset in a browser, from this machine; or, with --html, write one file that shows some of it."""
     split = options["split"]
-    show(**options, guesses=lambda dataset: chosen(dataset, split, predictions, weights, trial, no_paths))
+    show(
+        **options,
+        guesses=lambda dataset: chosen(dataset, split, predictions, weights, trial, no_paths),
+        predicted=predictions is not None,
+    )

@@ -75,21 +75,31 @@ def show(
     port: int,
     quiet: bool,
     guesses: "Callable[[Dataset], tuple[Guesses | None, tuple[str, ...]]]",
+    predicted: bool = False,
 ) -> None:
-    """Serve the dataset until the command is stopped, or write samples to the page `out`; with what `guesses` has of
-    the dataset: who predicts, and their names."""
+    """Serve the dataset, or all in a folder, until the command is stopped, or write samples to the page `out`.
+
+    `guesses` says of a dataset who predicts, and their names; `predicted`, whether that is for one dataset alone.
+    """
     for name in ("host", "port"):
         if out is not None and was_given(name):
             raise click.UsageError(f"--{name}: is for what is served; leave out --html")
     if out is None and len(indices) > 1:
         raise click.UsageError("--index: give one to begin with, or --html for a file of several samples")
     from scenegen.dataset.locate import locate
+    from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
 
-    found = Dataset(locate(dataset, shown=not quiet), partial=True)
+    path = Path(dataset)
+    inside = sorted(path.glob(f"*/{NAME}")) if out is None and not (path / NAME).exists() else []
+    folders = [manifest.parent for manifest in inside] or [locate(dataset, shown=not quiet)]
+    if len(folders) > 1 and predicted:
+        raise click.UsageError("--predictions: is of one dataset; name that one")
+    opened = [Dataset(folder, partial=True) for folder in folders]
     if out is None:
-        _serve(found, split, indices[0] if indices else 0, host, port, guesses)
+        _serve(opened, split, indices[0] if indices else 0, host, port, guesses)
     else:
+        (found,) = opened
         _write(found, split, indices, count, out, quiet, guesses)
 
 
@@ -114,7 +124,7 @@ def _write(
         say(f"{out}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
 
 
-def _serve(found: "Dataset", split: str, index: int, host: str, port: int, guesses: Any) -> None:
+def _serve(opened: "list[Dataset]", split: str, index: int, host: str, port: int, guesses: Any) -> None:
     """Serve until a stop, which ends the process."""
     import sys
 
@@ -123,13 +133,15 @@ def _serve(found: "Dataset", split: str, index: int, host: str, port: int, guess
     from scenegen.view.live import Live
     from scenegen.view.look import incomplete
 
-    if not 0 <= index < max(len(found.split(split)), 1):
-        raise click.UsageError(f"--index {index}: its {split} split has {len(found.split(split))} samples")
-    for line in incomplete(found, split):
-        note(line)
-    guess, methods = guesses(found)
-    server = Live(found, split=split, index=index, host=host, port=port, guesses=guess, methods=methods)
-    say(f"{server.address}  shows {found.folder}; Ctrl-C ends it")
+    count = len(opened[0].split(split))
+    if not 0 <= index < max(count, 1):
+        raise click.UsageError(f"--index {index}: its {split} split has {count} samples")
+    for dataset in opened:
+        for line in incomplete(dataset, split):
+            note(f"{dataset.folder}: {line}")
+    guess, methods = guesses(opened[0])
+    server = Live(opened, split=split, index=index, host=host, port=port, guesses=guess, methods=methods)
+    say(f"{server.address}  shows {', '.join(str(dataset.folder) for dataset in opened)}; Ctrl-C ends it")
     if server.on_loopback:
         bound = server.server_address[1]
         say(f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the same address there")

@@ -1,7 +1,7 @@
-"""The page of a whole dataset, served on this machine: samples are read as one steps through them.
+"""The page of whole datasets, served on this machine: samples are read as one steps through them.
 
-``GET /`` is the page; ``GET /sample/<split>/<index>`` a sample, JSON as `scenegen.view.page.packed` has it. There is
-nothing else, and nothing can be changed.
+``GET /`` is the page; ``GET /sample/<dataset>/<split>/<index>`` a sample, JSON as `scenegen.view.page.packed` has it,
+of the dataset of that number. There is nothing else, and nothing can be changed.
 """
 
 import ipaddress
@@ -11,6 +11,7 @@ import socket
 import socketserver
 import sys
 import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -23,7 +24,7 @@ from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.view.look import Guesses, incomplete, look_into
 from scenegen.view.page import check_grid, live_page, packed
 
-SAMPLE = re.compile(r"/sample/(train|val|test)/(\d{1,10})", re.ASCII)
+SAMPLE = re.compile(r"/sample/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
 LOCAL = "localhost"
 IDLE_S = 30.0
 """How long a connection may say nothing, seconds."""
@@ -35,11 +36,11 @@ SAFE = {
 
 
 class Live(ThreadingHTTPServer):
-    """The server of one dataset.
+    """The server of some datasets.
 
     `host` is an IP address or `localhost`; port 0 is any that is free. `guesses` predicts samples as they are shown, by
-    the methods called `methods`. Raises ScenegenError where the address cannot be had, DatasetError for a grid that no
-    browser takes.
+    the methods called `methods`. The page begins with sample `index` of a `split` of the first dataset. Raises
+    ScenegenError where the address cannot be had, DatasetError for a grid that no browser takes.
     """
 
     daemon_threads = True
@@ -47,7 +48,7 @@ class Live(ThreadingHTTPServer):
 
     def __init__(
         self,
-        dataset: Dataset,
+        datasets: Sequence[Dataset],
         *,
         split: str,
         index: int = 0,
@@ -56,15 +57,15 @@ class Live(ThreadingHTTPServer):
         guesses: Guesses | None = None,
         methods: tuple[str, ...] = (),
     ):
-        check_grid(dataset.grid)
-        self.splits = {name: dataset.split(name) for name in SPLITS}
+        for dataset in datasets:
+            check_grid(dataset.grid)
+        self.splits = [{name: dataset.split(name) for name in SPLITS} for dataset in datasets]
         self.guesses, self._reading = guesses, threading.Lock()
-        title = printable(f"{dataset.folder.name}: {dataset.manifest.kind}")
-        counts = {name: len(samples) for name, samples in self.splits.items() if len(samples)}
-        if split not in counts:
-            split = next(iter(counts), split)
-        self.page = live_page(title=title, splits=counts, split=split, index=index, methods=methods).encode()
-        self.notes = {name: incomplete(dataset, name) for name in SPLITS}
+        counts: list[tuple[str, dict[str, int]]] = []
+        for dataset, splits in zip(datasets, self.splits, strict=True):
+            title = printable(f"{dataset.folder.name}: {dataset.manifest.kind}")
+            counts.append((title, {name: len(samples) for name, samples in splits.items() if len(samples)}))
+        self.page = live_page(counts, split=split, index=index, methods=methods).encode()
         place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
         self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
         self.on_loopback = place.is_loopback
@@ -103,14 +104,18 @@ class Live(ThreadingHTTPServer):
             return bool(ipaddress.ip_address(name))
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
-    def sample(self, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
-        """A sample for the page; or, under `error`, a line that says why there is none."""
+    def sample(self, number: int, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
+        """A sample of dataset `number` for the page; or, under `error`, a line that says why there is none."""
+        if number >= len(self.splits):
+            return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
+        samples = self.splits[number][split]
+        notes = incomplete(samples.dataset, split)
         with self._reading:  # one at a time: files and networks are shared
             try:
-                look = look_into(self.splits[split], index, self.guesses)
+                look = look_into(samples, index, self.guesses)
             except DatasetError as error:
-                return HTTPStatus.NOT_FOUND, {"error": printable(error), "notes": self.notes[split]}
-        return HTTPStatus.OK, {**packed(look), "notes": self.notes[split]}
+                return HTTPStatus.NOT_FOUND, {"error": printable(error), "notes": notes}
+        return HTTPStatus.OK, {**packed(look), "notes": notes}
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -129,7 +134,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif self.path == "/":
             self._answer(HTTPStatus.OK, "text/html", self.server.page)
         elif found := SAMPLE.fullmatch(self.path):
-            status, sample = self.server.sample(found[1], int(found[2]))
+            status, sample = self.server.sample(int(found[1]), found[2], int(found[3]))
             self._answer(status, "application/json", json.dumps(sample).encode())
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page\n")

@@ -267,7 +267,7 @@
   const kept = new Map();
   function fetched(number) {
     if (!live) return data.samples[number];
-    const place = `sample/${find("split").value}/${number}`;
+    const place = `sample/${find("dataset").value}/${find("split").value}/${number}`;
     const asked = kept.get(place) ?? fetch(place).then((answer) => answer.json()).catch(() => {
       kept.delete(place);
       return { error: "The server does not answer; is scenegen view still running?" };
@@ -278,7 +278,8 @@
     return asked;
   }
 
-  const count = () => (live ? live.splits[find("split").value] : data.samples.length);
+  const splits = () => live.datasets[+find("dataset").value].splits;
+  const count = () => (live ? splits()[find("split").value] ?? 0 : data.samples.length);
   const which = live ? find("number") : find("which");
 
   async function show(number) {
@@ -317,7 +318,7 @@
       found.points = Float32Array.from(whole, (value, n) => (value / 32767) * next.reach + found.sensor[n % 3]);
     }
     if (mine !== turn) return;
-    const first = !placed, levels = sample?.shape[+find("axis").value];
+    const first = !placed || `${sample?.shape}` !== `${next.shape}`, levels = sample?.shape[+find("axis").value];
     [sample, fields, current, placed] = [next, found, number, true];
     which.value = current;
     if (levels !== sample.shape[+find("axis").value]) middle();
@@ -374,11 +375,17 @@
   if (live) {
     find("which").hidden = true;
     find("split").hidden = find("number").hidden = false;
-    for (const [name, most] of Object.entries(live.splits)) {
-      find("split").append(Object.assign(make("option", `${name}: ${most}`), { value: name }));
-    }
-    find("split").value = live.split;
+    const offer = (split) => {
+      const options = Object.entries(splits()).map(([name, most]) => Object.assign(make("option", `${name}: ${most}`), { value: name }));
+      find("split").replaceChildren(...options);
+      if (split in splits()) find("split").value = split;
+    };
+    live.datasets.forEach(({ name }, n) => find("dataset").append(Object.assign(make("option", name), { value: n })));
+    find("dataset-row").hidden = live.datasets.length < 2;
+    find("title").hidden = live.datasets.length > 1;
+    find("dataset").onchange = () => { offer(find("split").value); show(0); };
     find("split").onchange = () => show(0);
+    offer(live.split);
   }
   find("before").onclick = () => show(current - 1);
   find("next").onclick = () => show(current + 1);

@@ -51,10 +51,18 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
     return _filled({"title": title, "notes": notes, "samples": samples, "masks": masks}, methods)
 
 
-def live_page(*, title: str, splits: Mapping[str, int], split: str, index: int, methods: Sequence[str] = ()) -> str:
-    """The page of samples that are fetched from its own server one by one, ``sample/<split>/<index>`` as `packed` has
-    them. `splits` says how many there are, `split` and `index` which is shown first, `methods` who predicts."""
-    live = {"splits": dict(splits), "split": split, "index": index}
+def live_page(
+    datasets: Sequence[tuple[str, Mapping[str, int]]], *, split: str, index: int, methods: Sequence[str] = ()
+) -> str:
+    """The page of samples that are fetched from its own server one by one, ``sample/<dataset>/<split>/<index>`` as
+    `packed` has them; datasets are numbered.
+
+    `datasets` says what each is called and how many samples it has of which splits, `split` and `index` which of the
+    first is shown first, `methods` who predicts.
+    """
+    title = datasets[0][0]
+    listed = [{"name": name, "splits": dict(splits)} for name, splits in datasets]
+    live = {"datasets": listed, "split": split, "index": index}
     about = {"title": title, "notes": [], "samples": [], "masks": MASKS, "live": live}
     return _filled(about, methods, "; connect-src 'self'")
 

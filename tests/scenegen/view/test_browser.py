@@ -125,3 +125,17 @@ def test_the_viewer_steps_through_splits_and_tells_what_is_damaged(browser: Any,
         assert int(state("milliseconds")) < 2000
         assert [line for line in told if "404" not in line] == []
         tab.close()
+
+
+def test_a_dataset_of_several_is_chosen(browser: Any, made: Path, dataset: Path) -> None:
+    (dataset / "train-00000.h5").unlink()
+    with served([made, dataset]) as server:
+        tab, told = reached(browser, server.address, (server.address, "blob:"))
+        assert tab.locator("#notes").inner_text() == ""
+        tab.locator("#split").select_option("test")
+        tab.locator("#dataset").select_option(index=1)
+        tab.locator("#split").select_option("train")
+        tab.wait_for_selector("#notes div", state="attached")
+        assert "train-00000.h5" in tab.locator("#notes").inner_text()
+        assert [line for line in told if "404" not in line] == []
+        tab.close()

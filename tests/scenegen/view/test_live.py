@@ -25,8 +25,9 @@ from tests.scenegen.view.test_page import HOSTILE, Seen
 
 
 @contextmanager
-def served(folder: Path, **more: Any) -> Iterator[Live]:
-    server = Live(Dataset(folder, partial=True), **{"split": "train", **more})
+def served(folder: Path | list[Path], **more: Any) -> Iterator[Live]:
+    folders = [folder] if isinstance(folder, Path) else folder
+    server = Live([Dataset(one, partial=True) for one in folders], **{"split": "train", **more})
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
     try:
@@ -56,20 +57,25 @@ def test_samples_are_served_as_they_are_by_split_and_number(made: Path) -> None:
         assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
         page = Seen(text)
         splits = {name: len(dataset.split(name)) for name in ("train", "val", "test") if len(dataset.split(name))}
-        assert page.data()["live"] == {"splits": splits, "split": "test", "index": 2}
+        assert page.data()["live"] == {
+            "datasets": [{"name": "pillar: pillar", "splits": splits}],
+            "split": "test",
+            "index": 2,
+        }
         (policy,) = [names["content"] for tag, names, _ in page.found if tag == "meta" and "http-equiv" in names]
         assert "default-src 'none'" in policy
         assert policy.endswith("; connect-src 'self'")
         for split, number in (("train", 7), ("test", 0)):
-            status, headers, text = ask(server, f"/sample/{split}/{number}")
+            status, headers, text = ask(server, f"/sample/0/{split}/{number}")
             assert (status, headers["X-Content-Type-Options"]) == (200, "nosniff")
             expected = packed(look_into(dataset.split(split), number))
             assert json.loads(text) == json.loads(json.dumps(expected)) | {"notes": []}
         for path in (
-            "/sample/train/11",
-            "/sample/none/0",
-            "/sample/train/-1",
-            "/sample/train/0/..",
+            "/sample/0/train/11",
+            "/sample/0/none/0",
+            "/sample/0/train/-1",
+            "/sample/0/train/0/..",
+            "/sample/1/train/0",
             "/../etc/passwd",
         ):
             assert ask(server, path)[0] == 404
@@ -86,7 +92,16 @@ def test_what_is_predicted_comes_with_the_sample(made: Path, split: str) -> None
 
     with served(made, split=split, guesses=guesses, methods=(HOSTILE,)) as server:
         assert ask(server, "/")[2].count("<script>alert") == 0
-        assert [guess["name"] for guess in json.loads(ask(server, f"/sample/{split}/0")[2])["guesses"]] == [HOSTILE]
+        assert [guess["name"] for guess in json.loads(ask(server, f"/sample/0/{split}/0")[2])["guesses"]] == [HOSTILE]
+
+
+def test_datasets_of_a_folder_are_served_by_their_numbers(made: Path, dataset: Path) -> None:
+    (dataset / "train-00000.h5").unlink()
+    with served([made, dataset]) as server:
+        assert [one["name"] for one in Seen(ask(server, "/")[2]).data()["live"]["datasets"]] == ["pillar: pillar"] * 2
+        assert ask(server, "/sample/0/train/0")[0] == 200
+        assert ask(server, "/sample/1/train/0")[0] == 404
+        assert ask(server, "/sample/1/train/4")[0] == 200
 
 
 def test_a_stranger_s_name_is_refused(made: Path) -> None:
@@ -100,11 +115,11 @@ def test_a_stranger_s_name_is_refused(made: Path) -> None:
             "",
             "[::1",
         ):
-            status, _, text = ask(server, "/sample/train/0", Host=host)
+            status, _, text = ask(server, "/sample/0/train/0", Host=host)
             assert status == 403, host
             assert "points" not in text
         for host in (f"127.0.0.1:{port}", f"localhost:{port}", "localhost:9000", "[::1]:9000"):  # SSH has another port
-            assert ask(server, "/sample/train/0", Host=host)[0] == 200, host
+            assert ask(server, "/sample/0/train/0", Host=host)[0] == 200, host
         assert not server.allows(socket.gethostname())  # it is served on the loopback alone
 
 
@@ -113,10 +128,10 @@ def test_what_is_damaged_is_told_and_the_rest_is_served(dataset: Path) -> None:
     manifest = json.loads((dataset / "dataset.json").read_text())
     (dataset / "dataset.json").write_text(json.dumps(manifest | {"complete": False, "digest": None}))
     with served(dataset) as server:
-        status, _, text = ask(server, "/sample/train/4")
+        status, _, text = ask(server, "/sample/0/train/4")
         assert status == 404
         assert "train-00001.h5" in json.loads(text)["error"]
-        status, _, text = ask(server, "/sample/train/6")
+        status, _, text = ask(server, "/sample/0/train/6")
         assert status == 200
         assert "incomplete" in json.loads(text)["notes"][0]
 
@@ -125,7 +140,7 @@ def test_an_address_that_cannot_be_had_is_an_error(made: Path, capsys: Any, tmp_
     with served(made) as server:
         port = server.server_address[1]
         with pytest.raises(ScenegenError, match="another --port"):
-            Live(Dataset(made), split="train", port=port)
+            Live([Dataset(made)], split="train", port=port)
         for words, part in (
             (["--port", port], "another --port"),
             (["--host", "example.com"], "no IP address"),
