@@ -12,7 +12,7 @@ from scenegen.errors import DatasetError
 from scenegen.view.colours import HEIGHTS, colour
 from scenegen.view.look import Look
 from scenegen.view.oblique import VIEW, box_edges
-from scenegen.view.still import INK, MAP, add_bar, add_legend, ball, blank, draw_sample, frame_box, line
+from scenegen.view.still import MAP, RED, add_bar, add_legend, ball, blank, draw_sample, frame_box, line
 
 MOST_DRAWN = 500_000
 """The most points of a picture: more are drawn as every second, third …"""
@@ -38,9 +38,11 @@ def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
     edges = VIEW.project(np.concatenate(box_edges(-half, half)))
     panel.add_collection(LineCollection(edges, colors=MAP, linewidths=1.2, zorder=6))
     sensor: Any = VIEW.project(np.zeros(3))
-    panel.scatter(*sensor, s=50, color=ball("").get_color(), edgecolors="white", linewidths=0.8, zorder=7)
+    panel.scatter(*sensor, s=50, color=RED, edgecolors="white", linewidths=0.8, zorder=7)
     add_bar(figure, (0.9, 0.2, 0.016, 0.6), HEIGHTS, (low[2], high[2]), "height / m")
-    add_legend(figure, [ball("sensor"), line("a map of 16 × 16 × 8 m around it", MAP, 1.2), line("all points", INK)])
+    add_legend(
+        figure, [ball("sensor"), line("a map of 16 × 16 × 8 m around it", MAP, 1.2), line("the box of all points")]
+    )
     return figure
 
 
