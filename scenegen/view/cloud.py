@@ -40,9 +40,8 @@ def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
     sensor: Any = VIEW.project(np.zeros(3))
     panel.scatter(*sensor, s=50, color=RED, edgecolors="white", linewidths=0.8, zorder=7)
     add_bar(figure, (0.9, 0.2, 0.016, 0.6), HEIGHTS, (low[2], high[2]), "height / m")
-    add_legend(
-        figure, [ball("sensor"), line("a map of 16 × 16 × 8 m around it", MAP, 1.2), line("the box of all points")]
-    )
+    size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
+    add_legend(figure, [ball("sensor"), line(f"a map of {size} m around it", MAP, 1.2), line("the box of all points")])
     return figure
 
 
