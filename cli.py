@@ -13,12 +13,13 @@ from scenegen import __version__
 from scenegen.terminal.command import Commands, run_command
 
 MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
-OF_DATA = ("generate", "rescan", "inspect", "world", "verify", "publish", "convert", "render", "recipe")
+OF_DATA = ("generate", "rescan", "world", "verify", "publish", "convert", "recipe")
 OF_SENSORS = ("sensors", "scan")
-OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce", "view")
+OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce")
+OF_BOTH = ("inspect", "view", "render")
 PLACES = {
     **{name: f"{MADE}.{name}:{name}" for name in OF_DATA},
-    **{name: f"{INFERRED}.{name}:{name}" for name in OF_NETWORKS},
+    **{name: f"{INFERRED}.{name}:{name}" for name in (*OF_NETWORKS, *OF_BOTH)},
     **{name: f"{MADE}.{name}:{name}" for name in (*OF_SENSORS, "doctor", "completion")},
 }
 

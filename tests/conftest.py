@@ -75,7 +75,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
         folder = base / name
         with open(base / f"{name}.made", "a+") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            if lock.tell() == 0:
+            if lock.seek(0, os.SEEK_END) == 0:  # which may have been written while this process waited
                 shutil.rmtree(folder, ignore_errors=True)  # which another process could not fill
                 folder.mkdir()
                 fill(folder)

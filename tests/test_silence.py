@@ -91,7 +91,7 @@ grid = {shape = [16, 16, 16]}
 ONE = ("--workers", "1")
 COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "generate": [("--recipe", "small.toml", "--n", "4", "--val", "40", "--test", "2", "--out", "d", *ONE)],
-    "inspect": [("d",)],
+    "inspect": [("d", "--html", "i.html")],
     "world": [("d", "0", "-o", "w.xml")],
     "verify": [("d", *ONE)],
     "train": [("d", "--epochs", "1", "--width", "1", "--out", "run", "--device", "cpu")],
@@ -110,9 +110,13 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "reproduce": [("--scale", "0.001", "--dry-run", "--device", "cpu", *ONE)],
     "sensors": [("velodyne-vlp-16", "-o", "p.png")],
     "scan": [("w.xml", "--flight", "--noise", "range:0.02", "-o", "s.ply")],
-    "view": [("d", "--html", "v.html")],
-    "render": [("d", "-o", "r.png"), ("w.xml", "--flight", "-o", "r.png")],
-    "convert": [("d", "--to", "semantickitti", "-o", "k")],
+    "view": [("d", "--html", "v.html", "--weights", "run")],
+    "render": [
+        ("d", "-o", "r.png"),
+        ("w.xml", "--flight", "-o", "r.png"),
+        ("d", "--split", "test", "--predictions", "p.h5", "-o", "r.png"),
+    ],
+    "convert": [("d", "--to", "semantickitti", "-o", "k"), ("d", "--to", "webdataset", "-o", "t")],
     "recipe": [("pillar",)],
     "rescan": [("d", "--noise", "range:0.02", "-o", "again", *ONE)],
 }
@@ -120,7 +124,7 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = {"small.toml", "scan.xyz", "n.onnx", "d", "w.xml", "run", "p.h5", "s.h5", "o.h5", "bench", "publish", "e.onnx"}
-ASKED |= {"p.png", "s.ply", "c.safetensors", "v.html", "r.png", "k", "again"}
+ASKED |= {"p.png", "s.ply", "c.safetensors", "v.html", "r.png", "k", "again", "i.html", "t"}
 FONTS = ".cache/matplotlib/"
 """Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a user's home besides the
 kernels."""

@@ -94,7 +94,7 @@ def bench(
         print(json.dumps(report))
     elif talk:
         show_tables(report)
-        say(f"\nwritten: {out / 'report.md'}, {out / 'report.json'}")
+        say(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")
         if options["study"] and not find_spec("matplotlib"):
             say(f"no pictures of the study: {needs('matplotlib', 'train')}")
 
@@ -113,23 +113,23 @@ def run_bench(
     warn: Callable[[str], None] = lambda line: None,
     **given: Any,
 ) -> dict[str, Any]:
-    """Measure as the `BenchConfig` of what is `given` says, write ``report.json`` and ``report.md`` into `out`, and
-    return the report. `warn` is told of networks that meet another sensor than in training.
+    """Measure as the `BenchConfig` of what is `given` says, write ``report.json``, ``report.md`` and
+    ``report.html`` into `out`, and return the report. `warn` is told of networks that meet another sensor than in
+    training.
 
     Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown method.
     """
     from scenegen.checkout import commit
     from scenegen.dataset.read import Dataset
     from scenegen.files import write_whole
+    from scenegen.model.evaluation.page import to_html
     from scenegen.model.evaluation.predicted import Predicted
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
 
-    methods = [*choose_methods(names), *map(_network, weights)]
+    methods = [*choose_methods(names), *map(network_row, weights)]
     predicted = None if predictions is None else Predicted(predictions)
-    named = [method.name for method in (*methods, *filter(None, (predicted,)))]
-    if twice := [name for name in named if named.count(name) > 1]:
-        raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
+    one_name_each((*methods, *filter(None, (predicted,))))
     datasets = [Dataset(folder) for folder in folders]
     kinds = [dataset.manifest.kind for dataset in datasets]
     if len(set(kinds)) < len(kinds):
@@ -161,10 +161,23 @@ def run_bench(
         raise DatasetError(f"{out}: cannot be made: {error.strerror}; choose another folder with --out") from None
     write_whole(out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
     write_whole(out / "report.md", to_markdown(report).encode())
+    pairs = zip(results, datasets, strict=True)
+    pictures = {result.kind: _failures(result, dataset, methods) for result, dataset in pairs}
+    write_whole(out / "report.html", to_html(report, pictures).encode())
     if config.study:
         for name, picture in draw_study(report).items():
             write_whole(out / name, picture)
     return report
+
+
+def _failures(result: Any, dataset: Any, methods: "Sequence[Method]") -> list[tuple[str, bytes]]:
+    """Pictures of failures; none without matplotlib."""
+    from scenegen.model.evaluation.failures import draw_failures
+
+    try:
+        return draw_failures(result, dataset, methods)
+    except ImportError:
+        return []
 
 
 def draw_study(report: dict[str, Any]) -> dict[str, bytes]:
@@ -207,7 +220,15 @@ def _method(name: str) -> "Method":
     return row
 
 
-def _network(weights: str) -> "Method":
+def one_name_each(methods: "Sequence[Method]") -> tuple[str, ...]:
+    """The methods' names. Raises ScenegenError where two have one."""
+    named = tuple(method.name for method in methods)
+    if twice := [name for name in named if named.count(name) > 1]:
+        raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
+    return named
+
+
+def network_row(weights: str) -> "Method":
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
     try:
         from scenegen.model.evaluation.pretrained import Pretrained

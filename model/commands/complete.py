@@ -1,16 +1,21 @@
-"""`scenegen complete`: predictions of a dataset's split, or of one scan."""
+"""`scenegen complete`: predictions of a dataset's split, of one scan, or of a folder of scans."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import rich_click as click
 
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
-from scenegen.terminal.options import device_option, out_option, quiet_option, split_option
+from scenegen.terminal.options import device_option, quiet_option, split_option
 from scenegen.terminal.progress import Progress, note
 from scenegen.terminal.show import say
-from scenegen.terminal.types import DatasetPath, Number
+from scenegen.terminal.types import DatasetPath, Number, OutputFile
+
+if TYPE_CHECKING:
+    from scenegen.model.completion.completer import Completer
 
 
 @click.command()
@@ -23,7 +28,11 @@ from scenegen.terminal.types import DatasetPath, Number
     help="A bundled name, a file, a run's folder, hf://…",
 )
 @split_option("test", help="The split of a dataset that is completed.")
-@out_option("File to write.  [default: predictions.h5, or <scan>.completed.h5]", file=True)
+@click.option(
+    *("-o", "--output", "--out", "out"),
+    type=OutputFile(folders=True),
+    help="File to write; of a folder of scans, a folder.  [default: predictions.h5, or <scan>.completed.h5]",
+)
 @click.option(
     "--sensor",
     type=(Number(), Number(), Number()),
@@ -43,18 +52,27 @@ def complete(
     batch: int,
     quiet: bool,
 ) -> None:
-    """Complete a dataset's split, or one scan (.ply, .xyz, .npy: points in metres, z up, sensor at the origin)."""
+    """Complete a dataset's split, or a scan, or all scans in a folder and below it, such as a sequence of KITTI's.
+
+    Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the origin.
+    """
     from scenegen.dataset.locate import locate
+    from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
-    from scenegen.files import make_parent
+    from scenegen.files import check_target, make_parent
     from scenegen.model.completion.completer import Completer
+    from scenegen.model.completion.points import scans_in
     from scenegen.model.completion.predictions import predict_scan, predict_split
     from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device
 
     completer = Completer.from_pretrained(weights, device=choose_device(device), batch=batch)
     found = locate(source, shown=not quiet)
+    if found.is_dir() and not (found / NAME).exists() and (scans := scans_in(found)):
+        _complete_all(completer, found, scans, out or Path(f"{found.resolve().name}.completed"), sensor, quiet)
+        return
     out = out or (Path("predictions.h5") if found.is_dir() else found.with_suffix(".completed.h5"))
+    check_target(out)
     make_parent(out)
     there = out.exists()
     if found.is_dir():
@@ -69,3 +87,39 @@ def complete(
             say(f"{found}: {used}")
     if not quiet:
         say(f"{'replaced' if there else 'written'}: {out}")
+
+
+def _complete_all(
+    completer: "Completer",
+    folder: Path,
+    scans: Sequence[Path],
+    out: Path,
+    sensor: tuple[float, float, float],
+    quiet: bool,
+) -> None:
+    """Complete each of the `scans` in `folder` into a file of the same name, but .h5, in the folder `out`.
+
+    Those that are there already are passed over. Raises DatasetError at the end where some could not be completed.
+    """
+    from scenegen.errors import DatasetError, printable
+    from scenegen.files import make_parent
+    from scenegen.model.completion.predictions import predict_scan
+    from scenegen.model.config import Thresholds
+
+    broken = 0
+    with Progress("complete", shown=not quiet) as progress:
+        progress.start(len(scans))
+        for scan in scans:
+            target = (out / scan.relative_to(folder)).with_suffix(".h5")
+            if not target.exists():
+                make_parent(target)
+                try:
+                    predict_scan(completer, scan, target, sensor=sensor, thresholds=Thresholds())
+                except DatasetError as error:
+                    broken += 1
+                    note(printable(error))
+            progress.count(1)
+    if broken:
+        raise DatasetError(f"{folder}: {broken} of {len(scans)} scans could not be completed; the others are in {out}")
+    if not quiet:
+        say(f"{out}: {len(scans)} completions")

@@ -1,9 +1,10 @@
-"""Clouds of points on disk: .ply, .xyz and .npy, read here so that no file takes more memory than it has content."""
+"""Clouds of points on disk, read here so that no file takes more memory than it has content."""
 
 import io
 import itertools
 import math
 import warnings
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,6 +20,8 @@ PLY_TYPES = {
     **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
 }
+MOST_SCANS = 100_000
+"""The most scans of a folder."""
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -114,5 +117,69 @@ def _numbers(text: bytes, columns: Sequence[int], most: int) -> NDArray[np.float
         return np.loadtxt(io.BytesIO(text), ndmin=2, usecols=columns, max_rows=most, encoding="ascii")
 
 
-READERS = {".ply": _read_ply, ".xyz": _read_xyz, ".npy": _read_npy}
+def _read_pcd(content: bytes) -> NDArray[np.generic]:
+    """The points of a PCD file, text or binary (pointclouds.org, "The PCD file format")."""
+    head, mark, rest = content[:MOST_HEADER_BYTES].partition(b"\nDATA ")
+    form = rest.partition(b"\n")[0].strip()
+    start = len(head) + len(mark) + len(rest.partition(b"\n")[0]) + 1
+    lines = [line.split() for line in head.decode("latin-1").splitlines() if line and line[0] != "#"]
+    said = {line[0]: line[1:] for line in lines if line}
+    if form not in (b"ascii", b"binary"):
+        raise ValueError(f"DATA is {printable(form.decode('latin-1'))[:30]!r}, expected ascii or binary")
+    names, count = said["FIELDS"], int(said["POINTS"][0])
+    if (
+        not 0 <= count <= MOST_POINTS
+        or not {"x", "y", "z"} <= set(names)
+        or len(set(names) - {"_"}) + names.count("_") < len(names)
+    ):
+        raise ValueError(f"promises {count} points of {' '.join(names)[:60]}, expected x, y and z once each")
+    repeats = list(map(int, said.get("COUNT", ["1"] * len(names))))
+    parts = [PCD_TYPES[kind + size] for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
+    if form == b"ascii":
+        starts = np.cumsum([0, *repeats])
+        points = _numbers(content[start:], [int(starts[names.index(axis)]) for axis in "xyz"], count)
+    else:
+        fields = [(f"{n}", f"<{part}", (many,)) for n, (part, many) in enumerate(zip(parts, repeats, strict=True))]
+        dtype = np.dtype(fields)
+        rows = np.frombuffer(content, dtype, count=min(count, (len(content) - start) // dtype.itemsize), offset=start)
+        points = np.stack([rows[str(names.index(axis))][:, 0].astype(np.float64) for axis in "xyz"], axis=1)
+    if len(points) != count:
+        raise ValueError(f"promises {count} points and holds {len(points)}")
+    return points
+
+
+def _read_bin(content: bytes) -> NDArray[np.generic]:
+    """KITTI's: x, y, z and intensity, float32, point after point."""
+    if len(content) % 16:
+        raise ValueError(f"{len(content)} bytes, expected four float32 a point as in KITTI")
+    return np.frombuffer(content, "<f4").reshape(-1, 4)
+
+
+def _read_npz(content: bytes) -> NDArray[np.generic]:
+    """The array `points` of NumPy's archive."""
+    with zipfile.ZipFile(io.BytesIO(content)) as members:
+        about = members.getinfo("points.npy")
+        if about.file_size > MOST_SCAN_BYTES:
+            raise ValueError(f"points of {about.file_size} bytes, expected {MOST_SCAN_BYTES} at most")
+        with members.open(about) as member:
+            return _read_npy(member.read(MOST_SCAN_BYTES))
+
+
+PCD_TYPES = {
+    **{f"{kind}{size}": f"{name}{size}" for kind, name in (("I", "i"), ("U", "u")) for size in (1, 2, 4, 8)},
+    **{"F4": "f4", "F8": "f8"},
+}
+"""numpy's names of a PCD's types, by TYPE and SIZE."""
+READERS = {
+    **{".ply": _read_ply, ".pcd": _read_pcd, ".bin": _read_bin, ".npz": _read_npz},
+    **{".xyz": _read_xyz, ".npy": _read_npy},
+}
 """File types of scans."""
+
+
+def scans_in(folder: Path) -> list[Path]:
+    """Files of these types in a folder and those below it, sorted. Raises DatasetError for more than `MOST_SCANS`."""
+    found = list(itertools.islice((path for path in folder.rglob("*") if path.suffix in READERS), MOST_SCANS + 1))
+    if len(found) > MOST_SCANS:
+        raise DatasetError(f"{folder}: holds more than {MOST_SCANS} scans; give a folder of fewer")
+    return sorted(found)

@@ -1,5 +1,6 @@
 """Completions on disk: a whole split of a dataset, or one scan that somebody recorded."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,18 +9,20 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lidarsim import GridSpec
 from lidarsim.limits import MOST_LENGTH_M
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, GuardError, empty_split
 from scenegen.files import open_bounded, whole, write_whole
-from scenegen.limits import GUARD_BYTES, GUARD_S
+from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.points import read_points
-from scenegen.model.completion.protocol import PARTS, SURE, Prediction
+from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, of_sample, of_scan
 from scenegen.model.uncertainty.calibration import RISK
+from scenegen.view.look import Look
 from scenegen.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
@@ -111,6 +114,41 @@ def predict_scan(
             if values is not None:
                 file[name] = values
     return used
+
+
+def read_completion(path: Path) -> Look:
+    """What `predict_scan` wrote to the .h5 file `path`, to be shown: `observed`, `predicted` at the paper's thresholds,
+    and the distances. Raises DatasetError for anything else."""
+    try:
+        with open_bounded(path, MOST_SCAN_BYTES):
+            pass
+        return guarded(_completion, path, seconds=GUARD_S, memory_bytes=GUARD_BYTES)
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such file") from None
+    except GuardError as error:
+        raise DatasetError(f"{path}: cannot be read as HDF5 ({error})") from None
+
+
+def _completion(path: Path) -> Look:
+    advice = "expected what `scenegen complete` wrote of a scan; of a split: scenegen render DATASET --predictions FILE"
+    try:
+        with h5py.File(path, "r") as file:
+            origin, voxel_m = np.array(file.attrs["origin"], np.float64), float(file.attrs["voxel"])
+            names = [name for name in ("observed", *PARTS) if name in file]
+            shape = file[names[0]].shape
+            if len(shape) != 3 or not 0 < math.prod(shape) <= MOST_VOXELS or not np.isfinite(origin).all():
+                raise ValueError("no map")
+            grid = GridSpec(shape=shape, voxel_m=voxel_m)
+            maps = {name: np.asarray(file[name]) for name in names}
+        parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
+        said = check_prediction(Prediction(**parts), shape, str(path))
+        place = origin + np.array(grid.extent_m) / 2
+        masks = {"observed": maps["observed"].astype(bool), "predicted": said.occupied(Thresholds())}
+        tudf = said.distance(Thresholds(), grid)
+        level = np.array([1.0, 0.0, 0.0, 0.0])
+        return Look(name=path.name, grid=grid, origin=origin, position=place, quaternion=level, masks=masks, tudf=tudf)
+    except Exception:  # h5py's errors share no base
+        raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
 
 
 def check_output(out: Path) -> None:

@@ -59,6 +59,8 @@ class DatasetResult:
     """(N,): the samples' worlds."""
     trial_worlds: NDArray[np.int64]
     """(trials,): the trials' worlds."""
+    trial_places: tuple[tuple[int, int], ...]
+    """Each trial's sample by its number in the split, and the trial's own number within the sample."""
     trial_clearance: NDArray[np.float64]
     """(trials,): the least clearance of the path that the planner finds on the truth, metres; NaN without a study."""
     excluded: Counter[str]
@@ -132,6 +134,7 @@ def bench(
         config=config,
         worlds=np.array([one.world for one in found]),
         trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
+        trial_places=tuple((found[n].index, turn) for turn, n in turns),
         trial_clearance=np.array([found[n].clearance[turn] for turn, n in turns], dtype=np.float64),
         difficulty=np.array([one.difficulty for one in found]),
         excluded=sum((one.excluded for one in found), start=Counter()),
@@ -165,7 +168,7 @@ def _work(
         truth = sample.occupancy, sample.tudf
         classes = classify(sample, lidar=dataset.lidar, grid=grid)
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
-        bounds = _world_bounds(dataset, sample.origin)
+        bounds = world_bounds(dataset, sample.origin)
         drawn = draw_trials(sample.occupancy, grid, config.plan, count=trials_each, rng=rng, bounds=bounds)
         trial = partial(run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan)
         seen = _seen(sample, split) if config.study else None
@@ -220,7 +223,7 @@ def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
     return seen_occupancy(sample, split)
 
 
-def _world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """The drawn world's box (2, 3) in the map frame, metres; None for worlds from MJCF files."""
     world = dataset.manifest.tables.get("world")
     return None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - origin

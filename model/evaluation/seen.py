@@ -9,13 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim import AnalyticEngine
 from lidarsim.solids.shapes import Solids
+from scenegen.dataset.archived import compile_archived
 from scenegen.dataset.read import Dataset, Split
-from scenegen.errors import BrokenError, DatasetError, SceneError
 from scenegen.model.completion.protocol import Prediction
 from scenegen.sample import Sample
-from scenegen.screen import screen
 from scenegen.truth import rasterize
-from scenegen.world import compile_world
 
 
 class Seen:
@@ -69,12 +67,6 @@ def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
 
 @lru_cache(maxsize=2)  # the samples of a world come one after the other
 def _world(folder: Path, split: str, number: int) -> tuple[Solids, AnalyticEngine]:
-    """The solids of an archived world, and what casts rays in it; the document is screened before MuJoCo sees it."""
-    files = Dataset(folder).world(split, number)
-    document, name = files.pop("world.xml"), f"{number:06d}.xml"
-    try:
-        screen(document, files, name)
-        solids = compile_world(document, files, name=name).solids
-    except (BrokenError, SceneError) as error:
-        raise DatasetError(f"{folder}: {error}; copy the dataset again, or generate it") from None
+    """The solids of an archived world, and what casts rays in it."""
+    solids = compile_archived(Dataset(folder), split, number).solids
     return solids, AnalyticEngine(solids, threads=1)

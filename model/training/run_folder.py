@@ -23,6 +23,7 @@ from scenegen.model.config import PROTOCOLS, NetworkConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.network import Network
 from scenegen.model.training.card import card
+from scenegen.model.training.curve import draw
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 FIGURES = frozenset({"val_loss"} | {f"val_{name}" for name, metric in METRICS.items() if metric.paper})
@@ -215,19 +216,11 @@ class RunFolder:
 
 
 def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
-    """Losses, IoU and Near-MAE by epoch, as PNG; None where matplotlib is not installed."""
+    """The curve of `scenegen.model.training.curve` as PNG; None where matplotlib is not installed."""
     try:
-        from matplotlib.figure import Figure
+        figure = draw(rows)
     except ImportError:
         return None
-    figure = Figure(figsize=(9, 3), layout="constrained")
-    panels = {"loss": ("train_loss", "val_loss"), "IoU": ("val_iou",), "Near-MAE, m": ("val_near_mae",)}
-    for axes, (title, names) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
-        for name in names:
-            axes.plot([row["epoch"] for row in rows], [row[name] for row in rows], marker=".", label=name)
-        axes.set(title=title, xlabel="epoch")
-        axes.grid(alpha=0.3)
-        axes.legend()
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=100)
     return memory.getvalue()

@@ -51,7 +51,7 @@ def convert(
             choices=choices,
             splits=chosen,
             on_start=progress.start,
-            on_sample=lambda: progress.count(1),
+            on_sample=progress.count,
         )
     for line in done.broken:
         note(line)

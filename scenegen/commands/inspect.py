@@ -1,6 +1,7 @@
-"""`scenegen inspect`: what is in a dataset."""
+"""What `scenegen inspect` does; the command itself stands where scans, predictions and runs are known."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,22 +9,86 @@ import rich_click as click
 
 from scenegen.mapping import Mapper
 from scenegen.terminal.options import dataset_argument, json_option
-from scenegen.terminal.show import rejections, show_table
+from scenegen.terminal.show import flat, per_split, rejections, show_table
+from scenegen.terminal.types import OutputFile
 
 
-@click.command()
-@dataset_argument
-@json_option
-def inspect(dataset: Path | str, as_json: bool) -> None:
-    """Print what is in a dataset: counts, sizes, and statistics of scans and truth."""
+def inspect_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of `show`."""
+    page = click.option("--html", "out", type=OutputFile(), help="Also write a page with histograms and pictures.")
+    return dataset_argument(page(json_option(function)))
+
+
+def show(
+    dataset: Path | str,
+    out: Path | None,
+    as_json: bool,
+    others: Callable[[Path], dict[str, Any] | None],
+    misfit: Callable[[Any], list[str]],
+) -> None:
+    """Print what is in a dataset, a folder of them, a world (.xml), or in what `others` knows, which gives None for the
+    rest. `misfit` tells of a grid what does not fit."""
     from scenegen.dataset.locate import locate
+    from scenegen.dataset.manifest import NAME
+    from scenegen.dataset.read import Dataset
     from scenegen.inspect import inspect as examine
+    from scenegen.inspect import inspect_all, inspect_world, misfits
+    from scenegen.terminal.progress import note
 
-    found = examine(locate(dataset, shown=not as_json))
-    if as_json:
-        print(json.dumps(found))
+    path = Path(dataset)
+    several = path.is_dir() and not (path / NAME).exists() and any(path.glob(f"*/{NAME}"))
+    facts = inspect_world(path) if path.suffix == ".xml" else None if several else others(path)
+    if out is not None and (several or facts is not None):
+        raise click.UsageError("--html: is for one dataset")
+    if several:
+        _show_all(inspect_all(path), as_json)
+    elif facts is not None:
+        if as_json:
+            print(json.dumps(facts))
+        else:
+            show_table({name: _plain(value) for name, value in flat(facts).items()})
     else:
-        _show(dataset, found)
+        folder = locate(dataset, shown=not as_json)
+        found = examine(folder, values=out is not None)
+        opened = Dataset(folder, partial=True)
+        mind = [*misfits(opened.grid, opened.lidar), *misfit(opened.grid)]
+        if out is not None:
+            _write_page(opened, found, mind, out)
+            for split in found["splits"].values():
+                del split["values"]
+        if as_json:
+            print(json.dumps(found | {"warnings": mind}))
+        else:
+            _show(dataset, found)
+            for line in mind:
+                note(f"note: {line}")
+
+
+def _write_page(dataset: Any, found: dict[str, Any], mind: list[str], page: Path) -> None:
+    from scenegen.files import make_parent, write_whole
+    from scenegen.view.statistics import statistics_page
+
+    content = statistics_page(dataset, found, mind)
+    make_parent(page)
+    write_whole(page, content.encode())
+
+
+def _plain(value: Any) -> Any:
+    """A value for people."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return ", ".join(str(_plain(one)) for one in value) or "none" if isinstance(value, list) else value
+
+
+def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(rows))
+        return
+    for row in rows:
+        told = row.get("fault") or (
+            f"{row['kind']}: {per_split(row['samples'])}, {str(row['digest'])[:8] if row['complete'] else 'incomplete'}"
+        )
+        show_table({row["folder"]: told})
 
 
 def _show(dataset: Path | str, found: dict[str, Any]) -> None:

@@ -7,21 +7,13 @@ from typing import Any
 from scenegen.publish.lock import LOCK
 from scenegen.publish.publication import PAPER, Publication
 from scenegen.publish.regenerate import ORIGINAL, source_file
+from scenegen.view.statistics import FIGURES
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 """Samples below which the Hub's size category is this."""
 TAGS = ("scene-completion", "3d", "occupancy", "distance-field", "lidar", "voxels", "robotics", "synthetic", "hdf5")
 MOST_NAMED = 50
 """Classes that a card names."""
-FIGURES = {
-    "occupied": ("voxels occupied", "%", 100),
-    "observed": ("voxels observed", "%", 100),
-    "free": ("voxels known to be free", "%", 100),
-    "returned": ("rays that return", "%", 100),
-    "range_m": ("mean range", "m", 1),
-    "tudf_m": ("mean distance", "m", 1),
-}
-"""Statistics of a sample: what they are called, their unit, and the factor to it."""
 
 
 def card(it: Publication) -> str:
@@ -50,8 +42,14 @@ def _pictures(it: Publication) -> str:
         f"{shown}\n\nFrom left to right: what the scan observed, what is there (both coloured by height), and how far "
         "the nearest occupied voxel is, in the level just below the sensor, from dark (0 m) to light "
         f"({it.manifest.grid.truncation_m:g} m). The dot is the sensor. Shown are "
-        f"{', '.join(caption for _, caption in it.pictures)}."
+        f"{', '.join(caption for _, caption in it.pictures)}." + _page(it)
     )
+
+
+def _page(it: Publication) -> str:
+    if not it.page:
+        return ""
+    return f"\n\nMore samples in three dimensions: download [{it.page}]({it.page}), and open it in a browser."
 
 
 def _fields(it: Publication) -> str:

@@ -43,6 +43,8 @@ class Publication:
     """Name and detail of every check that the dataset passed."""
     pictures: tuple[tuple[str, str], ...]
     """Name and caption of every picture."""
+    page: str = ""
+    """The name of the page to look at samples with; "" for none."""
 
     @property
     def name(self) -> str:

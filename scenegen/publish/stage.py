@@ -12,7 +12,7 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.read import Dataset
-from scenegen.errors import PublishError
+from scenegen.errors import DatasetError, PublishError
 from scenegen.files import write_whole
 from scenegen.inspect import inspect
 from scenegen.publish.card import card
@@ -23,11 +23,15 @@ from scenegen.publish.lock import LOCK, environment_lock
 from scenegen.publish.pictures import draw_sample
 from scenegen.publish.publication import Publication
 from scenegen.publish.regenerate import check_kind, check_source, command, source_file
+from scenegen.view.look import looks, spread
+from scenegen.view.page import check_grid, page
 
 MOST_FILES = 300
 """The most files of a published folder: the Hub, and people, work badly with more."""
 SHOWN = 4
 """How many samples are drawn as pictures."""
+PAGE, ON_PAGE = "look.html", 12
+"""The page to look at samples with, and how many it shows."""
 _BESIDES = 12
 """The most files that a published folder holds besides shards and archives."""
 
@@ -118,6 +122,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             lock=environment_lock(found.software, request.commit),
             checks=checks,
             pictures=_draw(dataset, draft),
+            page=_write_page(dataset, draft),
         )
         sums = {**files, manifest.NAME: file_sha256(draft / manifest.NAME)}
         texts = {
@@ -144,3 +149,15 @@ def _draw(dataset: Dataset, draft: Path) -> tuple[tuple[str, str], ...]:
         write_whole(draft / name, draw_sample(sample, dataset.grid.truncation_m))
         pictures.append((name, f"{split.name} sample {index} (world {sample.world}, viewpoint {sample.viewpoint})"))
     return tuple(pictures)
+
+
+def _write_page(dataset: Dataset, draft: Path) -> str:
+    """Write the page to look at some samples with. Returns its name; "" for grids that no browser takes."""
+    split = next(name for name in SPLITS if len(dataset.split(name)))
+    try:
+        check_grid(dataset.grid)
+    except DatasetError:
+        return ""
+    shown, notes = looks(dataset, split, spread(dataset, split, ON_PAGE))
+    write_whole(draft / PAGE, page(shown, title=f"{dataset.manifest.kind}, {split}", notes=notes).encode())
+    return PAGE

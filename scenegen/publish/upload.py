@@ -11,7 +11,7 @@ from scenegen.errors import PublishError, ScenegenError, needs
 from scenegen.publish.folder import SUMS
 from scenegen.publish.stage import Staged
 
-OURS = re.compile(r"(train|val|test)-\d{5}(\.h5|\.worlds\.zip)|pictures/(train|val|test)-\d+\.png", re.ASCII)
+OURS = re.compile(r"(train|val|test)-\d{5}(\.h5|\.worlds\.zip)|pictures/(train|val|test)-\d+\.png|look\.html", re.ASCII)
 """Files that another dataset of ours may have left in the repository; others there are let be."""
 TOKEN = "no token for the Hub: run `hf auth login`, or set HF_TOKEN, with one that may write; it is never an argument"
 

@@ -16,7 +16,7 @@ from scenegen.errors import ScenegenError, StoppedError, is_out_of_memory, needs
 from scenegen.terminal import stops
 from scenegen.terminal.streams import lost_output, open_streams
 
-EXTRAS = {"torch": "train", "safetensors": "train", "matplotlib": "view"}
+EXTRAS = {"torch": "train", "safetensors": "train", "matplotlib": "view", "mcap": "mcap", "rerun": "rerun"}
 """Packages that commands need beyond the core, and the extra that brings each."""
 MOST_REPEATED = 1000
 """Characters of a line about words that a user gave: it repeats them."""

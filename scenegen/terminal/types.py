@@ -58,10 +58,11 @@ class DatasetPath(click.ParamType):
 
 
 class OutputFile(click.Path):
-    """A file to write: a new one, or a regular one to replace."""
+    """A file to write: a new one, or a regular one to replace; with `folders`, also a folder that is there."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, folders: bool = False) -> None:
         super().__init__(path_type=Path)
+        self.folders = folders
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
         """The path, if a file may be written there."""
@@ -69,6 +70,8 @@ class OutputFile(click.Path):
         from scenegen.files import check_target
 
         path = Path(value)
+        if self.folders and path.is_dir():
+            return path
         try:
             check_target(path)
         except DatasetError as error:

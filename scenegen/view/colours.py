@@ -1,5 +1,6 @@
 """Colours of heights and of distances, as a few anchors between which they are linear."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,19 @@ DISTANCES: Anchors = ((33, 60, 160), (104, 160, 220), (246, 244, 224), (238, 140
 SENSOR = (214, 20, 60)
 MISSED, INVENTED = (222, 30, 150), (36, 36, 36)
 """Errors of a prediction: a magenta and a black, which Turbo has not, and which differ in brightness, too."""
+
+START, GOAL = (0, 128, 96), (214, 20, 60)
+"""Balls at the ends of a path, as in the paper."""
+PATHS = {"tudf": (0, 96, 200), "occ": (240, 140, 0), "proposed": (214, 20, 60)}
+"""Colours of paths by the names of the paper's networks, as in its figures."""
+OTHER_PATHS = ((0, 140, 90), (130, 60, 170), (110, 80, 40), (0, 150, 170))
+"""Colours of other methods' paths, the first of them green, in turn."""
+
+
+def path_colours(names: Sequence[str]) -> list[tuple[int, int, int]]:
+    """A colour for each of the methods called `names`."""
+    others = [name for name in names if name not in PATHS]
+    return [PATHS.get(name) or OTHER_PATHS[others.index(name) % len(OTHER_PATHS)] for name in names]
 
 
 def colour(shares: NDArray[Any], anchors: Anchors) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """What of a sample there is to be seen, read as far as its dataset is sound."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -10,10 +10,41 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Sensor
 from scenegen.dataset.read import Dataset, Split
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
 
 MASKS = ("observed", "free", "occupancy")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Route:
+    """A path that somebody planned, to be shown. Positions are metres in the world."""
+
+    start: NDArray[np.float64]
+    """Where it begins (3,)."""
+    goal: NDArray[np.float64]
+    """Where it is to lead (3,)."""
+    points: NDArray[np.float64] | None
+    """The path (n, 3); None where none was found."""
+    told: str
+    """What came of it, in a few words."""
+    fails: bool
+    """Whether no path was found, or one that meets an obstacle."""
+    hit: NDArray[np.float64] | None = None
+    """The centre of the first voxel in which it does (3,)."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Guess:
+    """What somebody predicts of a sample's map, to be shown beside the truth."""
+
+    name: str
+    occupied: NDArray[np.bool_]
+    """Voxels, of the grid's shape."""
+    tudf: NDArray[np.float32]
+    """Distances, of the grid's shape, metres."""
+    route: Route | None = None
+    """The path that was planned on these maps."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -40,6 +71,8 @@ class Look:
     """How many scans it has."""
     rays: int = 0
     """How many rays they have."""
+    guesses: tuple[Guess, ...] = ()
+    """What was predicted of it."""
     missing: tuple[str, ...] = ()
     """A line for each thing that could not be read."""
 
@@ -56,6 +89,13 @@ class Look:
                 found["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:
             found["mean distance"] = f"{self.tudf.mean():.2f} m"
+        for guess in self.guesses:
+            if (truth := self.masks.get("occupancy")) is not None:
+                missed, invented = (truth & ~guess.occupied).sum(), (guess.occupied & ~truth).sum()
+                union = max((truth | guess.occupied).sum(), 1)
+                found[guess.name] = f"IoU {1 - (missed + invented) / union:.3f}, {missed} missed, {invented} invented"
+            if guess.route is not None:
+                found[f"{guess.name}: path"] = guess.route.told
         return found
 
     def heading_deg(self) -> float:
@@ -102,41 +142,59 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
     )
 
 
-Layers = Callable[[Sample, Split], Mapping[str, NDArray[np.bool_]]]
-"""What a caller adds to a sample of a split: masks by name, of the grid's shape. Raises DatasetError for a sample that
-it knows nothing of."""
+Guesses = Callable[[Sample, Split], Sequence[Guess]]
+"""What is predicted of a sample of a split. Raises ScenegenError for a sample of which nothing is."""
+
+
+class UnreadableError(DatasetError):
+    """A sample cannot be shown at all."""
+
+
+def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Look:
+    """Sample `index` of a split as far as it can be read, with what `guesses` predicts of it.
+
+    Raises DatasetError for a number that the split has not, UnreadableError where nothing can be shown.
+    """
+    dataset, name = samples.dataset, f"{samples.name} {index}"
+    try:
+        look = look_at(samples[index], dataset.grid, dataset.lidar, name)
+    except IndexError as error:
+        raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
+    except DatasetError as error:
+        raise UnreadableError(f"{name} is not shown: {printable(error)}") from None
+    if guesses is None:
+        return look
+    try:
+        return replace(look, guesses=tuple(guesses(samples[index], samples)))
+    except ScenegenError as error:
+        line = f"{name}: what is predicted is not shown: {printable(error)}"
+        return replace(look, missing=(*look.missing, line))
 
 
 def looks(
-    dataset: Dataset, split: str, indices: Iterable[int], more: Layers | None = None
+    dataset: Dataset, split: str, indices: Iterable[int], guesses: Guesses | None = None
 ) -> tuple[list[Look], list[str]]:
-    """Samples of a split, with the layers that `more` gives, and a line for each thing that could not be read.
+    """Samples of a split, with what `guesses` predicts of them, and a line for each thing that could not be read.
 
     Raises DatasetError for a number that the split has not, and where no sample can be read at all.
     """
-    samples, found, notes = dataset.split(split), [], list[str]()
-    manifest = dataset.manifest
-    if not manifest.complete:
-        notes.append(f"the dataset is incomplete: {len(samples)} samples of its {split} split are there")
+    samples, found, notes = dataset.split(split), [], incomplete(dataset, split)
     for index in indices:
-        name = f"{split} {index}"
         try:
-            look = look_at(samples[index], dataset.grid, dataset.lidar, name)
-        except IndexError as error:
-            raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
-        except DatasetError as error:
-            notes.append(f"{name} is not shown: {printable(error)}")
-            continue
-        try:
-            added = more(samples[index], samples) if more is not None else {}
-        except DatasetError as error:
-            notes.append(f"{name}: nothing is added: {printable(error)}")
-            added = {}
-        found.append(replace(look, masks={**look.masks, **added}))
+            found.append(look_into(samples, index, guesses))
+        except UnreadableError as error:
+            notes.append(str(error))
     notes += [line for look in found for line in look.missing]
     if not found:
         raise DatasetError(notes[-1] if notes else f"{dataset.folder}: its {split} split is empty")
     return found, notes
+
+
+def incomplete(dataset: Dataset, split: str) -> list[str]:
+    """A line for a dataset that is incomplete; none for another."""
+    if dataset.manifest.complete:
+        return []
+    return [f"the dataset is incomplete: {len(dataset.split(split))} samples of its {split} split are there"]
 
 
 def spread(dataset: Dataset, split: str, most: int) -> list[int]:

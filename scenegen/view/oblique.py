@@ -1,59 +1,80 @@
 """A parallel view from above and aside: where points of the world come to lie on paper, and voxels as visible faces."""
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-AZIMUTH_RAD, ELEVATION_RAD = math.radians(-60), math.radians(32)
-"""Where the eye stands: between x and −y, above."""
-EYE = np.array(
-    [
-        math.cos(ELEVATION_RAD) * math.cos(AZIMUTH_RAD),
-        math.cos(ELEVATION_RAD) * math.sin(AZIMUTH_RAD),
-        math.sin(ELEVATION_RAD),
-    ]
-)
-"""Unit vector towards the eye (3,)."""
-RIGHT = np.array([-math.sin(AZIMUTH_RAD), math.cos(AZIMUTH_RAD), 0.0])
-UP = np.cross(EYE, RIGHT)
-FACES = (
-    ((0, 1), np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]]), 0.74),
-    ((1, -1), np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]]), 0.86),
-    ((2, 1), np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]), 1.0),
-)
-"""The three faces of a cube that the eye sees: axis and side, corners, and brightness."""
+CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+"""A face's, along the two axes that it spans."""
+SHADES = (0.74, 0.86, 1.0)
+"""Brightness of faces across x, y and z."""
 
 
-def project(points: Any) -> NDArray[np.float64]:
-    """Points (…, 3) of the world as (…, 2) on the paper, rightward and upward; lengths across the view are kept."""
-    return np.asarray(points, dtype=np.float64) @ np.stack([RIGHT, UP], axis=1)
+@dataclass(frozen=True)
+class View:
+    """Where the eye stands, above; angles are radians, the elevation between 0 and a quarter turn."""
+
+    azimuth: float = math.radians(-60)
+    """Counter-clockwise from x: between x and −y."""
+    elevation: float = math.radians(32)
+
+    @cached_property
+    def eye(self) -> NDArray[np.float64]:
+        """Unit vector towards the eye (3,)."""
+        level = math.cos(self.elevation)
+        return np.array(
+            [level * math.cos(self.azimuth), level * math.sin(self.azimuth), math.sin(self.elevation)], dtype=np.float64
+        )
+
+    @cached_property
+    def right(self) -> NDArray[np.float64]:
+        """Unit vector to the right on the paper (3,)."""
+        return np.array([-math.sin(self.azimuth), math.cos(self.azimuth), 0.0])
+
+    @cached_property
+    def up(self) -> NDArray[np.float64]:
+        """Unit vector upwards on the paper (3,)."""
+        return np.cross(self.eye, self.right)
+
+    def project(self, points: Any) -> NDArray[np.float64]:
+        """Points (…, 3) of the world as (…, 2) on the paper, rightward and upward; lengths across the view are kept."""
+        return np.asarray(points, dtype=np.float64) @ np.stack([self.right, self.up], axis=1)
 
 
-def visible_faces(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+VIEW = View()
+
+
+def visible_faces(
+    mask: NDArray[np.bool_], view: View = VIEW
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Faces of the voxels of `mask` (x, y, z) that look towards the eye and touch no other voxel: corners (F, 4, 3) in
-    voxels, each face's level z (F,), and its brightness (F,), in an order in which later ones hide earlier ones."""
-    corners, levels, light, order = [], [], [], []
+    voxels, each face's voxel (F, 3), and its brightness (F,), in an order in which later ones hide earlier ones."""
+    corners, voxels, light, order = [], [], [], []
     padded = np.pad(mask, 1)
-    for number, ((axis, side), shape, brightness) in enumerate(FACES):
-        open_side = ~np.roll(padded, -side, axis=axis)[1:-1, 1:-1, 1:-1]
+    sides = np.where(view.eye > 0, 1, -1)
+    for axis in range(3):
+        open_side = ~np.roll(padded, -sides[axis], axis=axis)[1:-1, 1:-1, 1:-1]
         places = np.argwhere(mask & open_side)
+        shape = np.insert(CORNERS, axis, int(sides[axis] > 0), axis=1)
         corners.append(places[:, None, :] + shape)
-        levels.append(places[:, 2])
-        light.append(np.full(len(places), brightness))
-        # rows of cubes, from the farthest to the nearest: x rises, y falls, z rises
-        far = (places[:, 0] * mask.shape[1] + mask.shape[1] - 1 - places[:, 1]) * mask.shape[2] + places[:, 2]
-        order.append(3 * far + number)
+        voxels.append(places)
+        light.append(np.full(len(places), SHADES[axis]))
+        # rows of cubes, from the farthest to the nearest
+        x, y, z = np.where(sides > 0, places, np.array(mask.shape) - 1 - places).T
+        order.append(3 * ((x * mask.shape[1] + y) * mask.shape[2] + z) + axis)
     nearest_last = np.argsort(np.concatenate(order), kind="stable")
     return (
         np.concatenate(corners)[nearest_last],
-        np.concatenate(levels)[nearest_last],
+        np.concatenate(voxels)[nearest_last],
         np.concatenate(light)[nearest_last],
     )
 
 
-def box_edges(low: Any, high: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def box_edges(low: Any, high: Any, view: View = VIEW) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The edges of a box, (3, 2, 3) that it hides itself, and (9, 2, 3) before it."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     hidden, front = list[NDArray[np.float64]](), list[NDArray[np.float64]]()
@@ -64,6 +85,6 @@ def box_edges(low: Any, high: Any) -> tuple[NDArray[np.float64], NDArray[np.floa
             ends[1, axis] = high[axis]
             for other, side in zip(others, corner, strict=True):
                 ends[:, other] = (low, high)[side][other]
-            away = all((side == 1) == (EYE[other] < 0) for other, side in zip(others, corner, strict=True))
+            away = all((side == 1) == (view.eye[other] < 0) for other, side in zip(others, corner, strict=True))
             (hidden if away else front).append(ends)
     return np.array(hidden), np.array(front)

@@ -4,6 +4,7 @@
   const data = JSON.parse(find("data").textContent);
   const make = (tag, text) => Object.assign(document.createElement(tag), { textContent: text ?? "" });
   const note = (text) => find("notes").append(Object.assign(make("div", text), { className: "note" }));
+  const live = data.live;
   find("title").textContent = data.title;
   data.notes.forEach(note);
 
@@ -58,32 +59,46 @@
     return [0, 1, 2].map((n) => anchors[low][n] + (at - low) * (anchors[low + 1][n] - anchors[low][n]));
   }
 
-  const GREY = { free: [120, 190, 230], unknown: [150, 150, 150], missed: data.colours.missed, invented: data.colours.invented };
+  // What a layer shows decides how it looks; layers of predictions stand after all others.
+  const PLAIN = { free: [120, 190, 230], unknown: [150, 150, 150], missed: data.colours.missed, invented: data.colours.invented };
   const CLEAR = { free: 0.12, unknown: 0.1 };
-  const names = new Set(["points", "rays"]);
-  for (const sample of data.samples) {
-    for (const name of Object.keys(sample.masks)) names.add(name);
-    if ("observed" in sample.masks && "free" in sample.masks) names.add("unknown");
+  const kinds = new Map([["points", "points"], ["rays", "rays"], ...data.masks.map((name) => [name, name])]);
+  if (kinds.has("observed") && kinds.has("free")) kinds.set("unknown", "unknown");
+  kinds.set("distances", "distances");
+  const methods = new Map(data.methods), rows = new Map();
+  for (const name of methods.keys()) {
+    kinds.set(name, "predicted");
+    for (const kind of ["missed", "invented"]) kinds.set(`${name}: ${kind}`, kind);
   }
-  names.add("distances");
-  const shown = new Set(["points", "occupancy"]);
+  if (methods.size) kinds.set("paths", "paths");
+  const names = [...kinds.keys()];
+  const shown = new Set(["points", "occupancy", "paths"]);
   const layers = {};
-  const boxes = [...names].map((name, n) => {
+  const boxes = names.map((name, n) => {
     const box = Object.assign(make("input"), { type: "checkbox", checked: shown.has(name), id: `show-${n}` });
-    const swatch = make("i");
-    const plain = name === "points" || name === "rays" ? [30, 30, 30] : GREY[name];
-    swatch.style.background = plain ? `rgb(${plain})` : css(name === "distances" ? data.colours.distances : data.colours.heights);
-    const label = make("label");
-    label.append(box, swatch, `${name}${n < 9 ? ` (${n + 1})` : ""}`);
+    const swatch = make("i"), kind = kinds.get(name);
+    const plain = ["points", "rays", "paths"].includes(kind) ? [30, 30, 30] : PLAIN[kind];
+    swatch.style.background = plain ? `rgb(${plain})` : css(kind === "distances" ? data.colours.distances : data.colours.heights);
+    const label = make("label"), short = kind === "missed" || kind === "invented";
+    label.append(box, swatch, make("span", short ? kind : n < 9 && kind !== "predicted" ? `${name} (${n + 1})` : name));
     box.onchange = () => {
       box.checked ? shown.add(name) : shown.delete(name);
-      fill(name);
+      if (sample) fill(name);
     };
-    find("layers").append(label);
+    if (kind === "predicted") {
+      const line = Object.assign(make("i"), { className: "line", title: "colour of its path" });
+      line.style.background = `rgb(${methods.get(name)})`;
+      label.append(line);
+      rows.set(name, Object.assign(make("div"), { className: "method" }));
+      find("layers").append(rows.get(name));
+    }
+    (rows.get(short ? name.slice(0, -kind.length - 2) : name) ?? find("layers")).append(label);
     return box;
   });
+  for (const name of ["truth", ...methods.keys()]) find("whose").append(Object.assign(make("option", name), { value: name }));
+  find("whose-row").hidden = !methods.size;
 
-  let current = -1, sample = null, fields = {}, turn = 0;
+  let current = -1, sample = null, fields = {}, turn = 0, placed = false;
   const cube = new THREE.BoxGeometry(1, 1, 1);
 
   function voxels(bits, name) {
@@ -99,12 +114,12 @@
         && inside(x, y, z - 1) && inside(x, y, z + 1)) continue; // nobody sees it
       places.push(x, y, z);
     }
-    const clear = CLEAR[name] ?? 1, count = places.length / 3;
+    const kind = kinds.get(name), clear = CLEAR[kind] ?? 1, count = places.length / 3;
     const material = new THREE.MeshLambertMaterial({ transparent: clear < 1, opacity: clear, depthWrite: clear === 1 });
     const mesh = new THREE.InstancedMesh(cube, material, count);
-    const size = sample.voxel * (clear < 1 ? 0.6 : name in GREY ? 1.02 : name === "observed" ? 1.01 : 0.98); // outer ones win
+    const size = sample.voxel * (clear < 1 ? 0.6 : kind in PLAIN ? 1.02 : kind === "observed" ? 1.01 : 0.98); // outer ones win
     const place = new THREE.Matrix4().makeScale(size, size, size), colour = new THREE.Color();
-    const heights = Array.from({ length: nz }, (_, z) => rgb(GREY[name] ?? ramp(data.colours.heights, z / Math.max(nz - 1, 1))));
+    const heights = Array.from({ length: nz }, (_, z) => rgb(PLAIN[kind] ?? ramp(data.colours.heights, z / Math.max(nz - 1, 1))));
     for (let n = 0; n < count; n++) {
       const [x, y, z] = [places[3 * n], places[3 * n + 1], places[3 * n + 2]];
       place.setPosition((x + 0.5) * sample.voxel, (y + 0.5) * sample.voxel, (z + 0.5) * sample.voxel);
@@ -125,14 +140,14 @@
   }
 
   function slice() {
-    const axis = +find("axis").value, level = +find("level").value, shape = sample.shape;
+    const axis = +find("axis").value, level = +find("level").value, shape = sample.shape, tudf = fields.tudf[find("whose").value];
     const [u, v] = [0, 1, 2].filter((n) => n !== axis);
     const pixels = new Uint8Array(4 * shape[u] * shape[v]), place = [0, 0, 0];
     place[axis] = level;
     for (let j = 0; j < shape[v]; j++) for (let i = 0; i < shape[u]; i++) {
       place[u] = i;
       place[v] = j;
-      const value = fields.tudf[(place[0] * shape[1] + place[1]) * shape[2] + place[2]] / 255;
+      const value = tudf[(place[0] * shape[1] + place[1]) * shape[2] + place[2]] / 255;
       pixels.set([...ramp(data.colours.distances, value), 255], 4 * (j * shape[u] + i));
     }
     const texture = new THREE.DataTexture(pixels, shape[u], shape[v]);
@@ -153,8 +168,35 @@
     return new THREE.Mesh(plane, new THREE.MeshBasicMaterial({ map: texture, side: THREE.DoubleSide }));
   }
 
+  function ball(place, radius, colour) {
+    const made = new THREE.Mesh(new THREE.SphereGeometry(radius, 24, 16), new THREE.MeshLambertMaterial({ color: rgb(colour) }));
+    made.position.set(...place);
+    return made;
+  }
+
+  const large = () => sample.voxel * Math.max(0.02 * Math.max(...sample.shape), 0.5); // of a ball that one should see
+
+  function routes() {
+    const all = new THREE.Group(), thick = 0.3 * sample.voxel;
+    for (const { name, route } of sample.guesses) {
+      if (!route) continue;
+      if (!all.children.length) all.add(ball(route.start, 1.1 * large(), data.colours.start), ball(route.goal, large(), data.colours.goal));
+      const material = new THREE.MeshLambertMaterial({ color: rgb(methods.get(name)) });
+      if (route.hit) all.add(ball(route.hit, 2.4 * thick, data.colours.invented));
+      route.points.slice(1).forEach((to, n) => {
+        const from = new THREE.Vector3(...route.points[n]), end = new THREE.Vector3(...to);
+        all.add(new THREE.Mesh(new THREE.TubeGeometry(new THREE.LineCurve3(from, end), 1, thick, 8), material));
+        const joint = new THREE.Mesh(new THREE.SphereGeometry(thick, 8, 6), material);
+        joint.position.copy(end);
+        all.add(joint);
+      });
+    }
+    return all.children.length && all;
+  }
+
   function built(name) {
-    if (name === "distances") return fields.tudf && slice();
+    if (name === "distances") return fields.tudf[find("whose").value] && slice();
+    if (name === "paths") return routes();
     if (name === "points" && fields.points) {
       const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(fields.points, 3));
       return new THREE.Points(shape, new THREE.PointsMaterial({ color: 0x111111, size: 3, sizeAttenuation: false }));
@@ -167,10 +209,12 @@
     const old = layers[name];
     if (!old) return;
     scene.remove(old);
-    if (old.geometry !== cube) old.geometry.dispose();
-    old.material.map?.dispose();
-    old.material.dispose();
-    old.dispose?.();
+    old.traverse((part) => {
+      if (part.geometry !== cube) part.geometry?.dispose();
+      part.material?.map?.dispose();
+      part.material?.dispose();
+      part.dispose?.();
+    });
     delete layers[name];
   }
 
@@ -190,10 +234,7 @@
     const size = sample.shape.map((count) => count * sample.voxel);
     const box = new THREE.Box3(new THREE.Vector3(), new THREE.Vector3(...size));
     scene.add(layers["#box"] = new THREE.Box3Helper(box, 0x39414b));
-    const ball = new THREE.SphereGeometry(Math.max(0.02 * Math.max(...size), 0.5 * sample.voxel), 24, 16);
-    const sensor = new THREE.Mesh(ball, new THREE.MeshLambertMaterial({ color: rgb(data.colours.sensor) }));
-    sensor.position.set(...fields.sensor);
-    scene.add(layers["#sensor"] = sensor);
+    scene.add(layers["#sensor"] = ball(fields.sensor, large(), data.colours.sensor));
     ["x", "y", "z"].forEach((name, axis) => {
       const sign = Object.assign(make("canvas"), { width: 256, height: 64 }), ink = sign.getContext("2d");
       ink.font = "40px system-ui, sans-serif";
@@ -210,6 +251,7 @@
   }
 
   function view(top) {
+    if (!sample) return;
     const size = sample.shape.map((count) => count * sample.voxel), far = Math.hypot(...size);
     controls.target.set(size[0] / 2, size[1] / 2, size[2] / 2);
     const way = top ? [0, -0.001, 1.3] : [0.53, -0.9, 0.71], back = far * Math.max(1, 1.2 / camera.aspect);
@@ -221,38 +263,81 @@
     draw();
   }
 
+  // Sample `number`, of a split where there is a server to ask; the last few are kept.
+  const kept = new Map();
+  function fetched(number) {
+    if (!live) return data.samples[number];
+    const place = `sample/${find("dataset").value}/${find("split").value}/${number}`;
+    const asked = kept.get(place) ?? fetch(place).then((answer) => answer.json()).catch(() => {
+      kept.delete(place);
+      return { error: "The server does not answer; is scenegen view still running?" };
+    });
+    kept.delete(place);
+    kept.set(place, asked);
+    if (kept.size > 8) kept.delete(kept.keys().next().value);
+    return asked;
+  }
+
+  const splits = () => live.datasets[+find("dataset").value].splits;
+  const count = () => (live ? splits()[find("split").value] ?? 0 : data.samples.length);
+  const which = live ? find("number") : find("which");
+
   async function show(number) {
     const began = performance.now(), mine = ++turn;
-    const next = data.samples[Math.min(Math.max(number, 0), data.samples.length - 1)];
-    const found = { masks: {}, sensor: next.position.map((value, n) => value - next.origin[n]) };
+    number = Math.min(Math.max(number, 0), count() - 1);
+    const on = number + Math.sign(number - current); // where one seems to be going
+    const next = count() ? await fetched(number) : { error: "This split is empty." };
+    if (mine !== turn) return; // another was asked for meanwhile
+    if (live) {
+      find("notes").replaceChildren();
+      [...(next.notes ?? []), ...(next.missing ?? []), ...(next.error ? [next.error] : [])].forEach(note);
+    }
+    if (next.error) {
+      Object.keys(layers).forEach(drop);
+      [sample, current] = [null, number];
+      which.value = number;
+      find("figures").replaceChildren();
+      document.body.dataset.sample = current;
+      draw();
+      return;
+    }
+    const found = { masks: {}, tudf: {}, sensor: next.position.map((value, n) => value - next.origin[n]) };
     for (const [name, text] of Object.entries(next.masks)) found.masks[name] = await unpack(text);
-    const { observed, free } = found.masks;
+    const { observed, free, occupancy } = found.masks;
     if (observed && free) found.masks.unknown = observed.map((byte, n) => ~(byte | free[n]));
-    if (next.tudf) found.tudf = await unpack(next.tudf);
+    if (next.tudf) found.tudf.truth = await unpack(next.tudf);
+    for (const { name, mask, tudf } of next.guesses) {
+      const bits = found.masks[name] = await unpack(mask);
+      found.tudf[name] = await unpack(tudf);
+      if (!occupancy) continue;
+      found.masks[`${name}: missed`] = occupancy.map((byte, n) => byte & ~bits[n]);
+      found.masks[`${name}: invented`] = bits.map((byte, n) => byte & ~occupancy[n]);
+    }
     if (next.points) {
       const whole = new Int16Array((await unpack(next.points)).buffer);
       found.points = Float32Array.from(whole, (value, n) => (value / 32767) * next.reach + found.sensor[n % 3]);
     }
-    if (mine !== turn) return; // another was asked for meanwhile
-    const first = sample === null, levels = sample?.shape[+find("axis").value];
-    [sample, fields, current] = [next, found, data.samples.indexOf(next)];
-    find("which").value = current;
+    if (mine !== turn) return;
+    const first = !placed || `${sample?.shape}` !== `${next.shape}`, levels = sample?.shape[+find("axis").value];
+    [sample, fields, current, placed] = [next, found, number, true];
+    which.value = current;
     if (levels !== sample.shape[+find("axis").value]) middle();
     frame();
     names.forEach(fill);
-    const rows = {
+    const said = {
       position: sample.position.map((value) => value.toFixed(2)).join(", ") + " m",
       heading: `${sample.heading.toFixed(1)}°`,
       grid: `${sample.shape.join(" × ")} of ${sample.voxel} m`,
       ...sample.figures,
     };
-    find("figures").replaceChildren(...Object.entries(rows).map(([name, value]) => {
+    find("figures").replaceChildren(...Object.entries(said).map(([name, value]) => {
       const row = make("tr");
       row.append(make("td", name), make("td", value));
       return row;
     }));
     legend();
     if (first) view(false);
+    if (live && on !== number && on >= 0 && on < count()) fetched(on);
     document.body.dataset.sample = current;
     document.body.dataset.milliseconds = Math.round(performance.now() - began);
   }
@@ -278,24 +363,41 @@
   }
 
   function step(slices) {
+    if (!sample) return;
     find("level").value = +find("level").value + slices;
-    if (!shown.has("distances")) boxes[[...names].indexOf("distances")].click();
+    if (!shown.has("distances")) boxes[names.indexOf("distances")].click();
     else fill("distances");
   }
 
   data.samples.forEach((one, n) => find("which").append(Object.assign(make("option", one.name), { value: n })));
-  find("which").onchange = () => show(+find("which").value);
+  which.onchange = () => show(Math.round(+which.value) || 0);
+  find("whose").onchange = () => step(0);
+  if (live) {
+    find("which").hidden = true;
+    find("split").hidden = find("number").hidden = false;
+    const offer = (split) => {
+      const options = Object.entries(splits()).map(([name, most]) => Object.assign(make("option", `${name}: ${most}`), { value: name }));
+      find("split").replaceChildren(...options);
+      if (split in splits()) find("split").value = split;
+    };
+    live.datasets.forEach(({ name }, n) => find("dataset").append(Object.assign(make("option", name), { value: n })));
+    find("dataset-row").hidden = live.datasets.length < 2;
+    find("title").hidden = live.datasets.length > 1;
+    find("dataset").onchange = () => { offer(find("split").value); show(0); };
+    find("split").onchange = () => show(0);
+    offer(live.split);
+  }
   find("before").onclick = () => show(current - 1);
   find("next").onclick = () => show(current + 1);
   find("axis").onchange = () => { middle(); step(0); };
   find("level").oninput = () => step(0);
   const keys = {
     ArrowLeft: () => show(current - 1), ArrowRight: () => show(current + 1),
-    Home: () => show(0), End: () => show(data.samples.length - 1),
+    Home: () => show(0), End: () => show(count() - 1),
     ArrowUp: () => step(1), ArrowDown: () => step(-1), r: () => view(false), t: () => view(true),
   };
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select, #number")) return;
     if (event.target.matches("input[type=range]") && event.key.length > 1) return; // arrows are the slider's own
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (act) act();
@@ -314,5 +416,5 @@
   }
   new ResizeObserver(resize).observe(canvas);
   resize();
-  await show(0);
+  await show(live ? live.index : 0);
 })();

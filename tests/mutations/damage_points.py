@@ -9,6 +9,7 @@ from random import Random
 
 import numpy as np
 
+from scenegen.points import encode_points
 from tests.mutations.case import Attempt, refuses
 from tests.mutations.damage_bytes import damage
 from tests.mutations.damage_weights import _holds, _Owned
@@ -18,13 +19,19 @@ from tests.mutations.valid import Valid
 
 POINTS = np.random.default_rng(1).uniform(-1.5, 1.5, (20, 3))
 
+WRITTEN = (".pcd", ".bin", ".npz")
+"""Files as `scenegen scan` writes them, damaged anywhere."""
+
 
 def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     """A damaged scan, completed."""
-    suffix = random.choice((".ply", ".ply", ".npy", ".xyz"))
+    suffix = random.choice((".ply", ".ply", ".npy", ".xyz", *WRITTEN))
     path = here / f"scan{suffix}"
     must_fail = False
-    if random.random() < 0.2:
+    if suffix in WRITTEN:
+        content, said = damage(encode_points(suffix, POINTS), random)
+        path.write_bytes(content)
+    elif random.random() < 0.2:
         content, said = damage((valid.folder / path.name).read_bytes(), random)
         path.write_bytes(content)
     elif random.random() < 0.08:

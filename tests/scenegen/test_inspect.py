@@ -1,6 +1,7 @@
 """What `inspect` says of a dataset is what a reader of its HDF5 files counts."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,11 @@ import h5py
 import numpy as np
 import pytest
 
+from lidarsim import GridSpec, Lidar
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
-from scenegen.inspect import inspect
+from scenegen.inspect import inspect, misfits
 from scenegen.source import DrawnWorlds
 from tests.command_line import run
 from tests.conftest import picky_recipe
@@ -157,3 +159,69 @@ def test_an_unfinished_dataset_is_told_as_far_as_it_is(tmp_path: Path) -> None:
 def test_a_folder_that_holds_no_dataset_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="not a dataset"):
         inspect(tmp_path)
+
+
+HOSTILE = "<script>alert(1)</script>"
+
+
+def test_a_page_has_histograms_of_all_that_was_measured_and_runs_nothing(
+    full: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.view.still.DPI", 30)
+    folder = tmp_path / HOSTILE.replace("/", "|")
+    shutil.copytree(full, folder)
+    code, said, _ = run(capsys, "inspect", folder, "--html", tmp_path / "page.html", "--json")
+    assert code == 0
+    found = json.loads(said)
+    assert "values" not in found["splits"]["train"]
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    assert "default-src 'none'" in text
+    assert text.count("<figure>") == len(KEYS) * len(found["splits"])
+    assert text.count("<img ") == len(found["splits"])
+    mean = found["splits"]["train"]["statistics"]["tudf_m"]["mean"]
+    assert f"{mean:.2f} ± " in text
+    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".html"] == ["page.html"]
+
+
+def test_a_folder_of_datasets_is_listed(full: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(full, tmp_path / "good")
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "dataset.json").write_text("{")
+    (tmp_path / "else").mkdir()
+    code, said, _ = run(capsys, "inspect", tmp_path, "--json")
+    assert code == 0
+    bad, good = json.loads(said)
+    assert good["samples"] == COUNTS
+    assert good["digest"] == inspect(full)["digest"]
+    assert "dataset.json" in bad["fault"]
+    code, said, _ = run(capsys, "inspect", tmp_path)
+    assert (code, said.count("\n")) == (0, 2)
+    code, _, said = run(capsys, "inspect", tmp_path, "--html", tmp_path / "x.html")
+    assert (code, said.count("\n")) == (2, 1)
+
+
+def test_what_does_not_fit_is_told(full: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Shares of the map against a count of random places."""
+    rng = np.random.default_rng(0)
+    for shape, reach in (((80, 80, 40), 10.0), ((255, 255, 64), 10.0), ((80, 80, 80), 6.0)):
+        grid = GridSpec(shape=shape)
+        places = rng.uniform(-0.5, 0.5, (20_000, 3)) * grid.extent_m
+        beyond = (np.linalg.norm(places, axis=1) > reach).mean()
+        told = misfits(grid, Lidar(max_range_m=reach))
+        assert bool(told) == (beyond > 0.4)
+        if told:
+            assert abs(float(told[0].split()[0]) - 100 * beyond) < 4
+    code, _, noted = run(capsys, "inspect", full)
+    assert (code, noted) == (0, "")
+
+
+def test_a_world_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "w.xml").write_text(
+        "<mujoco><worldbody><geom size='1' pos='0 0 5'/><geom type='box' size='1 1 1'/>"
+        "<geom type='box' size='9 9 .1'/></worldbody></mujoco>"
+    )
+    code, said, _ = run(capsys, "inspect", tmp_path / "w.xml", "--json")
+    assert code == 0
+    assert json.loads(said)["solids"] == {"spheres": 1, "boxes": 2}

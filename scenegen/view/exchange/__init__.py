@@ -1,4 +1,7 @@
-"""Datasets in other programs' formats, one a file: a format says which files a sample becomes, and what is in them."""
+"""Datasets in other programs' formats, one a file: a format says which files a sample becomes, and what is in them.
+
+A format with a number `together` puts so many samples into one file; its `encode` takes a list of numbers and samples.
+"""
 
 from lidarsim.registry import Registry
 
@@ -10,6 +13,9 @@ FORMATS = Registry(
         "ply": "scenegen.view.exchange.clouds:Ply",
         "pcd": "scenegen.view.exchange.clouds:Pcd",
         "octomap": "scenegen.view.exchange.octomap:OctoMap",
+        "webdataset": "scenegen.view.exchange.webdataset:WebDataset",
+        "mcap": "scenegen.view.exchange.mcap:Mcap",
+        "rerun": "scenegen.view.exchange.rerun:Rerun",
     },
     needs={
         "names": "a method: (split, number) -> the files of a sample",

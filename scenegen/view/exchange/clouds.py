@@ -1,6 +1,7 @@
 """A sample's returns as a cloud of points: .ply and .pcd; or all of a sample as NumPy's .npz."""
 
 import io
+import zipfile
 
 import numpy as np
 
@@ -49,5 +50,9 @@ class Npz(_Cloud):
         file = io.BytesIO()
         fields = {name: getattr(sample, name) for name in sample.names}
         points = sample.points(lidar, frame=self.choices.frame)
-        np.savez_compressed(file, allow_pickle=False, **fields, points=points, voxel_m=np.float64(grid.voxel_m))
+        fields |= {"points": points, "voxel_m": np.float64(grid.voxel_m)}
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:  # NumPy has no levels
+            for name, values in fields.items():
+                with members.open(f"{name}.npy", "w") as member:
+                    np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
         return (file.getvalue(),)

@@ -6,12 +6,14 @@ import time
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 import torch
 
 import scenegen.model.training.run_folder
 from scenegen import __main__ as cli
 from scenegen.model.evaluation.metrics import METRICS
+from scenegen.points import write_points
 from scenegen.terminal import stops
 from tests.command_line import run
 from tests.model.commands.test_bench import here
@@ -46,6 +48,24 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     assert code == 0
     report = json.loads((here / "bench" / "report.json").read_text())["reconstruction"]["pillar"]
     assert report["proposed"]["near_mae"]["mean"] == pytest.approx(report["predicted"]["near_mae"]["mean"], abs=1e-4)
+    scans = [here / "drive" / "velodyne" / f"{n:06d}.bin" for n in range(2)]
+    for scan in scans:
+        write_points(scan, np.random.default_rng(0).uniform(-1, 1, (50, 3)), None, {})
+    words = ("complete", "drive", "--weights", "runs/proposed", "--device", "cpu")
+    code, said, _ = run(capsys, *words)
+    assert (code, said) == (0, "drive.completed: 2 completions\n")
+    made = sorted((here / "drive.completed").rglob("*.h5"))
+    assert [path.relative_to(here / "drive.completed") for path in made] == [
+        scan.relative_to(here / "drive").with_suffix(".h5") for scan in scans
+    ]
+    made[0].unlink()
+    kept = made[1].stat().st_mtime_ns
+    (here / "drive" / "broken.pcd").write_bytes(b"")
+    code, _, said = run(capsys, *words, "--quiet")  # goes on
+    assert (code, said.count("\n")) == (1, 2)
+    assert "broken.pcd" in said
+    assert made[0].exists()
+    assert made[1].stat().st_mtime_ns == kept
 
 
 def test_a_stream_trains_without_a_dataset(here: Path, small: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,13 +1,16 @@
 """Clouds of points: what three formats hold comes back, and files that promise more than they hold are refused."""
 
+import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
 from scenegen.errors import DatasetError
-from scenegen.model.completion.points import read_points
+from scenegen.model.completion.points import read_points, scans_in
+from scenegen.points import write_points
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
 HEAD = "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
@@ -90,3 +93,68 @@ def test_files_that_do_not_hold_what_they_promise_are_refused(
         read_points(tmp_path / name)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".bin", ".npz", ".ply"])
+def test_what_scan_writes_comes_back(tmp_path: Path, suffix: str) -> None:
+    points = np.random.default_rng(0).normal(size=(70, 3)).astype(np.float32)
+    for intensity in (None, np.linspace(0, 1, 70)):
+        write_points(tmp_path / f"scan{suffix}", points.astype(np.float64), intensity, {})
+        np.testing.assert_array_equal(read_points(tmp_path / f"scan{suffix}"), points)
+
+
+PCD = "VERSION .7\nFIELDS {fields}\nSIZE {size}\nTYPE {type}\nCOUNT {count}\nWIDTH {n}\nPOINTS {n}\nDATA {form}\n"
+
+
+def pcd(form: str, n: int = 3, **said: str) -> bytes:
+    usual = {"fields": "intensity _ z y x", "size": "2 1 8 4 4", "type": "U U F F F", "count": "1 3 1 1 1"}
+    return PCD.format(**{**usual, "form": form, "n": n, **said}).encode()
+
+
+def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path: Path) -> None:
+    points = np.random.default_rng(1).normal(size=(3, 3)).astype(np.float32).astype(np.float64)
+    text = "".join(f"7 0 0 0 {z!r} {y!r} {x!r}\n" for x, y, z in points.tolist())
+    (tmp_path / "text.pcd").write_bytes(b"# made by hand\n" + pcd("ascii") + text.encode())
+    rows = b"".join(struct.pack("<HBBBdff", 7, 0, 0, 0, z, y, x) for x, y, z in points)
+    (tmp_path / "binary.pcd").write_bytes(pcd("binary") + rows)
+    for name in ("text", "binary"):
+        np.testing.assert_array_equal(read_points(tmp_path / f"{name}.pcd"), points)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("short.pcd", pcd("binary", 4) + bytes(3 * 21)),
+        ("packed.pcd", pcd("binary_compressed") + bytes(63)),
+        ("flat.pcd", pcd("binary", fields="intensity _ z y w") + bytes(63)),
+        ("twice.pcd", pcd("binary", fields="x _ z y x") + bytes(63)),
+        ("many.pcd", pcd("binary", 10**12) + bytes(63)),
+        ("odd.pcd", pcd("binary", type="U U F F Q") + bytes(63)),
+        ("huge.pcd", pcd("binary", count="1 999999999 1 1 1") + bytes(63)),
+        ("below.pcd", pcd("binary", count="1 -3 1 1 1") + bytes(63)),
+        ("headless.pcd", b"DATA binary\n"),
+        ("odd.bin", bytes(17)),
+        ("empty.bin", b""),
+        ("none.npz", b"PK\x05\x06" + bytes(18)),
+    ],
+)
+def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(DatasetError, match=name):
+        read_points(tmp_path / name)
+
+
+def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("scenegen.model.completion.points.MOST_SCAN_BYTES", 10_000)
+    np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
+    assert (tmp_path / "bomb.npz").stat().st_size < 10_000
+    with pytest.raises(DatasetError, match="10000 at most"):
+        read_points(tmp_path / "bomb.npz")
+
+
+def test_a_folder_s_scans_are_found_below_it(tmp_path: Path) -> None:
+    for name in ("00/velodyne/000001.bin", "00/velodyne/000000.bin", "01/a.pcd", "01/times.txt"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    found = [str(path.relative_to(tmp_path)) for path in scans_in(tmp_path)]
+    assert found == ["00/velodyne/000000.bin", "00/velodyne/000001.bin", "01/a.pcd"]

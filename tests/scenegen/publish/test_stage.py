@@ -27,6 +27,7 @@ from scenegen.recipe import read_recipe
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
+from tests.scenegen.view.test_page import Seen
 
 CHECKS = (("files", "14 files hold"),)
 
@@ -60,6 +61,13 @@ def test_every_file_is_listed_with_its_digest(out: Path) -> None:
     for digest, name in lines:
         assert hashlib.sha256((out / name).read_bytes()).hexdigest() == digest
     assert not [path for path in out.rglob("*") if path.is_symlink()]
+
+
+def test_the_page_shows_its_samples_and_the_card_leads_there(out: Path) -> None:
+    data = Seen((out / "look.html").read_text(encoding="utf-8")).data()
+    assert len(data["samples"]) == COUNTS["train"]
+    assert data["notes"] == []
+    assert "(look.html)" in (out / "README.md").read_text()
 
 
 def test_the_cards_own_lines_read_it_with_plain_h5py(out: Path) -> None:

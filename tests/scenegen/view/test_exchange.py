@@ -2,6 +2,8 @@
 
 import json
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +11,16 @@ import numpy as np
 import pytest
 import trimesh
 
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
+from scenegen.single import read_world
 from scenegen.view.exchange import FORMATS
 from scenegen.view.exchange.choices import Choices
 from scenegen.view.exchange.convert import STATE, convert
+from scenegen.view.exchange.rerun import rerun as import_rerun
 from tests.command_line import run
+from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
 
 def converted(made: Path, out: Path, to: str, **choices: Any) -> Path:
@@ -153,7 +159,7 @@ def test_a_stopped_conversion_goes_on(made: Path, tmp_path: Path) -> None:
     whole, out, choices = converted(made, tmp_path / "whole", "semantickitti"), tmp_path / "out", Choices()
     form, seen = FORMATS.find("semantickitti")(choices), 0
 
-    def stop() -> None:
+    def stop(count: int) -> None:
         nonlocal seen
         seen += 1
         if seen == 1:
@@ -208,3 +214,149 @@ def test_a_format_of_ones_own(made: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert code == 0, said
     for number, sample in enumerate(Dataset(made).split("test")):
         assert int((tmp_path / "out" / f"test-{number}.txt").read_text()) == sample.occupancy.sum()
+
+
+SENSED = ("observed", "free", "occupancy")
+
+
+def test_webdataset_s_own_loader_finds_every_sample(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    webdataset = pytest.importorskip("webdataset", reason="webdataset is not installed")
+    monkeypatch.setattr("scenegen.view.exchange.webdataset.WebDataset.together", 2)
+    out = converted(made, tmp_path / "out", "webdataset")
+    samples = list(Dataset(made).split("val"))
+    shards = sorted(map(str, out.glob("val-*.tar")))
+    assert len(shards) == -(-len(samples) // 2)
+    found = list(webdataset.WebDataset(shards, shardshuffle=False).decode())
+    assert [one["__key__"] for one in found] == [f"{n:06d}" for n in range(len(samples))]
+    for one, sample in zip(found, samples, strict=True):
+        assert one["json"]["world"] == sample.world
+        for name in (*SENSED, "tudf"):
+            np.testing.assert_array_equal(one["npz"][name], getattr(sample, name))
+    again = converted(made, tmp_path / "again", "webdataset")
+    assert [path.read_bytes() for path in sorted(again.glob("*.tar"))] == [Path(path).read_bytes() for path in shards]
+
+
+def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made: Path, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+    ros2 = pytest.importorskip("mcap_ros2.decoder", reason="mcap-ros2-support is not installed")
+    out = converted(made, tmp_path / "out", "mcap")
+    samples, grid = Dataset(made).split("val"), Dataset(made).grid
+    seen = set()
+    with open(out / "val-000000.mcap", "rb") as file:
+        read = reader.make_reader(file, decoder_factories=[ros2.DecoderFactory()], validate_crcs=True)
+        for schema, channel, message, decoded in read.iter_decoded_messages():
+            number, topic = message.sequence, channel.topic[1:]
+            assert (decoded.header.stamp.sec, decoded.header.frame_id) == (number, "world")
+            seen.add((number, topic))
+            sample = samples[number]
+            if topic == "pose":
+                at, turned = decoded.pose.position, decoded.pose.orientation
+                assert (at.x, at.y, at.z) == tuple(sample.position)
+                assert (turned.w, turned.x, turned.y, turned.z) == tuple(sample.quaternion)
+                continue
+            assert schema.name == "sensor_msgs/msg/PointCloud2"
+            assert [(one.name, one.offset, one.datatype, one.count) for one in decoded.fields] == [
+                ("x", 0, 7, 1),
+                ("y", 4, 7, 1),
+                ("z", 8, 7, 1),
+            ]
+            points = np.frombuffer(bytes(decoded.data), "<f4").reshape(decoded.width, 3)
+            assert decoded.row_step == decoded.point_step * decoded.width == len(decoded.data)
+            expected = sample.points() if topic == "scan" else grid.centres(sample.origin)[getattr(sample, topic)]
+            np.testing.assert_array_equal(points, expected.astype(np.float32))
+    assert seen == {(n, topic) for n in range(len(samples)) for topic in (*SENSED, "scan", "pose")}
+
+
+RERUN = """
+import os, sys
+from pathlib import Path
+sys.argv = ["scenegen", "convert", sys.argv[1], "--to", "rerun", "--split", "val", "-o", sys.argv[2], "--quiet"]
+os.environ["FORCE_RERUN_ANALYTICS"] = "1"
+class Watch:
+    def find_spec(self, name, path=None, target=None):
+        if name == "rerun":
+            found = {key: os.environ.get(key) for key in ("FORCE_RERUN_ANALYTICS", "CI", "TELEMETRY_ENABLED")}
+            assert found == {"FORCE_RERUN_ANALYTICS": None, "CI": "true", "TELEMETRY_ENABLED": "false"}, found
+            print("watched")
+sys.meta_path.insert(0, Watch())
+from scenegen.__main__ import main
+main()
+"""
+
+
+def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
+    made: Path,
+    tmp_path: Path,
+    shim: Path,  # noqa: F811
+    monkeypatch: Any,
+) -> None:
+    pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
+    given = environment(shim, tmp_path)
+    ended = subprocess.run(
+        [sys.executable, "-c", RERUN, made, tmp_path / "out"], env=given, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "watched" in ended.stdout
+    assert noted(tmp_path) == []
+    assert list((tmp_path / "home").rglob("*.json")) == []
+    for name in ("CI", "TELEMETRY_ENABLED"):
+        monkeypatch.setenv(name, "")  # so that it is put back
+    import_rerun()
+    from rerun.chunk import RrdReader
+
+    dataset = Dataset(made)
+    samples, seen = dataset.split("val"), set()
+    for chunk in RrdReader(tmp_path / "out" / "val-000000.rrd").stream():
+        if (name := chunk.entity_path.strip("/")) not in (*SENSED, "scan"):
+            continue
+        batch = chunk.to_record_batch()
+        for number, points in zip(batch["sample"].to_pylist(), batch["Points3D:positions"].to_pylist(), strict=True):
+            seen.add((number, name))
+            sample = samples[number]
+            centres = dataset.grid.centres(sample.origin)
+            expected = sample.points() if name == "scan" else centres[getattr(sample, name)]
+            np.testing.assert_array_equal(np.array(points, np.float32), expected.astype(np.float32))
+    assert seen == {(n, name) for n in range(len(samples)) for name in (*SENSED, "scan")}
+
+
+def test_a_world_s_surfaces_are_where_its_solids_are(made: Path, tmp_path: Path, capsys: Any) -> None:
+    """Of every shape, against another reader of meshes' volumes and bounds; y is up there."""
+    (tmp_path / "w.xml").write_text(
+        "<mujoco><custom><numeric name='flight_bounds' data='0 0 0 10 8 4'/></custom><worldbody>"
+        "<geom type='sphere' size='1' pos='4 4 2' rgba='1 0 0 1'/>"
+        "<geom type='box' size='.5 .6 .7' pos='8 2 1' euler='0 0 30'/>"
+        "<geom type='cylinder' size='.5 1' pos='1 1 1'/><geom type='capsule' size='.4 .8' pos='6 6 2' euler='40 0 0'/>"
+        "<geom type='ellipsoid' size='.4 .8 1.2' pos='2 6 2'/></worldbody></mujoco>"
+    )
+    code, _, said = run(capsys, "world", tmp_path / "w.xml", "-o", tmp_path / "w.glb")
+    assert (code, said) == (0, "")
+    scene = trimesh.load(tmp_path / "w.glb", file_type="glb")
+    solids = read_world(tmp_path / "w.xml").solids
+    volumes = {SPHERE: 4.18879, BOX: 1.68, CYLINDER: 1.5708, CAPSULE: 0.80425 + 0.26808, ELLIPSOID: 1.60850}
+    lower, upper = solids.boxes
+    assert len(scene.geometry) == len(solids)
+    for n, shape in enumerate(solids.shape):
+        transform, name = scene.graph[f"solid {n}"]
+        mesh = scene.geometry[name].copy()
+        mesh.apply_transform(transform)
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+        np.testing.assert_allclose(mesh.bounds, [lower[n], upper[n]], atol=0.02)
+        assert mesh.is_watertight
+        assert 0.96 < mesh.volume / volumes[int(shape)] < 1.0001
+    ball = scene.geometry[scene.graph["solid 0"][1]]
+    assert tuple(
+        np.asarray(ball.visual.face_colors if ball.visual.kind == "face" else ball.visual.vertex_colors)[0][:3]
+    ) == (255, 0, 0)
+    code, _, said = run(capsys, "world", made, 0, "-o", tmp_path / "d.glb")
+    assert (code, said) == (0, "")
+    assert (tmp_path / "d.glb").read_bytes().startswith(b"glTF")
+    for words, part in (
+        ([made, "-o", tmp_path / "x.glb"], "number"),
+        ([tmp_path / "w.xml", 0, "-o", tmp_path / "x.glb"], "number"),
+        ([tmp_path / "w.xml"], ".glb"),
+    ):
+        code, _, said = run(capsys, "world", *words)
+        assert (code, said.count("\n")) == (2, 1)
+        assert part in said

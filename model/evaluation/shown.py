@@ -1,0 +1,89 @@
+"""What methods say of a sample, and the paths that the bench plans on it, as they are shown."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from scenegen.dataset.read import Split
+from scenegen.errors import DatasetError
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.evaluation.methods import Method
+from scenegen.model.evaluation.planning.astar import Lattice, plan_path
+from scenegen.model.evaluation.planning.measure import judge
+from scenegen.model.evaluation.planning.refine import refine
+from scenegen.model.evaluation.planning.trials import draw_trials
+from scenegen.model.evaluation.run import world_bounds
+from scenegen.sample import Sample
+from scenegen.view.look import Guess, Guesses, Route
+
+CAUSES = {
+    "start_blocked": "none: the start is occupied",
+    "goal_blocked": "none: the goal is occupied",
+    "no_path": "none leads to the goal",
+    "initial_collides": "hits an obstacle",
+    "refined_into_obstacle": "refined into an obstacle",
+}
+"""What came of a path, by the bench's causes of failure."""
+
+
+def guesses_of(methods: Sequence[Method], config: BenchConfig, trial: int | None = 0) -> Guesses:
+    """What `methods` say of a sample, each with its path to the goal of the bench's trial number `trial` in that
+    sample, at the thresholds and by the planner of `config`; without paths where `trial` is None, or the sample has no
+    such trial."""
+    return partial(_guesses, methods=methods, config=config, trial=trial)
+
+
+def _guesses(
+    sample: Sample, split: Split, *, methods: Sequence[Method], config: BenchConfig, trial: int | None
+) -> list[Guess]:
+    goal = None if trial is None else _goal(sample, split, config, trial)
+    found = []
+    for method in methods:
+        try:
+            said = method.completion(sample, split)
+        except KeyError:
+            raise DatasetError(f"{method.name} does not predict it") from None
+        grid = split.dataset.grid
+        occupied, tudf = said.occupied(config.thresholds), said.distance(config.thresholds, grid)
+        route = None if goal is None else route_to(goal, occupied, tudf, sample, grid, config.plan)
+        found.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
+    return found
+
+
+def _goal(sample: Sample, split: Split, config: BenchConfig, trial: int) -> NDArray[np.float64] | None:
+    """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has fewer."""
+    index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
+    bounds = world_bounds(split.dataset, sample.origin)
+    drawn = draw_trials(sample.occupancy, split.dataset.grid, config.plan, count=trial + 1, rng=rng, bounds=bounds)
+    return drawn.goals[trial] if len(drawn.goals) > trial else None
+
+
+def route_to(
+    goal: NDArray[np.float64],
+    occupied: NDArray[np.bool_],
+    tudf: NDArray[np.float32],
+    sample: Sample,
+    grid: GridSpec,
+    config: PlanConfig,
+) -> Route:
+    """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the truth; see
+    `scenegen.model.evaluation.planning.measure.run_trial`."""
+    plan = plan_path(occupied, goal, grid, config)
+    refined = None if plan.waypoints is None else refine(plan.waypoints, tudf, grid, config)
+    measured = judge(plan, refined, sample.occupancy, sample.tudf, grid, config)
+    lattice = Lattice(grid, config.step_voxels)
+    told = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
+    if measured.cause is not None:
+        told = CAUSES[measured.cause]
+    return Route(
+        start=sample.origin + lattice.centres(lattice.start),
+        goal=sample.origin + goal,
+        points=None if refined is None else sample.origin + refined,
+        told=told,
+        fails=not measured.success,
+        hit=None if measured.hit is None else grid.centres(sample.origin).reshape(-1, 3)[measured.hit],
+    )

@@ -1,0 +1,73 @@
+"""What a scan, a file of predictions, or a run is, in a few figures."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from scenegen.errors import DatasetError, GuardError, printable
+from scenegen.files import open_bounded
+from scenegen.limits import GUARD_BYTES, GUARD_S
+from scenegen.model.completion.points import read_points
+from scenegen.model.completion.protocol import PARTS, SURE
+from scenegen.workers import guarded
+
+
+def scan_facts(path: Path) -> dict[str, Any]:
+    """A file of points: how many, how far they reach, and how far away they are from its origin. Raises
+    DatasetError."""
+    points = read_points(path)
+    returned = points[np.isfinite(points).all(axis=1)]
+    found: dict[str, Any] = {"scan": str(path), "points": len(points), "returns": len(returned)}
+    if len(returned):
+        ranges = np.linalg.norm(returned, axis=1)
+        found |= {"lower_m": returned.min(axis=0).tolist(), "upper_m": returned.max(axis=0).tolist()}
+        found |= {"mean_range_m": float(ranges.mean()), "max_range_m": float(ranges.max())}
+    return found
+
+
+def prediction_facts(path: Path) -> dict[str, Any]:
+    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it. Raises DatasetError."""
+    try:
+        with open_bounded(path, 1 << 62):
+            pass
+        return guarded(_facts, path, seconds=GUARD_S, memory_bytes=GUARD_BYTES)
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such file") from None
+    except GuardError as error:
+        raise DatasetError(f"{path}: cannot be read as HDF5 ({error})") from None
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    try:
+        with h5py.File(path, "r") as file:
+            about = {
+                name: printable(file.attrs[name])[:100] for name in ("method", "split", "dataset") if name in file.attrs
+            }
+            parts = {name: list(file[name].shape) for name in (*PARTS, *SURE) if name in file}
+    except Exception as error:  # h5py's errors share no base
+        raise DatasetError(f"{path}: cannot be read as HDF5: {printable(error)[:200]}") from None
+    if not parts:
+        raise DatasetError(f"{path}: holds no predictions; expected {' or '.join(PARTS)}")
+    return {"predictions": str(path), **about, "of": "a split" if "split" in about else "a scan", "arrays": parts}
+
+
+def run_facts(folder: Path) -> dict[str, Any]:
+    """A training run's folder: what was trained on what, and how far it came. Raises DatasetError."""
+    from scenegen.model.training.curve import read_rows
+    from scenegen.model.training.run_folder import ROWS, RunFolder
+
+    settings = RunFolder(folder).settings()
+    rows = read_rows(folder / ROWS)
+    best = min(rows, key=lambda row: row["val_loss"])
+    network = settings["network"]
+    return {
+        "run": str(folder),
+        "network": network["variant"],
+        "inputs": network["inputs"],
+        "kinds": settings.get("kinds"),
+        "samples": settings.get("samples"),
+        "epochs": len(rows),
+        "best": {name: best[name] for name in ("epoch", "val_loss", "val_iou", "val_near_mae")},
+    }

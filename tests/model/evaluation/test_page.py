@@ -1,0 +1,143 @@
+"""The report as a page: what it says, which is best, and that nothing of it is a script."""
+
+import dataclasses
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.completion.unlearned import Returns
+from scenegen.model.evaluation import paper
+from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.evaluation.failures import draw_failures, failing
+from scenegen.model.evaluation.methods import Completed, Truth
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.evaluation.page import best, to_html
+from scenegen.model.evaluation.report import build_report
+from scenegen.model.evaluation.run import bench
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+HOSTILE = "</td><script>alert(1)</script><img src=x onerror=alert(2)>&amp;"
+COUNTS = {"train": 9, "val": 3, "test": 3}
+
+
+class Blind:
+    """A completer that is taken for a learned one, and sees nothing: its paths go through everything."""
+
+    name = HOSTILE
+
+    def complete(self, observed: Any, free: Any, *, grid: Any) -> Prediction:
+        return Prediction(occupancy_probability=np.zeros(grid.shape, np.float32))
+
+
+class Elements(HTMLParser):
+    def __init__(self, text: str):
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    methods = [Truth(), Completed(Returns()), Completed(Blind())]
+    recipe, folder = small_recipe(), tmp_path_factory.mktemp("shown") / "d"
+    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS), workers=1)
+    dataset = Dataset(folder)
+    return bench(dataset, methods, BenchConfig(split="train", trials=40)), dataset, methods
+
+
+def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
+    measured: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.view.still.DPI", 40)
+    result, dataset, methods = measured
+    name, trials = failing(result)
+    assert name == HOSTILE
+    assert 0 < len({result.trial_worlds[n] for n in trials}) == len(trials) <= 3
+    pictures = draw_failures(result, dataset, methods)
+    assert len(pictures) == len(trials)
+    assert all(image.startswith(b"RIFF") for _, image in pictures)
+    report = build_report([result], seed=0, about={"command": HOSTILE})
+    seen = Elements(to_html(report, {result.kind: pictures}))
+    assert {tag for tag, _ in seen.found} <= {
+        *(
+            "html",
+            "head",
+            "meta",
+            "title",
+            "style",
+            "body",
+            "h1",
+            "h2",
+            "h3",
+            "dl",
+            "dt",
+            "dd",
+            "p",
+            "i",
+            "div",
+            "small",
+        ),
+        *(
+            "table",
+            "thead",
+            "tbody",
+            "tr",
+            "th",
+            "td",
+            "br",
+            "figure",
+            "figcaption",
+            "svg",
+            "line",
+            "text",
+            "circle",
+            "img",
+        ),
+    }
+    assert not any(name.startswith("on") or name == "href" for _, names in seen.found for name in names)
+    images = [names["src"] for tag, names in seen.found if tag == "img"]
+    assert len(images) == len(pictures)
+    assert all(str(source).startswith("data:image/webp;base64,") for source in images)
+    assert seen.texts.count(HOSTILE) >= 4  # the command, a row of each table, failures
+    said = " ".join(seen.texts)
+    for table, metrics in (("reconstruction", METRICS), ("planning", PLAN_METRICS)):
+        for row in report[table][result.kind].values():
+            for metric in metrics:
+                if row[metric]["n"]:
+                    assert f"{row[metric]['mean']:.3f}" in said
+    for row in (*paper.RECONSTRUCTION[result.kind].values(), *paper.PLANNING[result.kind].values()):
+        assert all(f"{mean:.3f}" in said for mean, _ in row.values())
+
+
+def test_a_trial_s_place_leads_to_it(measured: Any) -> None:
+    result, dataset, _ = measured
+    worlds = [world for _, world, _ in dataset.split("train").names]
+    assert [worlds[index] for index, _ in result.trial_places] == result.trial_worlds.tolist()
+    assert len(set(result.trial_places)) == len(result.trial_places)
+
+
+def test_the_best_is_the_best_as_printed_and_never_the_truth() -> None:
+    def rows(**means: float | None) -> dict[str, Any]:
+        return {name: {"x": {"mean": mean, "n": 0 if mean is None else 1}} for name, mean in means.items()}
+
+    higher, lower, near = (
+        dataclasses.replace(METRICS["iou"], better=better) for better in ("higher", "lower", "nearer to 0")
+    )
+    assert best(rows(truth=1.0, a=0.5001, b=0.5004, c=0.4), "x", higher) == {"a", "b"}
+    assert best(rows(truth=0.0, a=0.3, b=0.2, c=None), "x", lower) == {"b"}
+    assert best(rows(a=-0.02, b=0.03), "x", near) == {"a"}
+    assert best(rows(truth=1.0), "x", higher) == set()
