@@ -16,7 +16,7 @@ GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated dis
 def card(name: str, about: Mapping[str, Any]) -> str:
     """The card of a network, as Markdown, from what its file's header says `about` it."""
     settings, figures = about["settings"], about["figures"]
-    network = settings["network"]
+    network = {"inputs": ["observed"]} | settings["network"]  # which networks of earlier commits do not name
     occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
     shown = {"val_loss": "loss"} | {f"val_{name}": metric.label for name, metric in occupancy_first}
     shown = {key: label for key, label in shown.items() if key in figures}
@@ -57,11 +57,23 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         ]
     lines += [
         "Limits: the network knows the worlds, the sensor and the grid that it was trained on, and nothing else. It "
-        "takes one scan and no history. Where no ray came near, it repeats what was usual in training. Its "
-        "probabilities are not calibrated: occupied voxels weighed "
-        f"{settings['loss']['occupied_weight']:g} times as much as free ones.",
+        "takes one scan and no history. Where no ray came near, it repeats what was usual in training. " + _sure(about),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _sure(about: Mapping[str, Any]) -> str:
+    """What its probabilities are worth."""
+    weight = about["settings"]["loss"]["occupied_weight"]
+    held = about.get("calibration")
+    if held is None:
+        return f"Its probabilities are not calibrated: occupied voxels weighed {weight:g} times as much as free ones."
+    temperature = "" if held["temperature"] is None else f", temperature {held['temperature']:.3f}"
+    return (
+        f"`occupancy_probability` is as it was learned, with occupied voxels {weight:g} times as heavy as free ones; "
+        f"`probability`, bounds of distance and the risk of paths are calibrated, on {held['worlds']} worlds of "
+        f"validation{temperature}, down to a risk of {min(held['risks']):g}."
+    )
 
 
 def _amount(settings: Mapping[str, Any]) -> str:

@@ -9,11 +9,12 @@ import torch
 
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.sensor import entry_of
-from scenegen.model.checkpoint import CheckpointError, save_network
+from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, unlike
 from scenegen.model.completion.protocol import PredictionError
-from scenegen.model.config import NetworkConfig
+from scenegen.model.config import BUNDLED, NetworkConfig, bundled
 from scenegen.model.network import Network
+from scenegen.model.training.card import card
 
 GRID = GridSpec(shape=(16, 24, 8))
 
@@ -167,6 +168,12 @@ def test_bundled_networks_complete_the_papers_grid(name: str) -> None:
     if found.tudf is not None:
         assert found.tudf[55, 35:45, 15:25].mean() < 0.5 < found.tudf[45, 35:45, 15:25].mean()
     assert completer.about["figures"]["val_iou"] > 0.2
+
+
+@pytest.mark.parametrize("name", bundled())
+def test_a_bundled_network_has_the_card_of_its_own_header(name: str) -> None:
+    found = load_network(BUNDLED / f"{name}.safetensors")[2]
+    assert (BUNDLED / f"{name}.md").read_text(encoding="utf-8") == card(name, found)
 
 
 def test_a_network_says_where_a_sensor_is_not_that_of_its_training() -> None:
