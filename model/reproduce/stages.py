@@ -20,7 +20,7 @@ from scenegen.files import disk_error, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.unlearned import Extrude, Returns
-from scenegen.model.config import Thresholds, TrainConfig
+from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.keep import keep, kept
 from scenegen.model.evaluation.methods import Completed, Method, Truth
@@ -36,7 +36,7 @@ from scenegen.model.reproduce.runs import RUNS, SEEDS, Run
 from scenegen.model.training.data import opened
 from scenegen.model.training.device import choose_device
 from scenegen.model.training.loop import Watcher, train
-from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, read_rows
+from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder, read_rows
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
 from scenegen.workers import run as run_workers
@@ -187,17 +187,15 @@ def _train(
 
 def _complete(folder: Path, run: Run, config: ReproduceConfig) -> bool:
     """Whether `folder` holds `run` to its last map, as `config` has it."""
-    held, asked = _read(folder / CONFIG), run.config(config.scaled(config.maps))
-    if held is None or asked.maps is None or differences(held.get("settings", {}), _settings(held, asked)):
+    asked = run.config(config.scaled(config.maps))
+    if asked.maps is None or not (folder / ROWS).exists() or not (folder / CONFIG).exists():
         return False
-    return (folder / ROWS).exists() and read_rows(folder)[-1]["maps"] > asked.maps - asked.batch
-
-
-def _settings(held: dict[str, Any], asked: TrainConfig) -> dict[str, Any]:
-    """The settings of a run's folder with all that `asked` decides in their place."""
+    there = RunFolder(folder).settings()
     given = json.loads(json.dumps(asdict(asked)))
-    given["network"] |= {"height": held["settings"]["network"].get("height")}  # which the data give
-    return held["settings"] | {name: value for name, value in given.items() if name != "precision"}
+    given["network"]["height"] = there["network"]["height"]  # which the data give, as the device does the precision
+    if differences(there, there | {name: value for name, value in given.items() if name != "precision"}):
+        return False
+    return read_rows(folder)[-1]["maps"] > asked.maps - asked.batch
 
 
 def _told(run: Run, folder: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import json
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import torch
 
 from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import load_tensors
+from scenegen.model.reproduce import stages
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.estimate import estimate
 from scenegen.model.reproduce.report import to_markdown
@@ -86,3 +88,18 @@ def test_a_fiftieth_of_the_study_ends_within_ten_minutes_and_goes_on_where_it_wa
     ]
     assert {path for path in held if path.stat().st_mtime_ns != held[path]} == {damaged}
     assert all(torch.equal(weights[name], values) for name, values in load_tensors(damaged)[0].items())
+
+
+def test_a_run_counts_as_complete_by_its_settings_and_its_last_map(tmp_path: Path) -> None:
+    """Runs of earlier commits name neither inputs nor height."""
+    run, config = runs(ReproduceConfig(only=("occ-s0",)))[0], ReproduceConfig(scale=0.01)
+    settings = json.loads(json.dumps(asdict(run.config(200))))
+    for name in ("inputs", "height"):
+        del settings["network"][name]
+    (tmp_path / "config.json").write_text(json.dumps({"settings": settings | {"samples": 50, "precision": "bfloat16"}}))
+    assert not stages._complete(tmp_path, run, config)
+    for maps, whole in ((160, False), (200, True)):
+        (tmp_path / "metrics.csv").write_text(f"epoch,maps\n1,80\n2,{maps}\n")
+        assert stages._complete(tmp_path, run, config) == whole
+    assert not stages._complete(tmp_path, run, ReproduceConfig(scale=0.02))
+    assert not stages._complete(tmp_path, runs(ReproduceConfig(only=("occ-s1",)))[0], config)
