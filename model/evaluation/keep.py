@@ -54,6 +54,7 @@ def kept(path: Path, config: BenchConfig, stamp: Mapping[str, Any]) -> DatasetRe
                 "grid": GridSpec(**held["grid"]),
                 "config": config,
                 "excluded": Counter(held["excluded"]),
+                "trial_places": tuple((sample, turn) for sample, turn in held["trial_places"]),
                 "methods": {name: _method(method) for name, method in held["methods"].items()},
             }
         )
