@@ -223,6 +223,7 @@ assert not hasattr(sys.modules.get("openvino_telemetry"), "Telemetry")
 """
 
 
+@pytest.mark.slow  # test_silence.py completes with an ONNX file, too
 def test_completing_looks_nothing_up_and_leaves_nothing_at_home(exported: tuple[Path, Network], tmp_path: Path) -> None:
     """OpenVINO's Python package reports every import, unless it finds no `openvino_telemetry`."""
     pytest.importorskip("openvino_telemetry")
