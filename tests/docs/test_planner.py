@@ -25,7 +25,10 @@ def test_the_example_judges_as_the_bench_does(tmp_path: Path, monkeypatch: pytes
     lines = [start + (goal - start) * (np.arange(2001)[:, None] / 2000) for goal in goals]
     clear = [not ran["sample"].occupancy[tuple((line / ran["grid"].voxel_m).astype(int).T)].any() for line in lines]
     maps = ran["occupied"], ran["tudf"], *truth[:2]
-    assert ran["successes"] == {
-        "mine": pytest.approx(sum(clear), abs=1),  # a line may touch a voxel between two of the judge's points
-        "bench": sum(run_trial(*maps, goal, *truth[2:]).success for goal in goals),
-    }
+    assert (
+        ran["successes"]
+        == {
+            "mine": pytest.approx(sum(clear), abs=1),  # a line may touch a voxel between two of the judge's points
+            "bench": sum(run_trial(*maps, goal, *truth[2:]).success for goal in goals),
+        }
+    )

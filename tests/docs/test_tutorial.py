@@ -60,7 +60,8 @@ def test_the_notebook_is_what_the_script_makes_of_the_page() -> None:
 
 
 def test_blocks_run_in_order_in_the_folder_and_their_outputs_stand_in_the_page(tmp_path: Path) -> None:
-    page = "```sh\necho 3 > n\n```\n```python\nn = int(open('n').read())\n```\n```python\nprint(2 * n)\n```\n```text\n?\n```\n"
+    blocks = {"sh": "echo 3 > n", "python": "n = int(open('n').read())\n\nprint(2 * n)", "text": "?"}
+    page = "".join(f"```{kind}\n{text}\n```\n" for kind, text in blocks.items())
     assert tutorial.run(page, tmp_path) == page.replace("?", "6")
 
 
