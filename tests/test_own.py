@@ -18,8 +18,9 @@ OTHERS = ("model.py", "cli.py", "data.py", "tests/__init__.py", "tests/helpers.p
 
 
 def example(page: str) -> str:
-    """The last Python file that a page of the docs shows."""
-    return (ROOT / "docs" / page).read_text().split("```python\n")[-1].split("```")[0]
+    """The last Python file that a page of the docs shows: a block that begins with a docstring."""
+    blocks = (ROOT / "docs" / page).read_text().split("```python\n")
+    return [block for block in blocks if block.startswith('"""')][-1].split("```")[0]
 
 
 @pytest.fixture

@@ -55,7 +55,7 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
     "names",
     multiple=True,
     shell_complete=Named(METHODS).shell_complete,
-    help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS.",
+    help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS; repeatable.  [default: all of these but seen]",
 )
 @click.option(
     "--weights", type=Weights(), multiple=True, help="A network's row: a bundled name, a file, a run's folder, hf://…"

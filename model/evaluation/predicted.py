@@ -1,7 +1,7 @@
 """Predictions that somebody else made, in an HDF5 file, as a row of the bench."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -30,8 +30,12 @@ class Predicted:
     (the dataset's digest), `world` and `viewpoint`, int64 (N,), and `split`, an attribute."""
 
     path: Path
-    name: str = field(default="predicted")
     learned: bool = True
+
+    @property
+    def name(self) -> str:
+        """The file's, without its ending."""
+        return printable(self.path.stem)
 
     def check(self, dataset: Dataset, split: str) -> None:
         """Raise DatasetError unless the file predicts every sample of `split` of `dataset` once, on its grid, in

@@ -38,6 +38,7 @@ NETWORK_EDGE = 8
 
 
 @click.command()
+@click.argument("named", metavar="[KIND]", type=Named(KINDS), required=False)
 @click.option("--kind", type=Named(KINDS), help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.")
 @click.option("--scene", type=click.Path(path_type=Path), help="An MJCF file of your own world, or a folder of them.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
@@ -76,6 +77,7 @@ NETWORK_EDGE = 8
 @json_option
 @quiet_option
 def generate(
+    named: str | None,
     n: int,
     val: int | None,
     test: int | None,
@@ -88,6 +90,9 @@ def generate(
 ) -> None:
     """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where it was."""
     begin = time.perf_counter()
+    if named is not None and options["kind"] is not None:
+        raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
+    options["kind"] = named or options["kind"]
     scene: Path | None = options["scene"]
     single = scene is not None and not scene.is_dir()
     counts = {
@@ -207,7 +212,9 @@ def show_summary(summary: "Summary", seconds: float) -> None:
             "worlds": f"{sum(summary.worlds.values())}  ({per_split(summary.worlds)})",
             "rejected": rejections(summary.rejected),
             "size": f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(present, 1) / 1e3:.1f} KB a sample",
-            "time": f"{seconds:.1f} s, {summary.samples_written / seconds:.0f} samples a second, start-up included",
+            "time": f"{seconds:.1f} s, {summary.samples_written / seconds:.0f} samples a second, start-up included"
+            if summary.samples_written
+            else f"{seconds:.1f} s; nothing was left to make",
             "digest": summary.digest or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
             "next": f"scenegen inspect {summary.folder}",
         }

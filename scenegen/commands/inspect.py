@@ -98,7 +98,7 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
             "kind": found["kind"],
             "seed": found["seed"],
             "complete": "yes" if found["complete"] else "no",
-            "digest": found["digest"],
+            "digest": found["digest"] or "none yet",
             "grid": f"{found['grid']['shape']} voxels of {found['grid']['voxel']} m",
             "maps": Mapper(**(found["mapping"] or {})),
             "fields": ", ".join(found["fields"]),

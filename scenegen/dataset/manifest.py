@@ -168,7 +168,8 @@ def read(folder: Path) -> dict[str, Any]:
         manifest = json.loads(read_bounded(path, MOST_MANIFEST_BYTES).decode())
         _check_depth(manifest)
     except FileNotFoundError:
-        raise DatasetError(f"{folder}: not a dataset, it has no {NAME}; make one with `scenegen generate`") from None
+        lacks = f"it has no {NAME}" if folder.is_dir() else "there is no such folder"
+        raise DatasetError(f"{folder}: not a dataset, {lacks}; make one with `scenegen generate`") from None
     except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(
             f"{path}: cannot be read ({printable(error)[:200]}); copy the dataset again, or generate it in another "

@@ -55,7 +55,7 @@ def test_a_page_holds_what_is_predicted(folder: Path, tmp_path: Path, capsys: An
         tudf = np.frombuffer(unpacked(said["tudf"]), np.uint8).reshape(guess.shape) / 255 * packed["truncation"]
         np.testing.assert_allclose(tudf, distance_field(guess, dataset.grid), atol=packed["truncation"] / 500)
         missed, invented = (sample.occupancy & ~guess).sum(), (guess & ~sample.occupancy).sum()
-        assert f"{missed} missed, {invented} invented" in packed["figures"]["predicted"]
+        assert f"{missed} missed, {invented} invented" in packed["figures"]["p"]
     code, _, said = run(capsys, *words, "--split", "train")  # which the file does not predict
     assert (code, said.count("\n")) == (1, 1)
     assert "p.h5" in said

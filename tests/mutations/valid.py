@@ -133,9 +133,9 @@ def run(*words: str) -> str:
 
 
 def scores(folder: Path) -> dict[str, Any]:
-    """What a report says of the row ``predicted``."""
+    """What a report says of the row of ``predictions.h5``."""
     report = json.loads((folder / "report.json").read_text())
-    return {table: report[table]["pillar"]["predicted"] for table in ("reconstruction", "planning")}
+    return {table: report[table]["pillar"]["predictions"] for table in ("reconstruction", "planning")}
 
 
 def to_toml(tables: dict[str, Any]) -> str:

@@ -47,7 +47,7 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     code, said, _ = run(capsys, "bench", *words, "--workers", 1)
     assert code == 0
     report = json.loads((here / "bench" / "report.json").read_text())["reconstruction"]["pillar"]
-    assert report["proposed"]["near_mae"]["mean"] == pytest.approx(report["predicted"]["near_mae"]["mean"], abs=1e-4)
+    assert report["proposed"]["near_mae"]["mean"] == pytest.approx(report["predictions"]["near_mae"]["mean"], abs=1e-4)
     scans = [here / "drive" / "velodyne" / f"{n:06d}.bin" for n in range(2)]
     for scan in scans:
         write_points(scan, np.random.default_rng(0).uniform(-1, 1, (50, 3)), None, {})

@@ -74,9 +74,9 @@ def test_bounds_of_others_are_a_row_of_the_study(
     report = report_of(
         dataset, tmp_path / "bench", names=("truth",), predictions=tmp_path / "p.h5", study=True, variants=FEW
     )
-    (row,) = report["study"]["pillar"]["predicted"]["bounds"]["risks"]
+    (row,) = report["study"]["pillar"]["p"]["bounds"]["risks"]
     assert (row["risk"], row["unobserved"]["coverage"]["mean"]) == (0.1, 1.0)
-    (planned,) = (one for one in report["study"]["pillar"]["predicted"]["risk"]["settings"] if one["by"] == "risk")
+    (planned,) = (one for one in report["study"]["pillar"]["p"]["risk"]["settings"] if one["by"] == "risk")
     assert (planned["value"], planned["collided"]["mean"]) == (0.1, 0.0), "where bounds are true, no path collides"
     json.dumps(report, allow_nan=False)
     for wrong in (0.0, "much", float("nan")):

@@ -66,6 +66,13 @@ def test_an_engine_and_a_sensor_are_taken_by_name(
     assert [item.value for item in Named(ENGINES).shell_complete(None, None, "a")] == ["analytic"]
 
 
+def test_a_kind_may_stand_without_its_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def planned(*words: str) -> dict:
+        return json.loads(run(capsys, "generate", *words, "--n", 4, "--dry-run", "--json", "--out", tmp_path / "d")[1])
+
+    assert planned("geometric") == planned("--kind", "geometric") != planned("pillar")
+
+
 def test_a_split_range_makes_its_shards_alone(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("generate", "--recipe", small, "--n", 9, "--shard-samples", 3, "--out", tmp_path / "d", "--json")
     said = json.loads(run(capsys, *words, "--split-range", "1:3")[1])
@@ -90,6 +97,8 @@ def test_a_scene_gives_training_samples_of_one_world(tmp_path: Path, capsys: pyt
 
 BAD_USE = {
     "an unknown kind": (("--kind", "piller"), "did you mean 'pillar'?"),
+    "an unknown kind without --kind": (("piller",), "did you mean 'pillar'?"),
+    "a kind given twice": (("pillar", "--kind", "pillar"), "the kind is given twice"),
     "no kind": ((), "give --kind, --scene or --recipe"),
     "a negative count": (("--kind", "pillar", "--n", "-5"), "-5"),
     "a count of zero": (("--kind", "pillar", "--n", "0"), "--n"),
@@ -209,3 +218,13 @@ def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(
     (tmp_path / "pasted.toml").write_text(said[said.index("# this") :])
     wanted, pasted = (json.loads(run(capsys, *words, path, "--json")[1]) for path in (small, tmp_path / "pasted.toml"))
     assert pasted == wanted
+
+
+def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (ROOT / "docs" / "recipes.md").read_text()
+    (tmp_path / "yard.xml").write_text(page.split("```xml\n")[1].split("```")[0])
+    words = ("generate", "--scene", tmp_path / "yard.xml", "--n", 2, "--workers", 1, "--out", tmp_path / "d")
+    assert run(capsys, *words, "--quiet") == (0, "", "")
+    assert len(Dataset(tmp_path / "d").split("train")) == 2
+    code, said, _ = run(capsys, *words)
+    assert (code, "nothing was left to make" in said) == (0, True)

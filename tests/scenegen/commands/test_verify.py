@@ -35,7 +35,7 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(
     assert left == dict.fromkeys(["names", "centred", "laws"], "nothing that could be examined: see what failed")
     code, said, complaint = run(capsys, "verify", tmp_path / "nowhere")
     assert (code, said) == (1, "")
-    assert "not a dataset, it has no dataset.json" in complaint
+    assert "not a dataset, there is no such folder" in complaint
 
 
 def test_a_stop_leaves_no_process_behind(tmp_path: Path) -> None:

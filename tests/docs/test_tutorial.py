@@ -1,0 +1,74 @@
+"""The tutorial: its command lines parse, its pictures are there, its notebook is the script's; slow: all of it runs."""
+
+import importlib.util
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from scenegen.__main__ import app
+
+DOCS = Path(__file__).parents[2] / "docs"
+MOST_BYTES = 300_000
+
+spec = importlib.util.spec_from_file_location("tutorial", DOCS / "tutorial.py")
+assert spec is not None
+assert spec.loader is not None
+tutorial = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(tutorial)
+PAGE = tutorial.PAGE.read_text(encoding="utf-8")
+STAGES = ["generate", "view", "train", "complete", "render", "bench", "publish"]
+
+
+@pytest.mark.parametrize("words", tutorial.commands(PAGE), ids=shlex.join)
+def test_every_command_line_parses(words: list[str]) -> None:
+    program, name, *rest = words
+    assert program == "scenegen"
+    command = app.find(name)
+    assert command.make_context(name, list(rest)).params
+
+
+def test_the_page_goes_through_the_stages_in_order() -> None:
+    names = [words[1] for words in tutorial.commands(PAGE)]
+    places = [names.index(stage, 0 if stage != "render" else names.index("complete")) for stage in STAGES]
+    assert places == sorted(places)
+
+
+def test_every_picture_is_there_and_is_shown() -> None:
+    shown = tutorial.PICTURE.findall(PAGE)
+    made = {word for words in tutorial.commands(PAGE) for word in words}
+    assert sorted(shown) == sorted(path.name for path in (DOCS / tutorial.PICTURES).iterdir())
+    assert set(shown) <= made
+
+
+def test_the_python_of_the_page_compiles() -> None:
+    blocks = [text for kind, text in tutorial.BLOCK.findall(PAGE) if kind == "python"]
+    assert len(blocks) >= 3
+    for text in blocks:
+        compile(text, "tutorial.md", "exec")
+
+
+def test_the_notebook_is_what_the_script_makes_of_the_page() -> None:
+    held = tutorial.NOTEBOOK.read_text(encoding="utf-8")
+    assert held == tutorial.written(PAGE), "run python docs/tutorial.py"
+    assert len(held.encode()) < MOST_BYTES
+    cells = json.loads(held)["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert [shlex.split(line[1:]) for line in code.splitlines() if line.startswith("!")] == tutorial.commands(PAGE)
+    assert len({cell["id"] for cell in cells}) == len(cells)
+
+
+def test_blocks_run_in_order_in_the_folder_and_their_outputs_stand_in_the_page(tmp_path: Path) -> None:
+    blocks = {"sh": "echo 3 > n", "python": "n = int(open('n').read())\n\nprint(2 * n)", "text": "?"}
+    page = "".join(f"```{kind}\n{text}\n```\n" for kind, text in blocks.items())
+    assert tutorial.run(page, tmp_path) == page.replace("?", "6")
+
+
+@pytest.mark.slow
+def test_the_whole_page_runs_in_an_empty_folder(tmp_path: Path) -> None:
+    """Five minutes of two cores."""
+    said = tutorial.run(PAGE, tmp_path)
+    assert tutorial.commands(said) == tutorial.commands(PAGE)
+    for name in tutorial.PICTURE.findall(PAGE):
+        assert (tmp_path / name).stat().st_size > 1000
