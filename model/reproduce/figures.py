@@ -40,12 +40,16 @@ def learning(study: Study) -> bytes:
     return _png(figure)
 
 
-def claims(study: Study) -> bytes:
-    """Every claim's difference by each seed, with its interval, in units of its metric."""
+def claims(study: Study) -> bytes | None:
+    """Every claim's difference by each seed, with its interval, in units of its metric; None where no claim has
+    networks."""
     kinds = list(study["report"]["datasets"])
-    figure = _figure(12, 9)
+    tried = [claim for claim in study["claims"] if claim["seeds"]]
+    if not tried:
+        return None
+    figure = _figure(12, 1.2 + 0.3 * max(sum(claim["kind"] == kind for claim in tried) for kind in kinds))
     for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
-        rows = [claim for claim in study["claims"] if claim["kind"] == kind]
+        rows = [claim for claim in tried if claim["kind"] == kind]
         _forest(
             axes,
             [f"{_title(one['metric'])}: {one['best']} before {one['other']}" for one in rows],
