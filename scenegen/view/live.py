@@ -1,7 +1,8 @@
 """The page of whole datasets, served on this machine: samples are read as one steps through them.
 
 ``GET /`` is the page; ``GET /sample/<dataset>/<split>/<index>`` a sample, JSON as `scenegen.view.page.packed` has it,
-of the dataset of that number. There is nothing else, and nothing can be changed.
+of the dataset of that number; ``GET /world/…`` the world that it is of, where its shard's archive holds it. There is
+nothing else, and nothing can be changed.
 """
 
 import ipaddress
@@ -22,9 +23,9 @@ from scenegen import SPLITS
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.view.look import Guesses, incomplete, look_into
-from scenegen.view.page import check_grid, live_page, packed
+from scenegen.view.page import check_grid, live_page, packed, packed_world
 
-SAMPLE = re.compile(r"/sample/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
+ASKED = re.compile(r"/(sample|world)/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
 LOCAL = "localhost"
 IDLE_S = 30.0
 """How long a connection may say nothing, seconds."""
@@ -117,6 +118,23 @@ class Live(ThreadingHTTPServer):
                 return HTTPStatus.NOT_FOUND, {"error": printable(error), "notes": notes}
         return HTTPStatus.OK, {**packed(look), "notes": notes}
 
+    def world(self, number: int, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
+        """The surfaces of the world of a sample of dataset `number`, as `scenegen.view.page.packed_world` has them; or,
+        under `error`, a line that says why there are none."""
+        from scenegen.dataset.archived import compile_archived  # MuJoCo and trimesh are needed for worlds alone
+        from scenegen.view.exchange.glb import surfaces
+
+        if number >= len(self.splits):
+            return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
+        samples = self.splits[number][split]
+        with self._reading:
+            try:
+                sample = samples[index]
+                world = compile_archived(samples.dataset, split, int(sample.world))
+                return HTTPStatus.OK, packed_world(surfaces(world), sample.origin)
+            except (DatasetError, IndexError, ValueError) as error:
+                return HTTPStatus.NOT_FOUND, {"error": f"the world is not shown: {printable(error)}"}
+
 
 class _Handler(BaseHTTPRequestHandler):
     """Answers one connection."""
@@ -133,9 +151,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"this name is not the viewer's; open its address\n")
         elif self.path == "/":
             self._answer(HTTPStatus.OK, "text/html", self.server.page)
-        elif found := SAMPLE.fullmatch(self.path):
-            status, sample = self.server.sample(int(found[1]), found[2], int(found[3]))
-            self._answer(status, "application/json", json.dumps(sample).encode())
+        elif found := ASKED.fullmatch(self.path):
+            find = self.server.sample if found[1] == "sample" else self.server.world
+            status, answer = find(int(found[2]), found[3], int(found[4]))
+            self._answer(status, "application/json", json.dumps(answer).encode())
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page\n")
 

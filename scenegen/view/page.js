@@ -62,6 +62,7 @@
   // What a layer shows decides how it looks; layers of predictions stand after all others.
   const PLAIN = { free: [120, 190, 230], unknown: [150, 150, 150], missed: data.colours.missed, invented: data.colours.invented };
   const CLEAR = { free: 0.12, unknown: 0.1 };
+  const SOLID = [139, 148, 158];
   const kinds = new Map([["points", "points"], ["rays", "rays"], ...data.masks.map((name) => [name, name])]);
   if (kinds.has("observed") && kinds.has("free")) kinds.set("unknown", "unknown");
   kinds.set("distances", "distances");
@@ -71,13 +72,14 @@
     for (const kind of ["missed", "invented"]) kinds.set(`${name}: ${kind}`, kind);
   }
   if (methods.size) kinds.set("paths", "paths");
+  if (live) kinds.set("world", "world");
   const names = [...kinds.keys()];
   const shown = new Set(["points", "occupancy", "paths"]);
   const layers = {};
   const boxes = names.map((name, n) => {
     const box = Object.assign(make("input"), { type: "checkbox", checked: shown.has(name), id: `show-${n}` });
     const swatch = make("i"), kind = kinds.get(name);
-    const plain = ["points", "rays", "paths"].includes(kind) ? [30, 30, 30] : PLAIN[kind];
+    const plain = ["points", "rays", "paths"].includes(kind) ? [30, 30, 30] : kind === "world" ? SOLID : PLAIN[kind];
     swatch.style.background = plain ? `rgb(${plain})` : css(kind === "distances" ? data.colours.distances : data.colours.heights);
     const label = make("label"), short = kind === "missed" || kind === "invented";
     label.append(box, swatch, make("span", short ? kind : n < 9 && kind !== "predicted" ? `${name} (${n + 1})` : name));
@@ -194,7 +196,27 @@
     return all.children.length && all;
   }
 
+  // The world's solids are asked for when they are to be seen.
+  async function solids() {
+    const of = fields;
+    if (of.asked) return;
+    of.asked = true;
+    const place = `world/${find("dataset").value}/${find("split").value}/${current}`;
+    const got = await fetch(place).then((answer) => answer.json()).catch(() => ({ error: "The server does not answer." }));
+    if (got.triangles) of.solids = new Float32Array((await unpack(got.triangles)).buffer);
+    if (of !== fields) return;
+    if (got.error) find("notes").append(make("p", got.error));
+    fill("world");
+  }
+
+  function surface(corners) {
+    const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(corners, 3));
+    shape.computeVertexNormals();
+    return new THREE.Mesh(shape, new THREE.MeshLambertMaterial({ color: rgb(SOLID), side: THREE.DoubleSide }));
+  }
+
   function built(name) {
+    if (name === "world") return fields.solids ? surface(fields.solids) : void solids();
     if (name === "distances") return fields.tudf[find("whose").value] && slice();
     if (name === "paths") return routes();
     if (name === "points" && fields.points) {

@@ -119,6 +119,13 @@ def packed(look: Look) -> dict[str, Any]:
     }
 
 
+def packed_world(surfaces: Sequence[Any], origin: NDArray[np.float64]) -> dict[str, Any]:
+    """A world's surfaces, meshes with (n, 3, 3) `triangles` in metres, as the page's script reads them: the corners of
+    all triangles, one after the other, in the frame of the map at `origin` (3,)."""
+    corners = np.concatenate([mesh.triangles for mesh in surfaces] or [np.empty((0, 3, 3))]) - origin
+    return {"triangles": _gzip64(corners.astype("<f4").tobytes())}
+
+
 def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
     """What is predicted, as the page's script reads it; positions in the map's frame."""
     found: dict[str, Any] = {

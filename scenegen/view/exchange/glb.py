@@ -21,8 +21,17 @@ THICK_M = 0.01
 
 def encode_world(world: World) -> bytes:
     """The content of the file. Corners of round solids lie on them; planes end at the flight's box."""
-    scene, solids = trimesh.Scene(), world.solids
+    scene = trimesh.Scene()
     colours = (255 * world.model.geom_rgba).astype(np.uint8)
+    for n, (mesh, geom) in enumerate(zip(surfaces(world), world.solids.geom, strict=True)):
+        mesh.visual.face_colors = colours[geom]
+        scene.add_geometry(mesh, node_name=f"solid {n}", geom_name=f"solid {n}", transform=UPRIGHT)
+    return bytes(scene.export(file_type="glb"))
+
+
+def surfaces(world: World) -> list[Any]:
+    """A mesh for each solid, world frame, metres."""
+    solids = world.solids
     meshes: list[Any] = []
     for shape, size, position, rotation in zip(
         solids.shape, solids.size, solids.position, solids.rotation, strict=True
@@ -34,10 +43,7 @@ def encode_world(world: World) -> bytes:
     for first, last in pairwise(solids.mesh_start):
         corners = solids.triangles[first:last].reshape(-1, 3)
         meshes.append(trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False))
-    for n, (mesh, geom) in enumerate(zip(meshes, solids.geom, strict=True)):
-        mesh.visual.face_colors = colours[geom]
-        scene.add_geometry(mesh, node_name=f"solid {n}", geom_name=f"solid {n}", transform=UPRIGHT)
-    return bytes(scene.export(file_type="glb"))
+    return meshes
 
 
 def _plane(world: World) -> Any:

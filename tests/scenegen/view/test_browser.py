@@ -105,6 +105,8 @@ def test_the_viewer_steps_through_splits_and_tells_what_is_damaged(browser: Any,
         assert {"paths", "occupancy", "points"} <= set(state("layers").split())
         assert tab.locator("img").count() == 0
         assert "2.9 m" in tab.locator("#figures").inner_text()
+        tab.get_by_label("world").check()
+        tab.wait_for_selector("body[data-layers~='world']", state="attached")
         tab.get_by_label("missed").check()
         assert "missed" in state("layers")
         tab.locator("#whose").select_option(index=1)

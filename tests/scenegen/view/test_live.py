@@ -1,5 +1,7 @@
 """The page served: samples as they are, to who asks it by its own address, and lines about what is damaged."""
 
+import base64
+import gzip
 import http.client
 import json
 import os
@@ -13,10 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from scenegen.dataset.archived import compile_archived
 from scenegen.dataset.read import Dataset
 from scenegen.errors import ScenegenError
+from scenegen.view.exchange.glb import surfaces
 from scenegen.view.live import Live
 from scenegen.view.look import look_into
 from scenegen.view.page import packed
@@ -80,6 +85,27 @@ def test_samples_are_served_as_they_are_by_split_and_number(made: Path) -> None:
         ):
             assert ask(server, path)[0] == 404
         assert ask(server, "/", method="POST")[0] == 501
+
+
+def test_the_world_of_a_sample_is_served_in_its_maps_frame(made: Path) -> None:
+    """Each solid fills its own bounds; what is not there is said."""
+    dataset = Dataset(made)
+    sample = dataset.split("test")[2]
+    with served(made, split="test") as server:
+        status, _, text = ask(server, "/world/0/test/2")
+        assert status == 200
+        packed = gzip.decompress(base64.b64decode(json.loads(text)["triangles"]))
+        corners = np.frombuffer(packed, "<f4").reshape(-1, 3)
+        world = compile_archived(dataset, "test", int(sample.world))
+        for low, high, solid in zip(world.solids.lower, world.solids.upper, surfaces(world), strict=True):
+            there, corners = np.split(corners, [solid.triangles.size // 3])
+            np.testing.assert_allclose(there.min(axis=0) + sample.origin, low, atol=0.05)
+            np.testing.assert_allclose(there.max(axis=0) + sample.origin, high, atol=0.05)
+        assert not len(corners)
+        for path, told in (("/world/1/test/0", "no such dataset"), ("/world/0/test/999", "the world is not shown: ")):
+            status, _, text = ask(server, path)
+            assert status == 404
+            assert json.loads(text)["error"].startswith(told)
 
 
 @pytest.mark.parametrize("split", ["train", "test"])
