@@ -79,7 +79,8 @@ def check(parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name
     annotation says (numbers, bool, str, Literal, and tuples or unions of these) or is not within its bounds.
 
     A field without bounds of its own has those that `otherwise` gives for its name and value; by default, its numbers
-    must be finite. Values of the right kind become the annotated type: a list a tuple, a whole float an int.
+    must be finite. An angle in degrees that is a multiple of 15 in radians is refused: 6.283 is a turn, and no 6.283°.
+    Values of the right kind become the annotated type: a list a tuple, a whole float an int.
     """
     kind_of: type = type(parameters)
     hints = _hints(kind_of)
@@ -92,8 +93,16 @@ def check(parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name
         except _UnfitError:
             such = f", such as {shown(item.default)}" if isinstance(item.default, tuple) and item.default else ""
             raise ValueError(f"{item.name} = {shown(given)}: expected {_words(kind, bounds)}{such}") from None
+        if item.name.endswith("_deg") and isinstance(value, float) and (turn := _radians(value)):
+            raise ValueError(f"{item.name} = {shown(given)}: is {turn} degrees in radians; expected degrees")
         if value is not given:
             object.__setattr__(parameters, item.name, value)
+
+
+def _radians(value: float) -> int:
+    """The multiple of 15 degrees that `value` is in radians, to a thousandth; 0 for none up to a turn."""
+    steps = round(value / (math.pi / 12))
+    return 15 * steps if abs(steps) <= 24 and math.isclose(value, steps * math.pi / 12, rel_tol=1e-3) else 0
 
 
 def shown(value: Any) -> str:

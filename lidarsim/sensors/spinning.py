@@ -60,10 +60,6 @@ class Spinning(Device):
             raise ValueError(
                 f"elevations_deg: {beams} beams within {span:g}°; expected degrees, and these look like radians"
             )
-        if math.isclose(self.horizontal_fov_deg, 2 * math.pi, rel_tol=1e-3):
-            raise ValueError(
-                f"horizontal_fov_deg = {self.horizontal_fov_deg:g}: looks like a turn in radians; expected 360"
-            )
         if self.firing_times_s and max(self.firing_times_s) >= self.cycle_s:
             raise ValueError(
                 f"firing_times_s: up to {max(self.firing_times_s):g} s, in a cycle of {self.cycle_s:g} s; expected "

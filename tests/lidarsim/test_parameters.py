@@ -153,3 +153,20 @@ def test_fields_without_bounds_have_those_of_their_name() -> None:
     check(Kind(), by_name)
     with pytest.raises(ValueError, match=r"share = 1.5: expected a finite number from 0 to 1"):
         check(dataclasses.replace(Kind(), share=1.5), by_name)
+
+
+@pytest.mark.parametrize(
+    ("value", "degrees"), [(6.283, 360), (6.28, 360), (math.pi / 2, 90), (-0.5236, -30), (0.785, 45)]
+)
+def test_angles_in_radians_are_told_from_degrees(value: float, degrees: int) -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Held:
+        tilt_deg: float = number(0.0, least=-90, most=360)
+        length_m: float = number(1.0)
+
+        def __post_init__(self) -> None:
+            check(self)
+
+    with pytest.raises(ValueError, match=rf"^tilt_deg = \S+: is {degrees} degrees in radians; expected degrees$"):
+        Held(tilt_deg=value)
+    assert Held(tilt_deg=math.copysign(15.0, value), length_m=value).length_m == value
