@@ -6,12 +6,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from scenegen.errors import DatasetError, GuardError, printable
-from scenegen.files import open_bounded
-from scenegen.limits import GUARD_BYTES, GUARD_S
+from scenegen.dataset.foreign import read_guarded
+from scenegen.errors import DatasetError, printable
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE
-from scenegen.workers import guarded
 
 
 def scan_facts(path: Path) -> dict[str, Any]:
@@ -29,14 +27,7 @@ def scan_facts(path: Path) -> dict[str, Any]:
 
 def prediction_facts(path: Path) -> dict[str, Any]:
     """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it. Raises DatasetError."""
-    try:
-        with open_bounded(path, 1 << 62):
-            pass
-        return guarded(_facts, path, seconds=GUARD_S, memory_bytes=GUARD_BYTES)
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file") from None
-    except GuardError as error:
-        raise DatasetError(f"{path}: cannot be read as HDF5 ({error})") from None
+    return read_guarded(_facts, path, 1 << 62)
 
 
 def _facts(path: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
 from lidarsim.limits import MOST_LENGTH_M
+from scenegen.dataset.foreign import read_guarded
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, GuardError, empty_split
@@ -119,14 +120,7 @@ def predict_scan(
 def read_completion(path: Path) -> Look:
     """What `predict_scan` wrote to the .h5 file `path`, to be shown: `observed`, `predicted` at the paper's thresholds,
     and the distances. Raises DatasetError for anything else."""
-    try:
-        with open_bounded(path, MOST_SCAN_BYTES):
-            pass
-        return guarded(_completion, path, seconds=GUARD_S, memory_bytes=GUARD_BYTES)
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file") from None
-    except GuardError as error:
-        raise DatasetError(f"{path}: cannot be read as HDF5 ({error})") from None
+    return read_guarded(_completion, path, MOST_SCAN_BYTES)
 
 
 def _completion(path: Path) -> Look:

@@ -18,7 +18,7 @@ from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.difficulty import describe
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.measure import Measurement, run_trial
-from scenegen.model.evaluation.planning.trials import draw_trials
+from scenegen.model.evaluation.planning.trials import Trials, draw_trials
 from scenegen.model.evaluation.reconstruction import measure
 from scenegen.model.evaluation.study.maps import Study, stack, study_map
 from scenegen.model.evaluation.tuning import spread, tune
@@ -167,9 +167,7 @@ def _work(
         sample = split[index]
         truth = sample.occupancy, sample.tudf
         classes = classify(sample, lidar=dataset.lidar, grid=grid)
-        rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
-        bounds = world_bounds(dataset, sample.origin)
-        drawn = draw_trials(sample.occupancy, grid, config.plan, count=trials_each, rng=rng, bounds=bounds)
+        drawn = trials_of(sample, index, dataset, config, trials_each)
         trial = partial(run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan)
         seen = _seen(sample, split) if config.study else None
         one = _Found(
@@ -223,7 +221,9 @@ def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
     return seen_occupancy(sample, split)
 
 
-def world_bounds(dataset: Dataset, origin: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """The drawn world's box (2, 3) in the map frame, metres; None for worlds from MJCF files."""
-    world = dataset.manifest.tables.get("world")
-    return None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - origin
+def trials_of(sample: Sample, index: int, dataset: Dataset, config: BenchConfig, count: int) -> Trials:
+    """The first `count` trials of `sample`, which is number `index` of its split."""
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
+    world = dataset.manifest.tables.get("world")  # worlds from MJCF files have no box
+    bounds = None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - sample.origin
+    return draw_trials(sample.occupancy, dataset.grid, config.plan, count=count, rng=rng, bounds=bounds)

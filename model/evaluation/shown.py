@@ -14,8 +14,7 @@ from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
 from scenegen.model.evaluation.planning.measure import judge
 from scenegen.model.evaluation.planning.refine import refine
-from scenegen.model.evaluation.planning.trials import draw_trials
-from scenegen.model.evaluation.run import world_bounds
+from scenegen.model.evaluation.run import trials_of
 from scenegen.sample import Sample
 from scenegen.view.look import Guess, Guesses, Route
 
@@ -56,10 +55,8 @@ def _guesses(
 def _goal(sample: Sample, split: Split, config: BenchConfig, trial: int) -> NDArray[np.float64] | None:
     """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has fewer."""
     index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
-    bounds = world_bounds(split.dataset, sample.origin)
-    drawn = draw_trials(sample.occupancy, split.dataset.grid, config.plan, count=trial + 1, rng=rng, bounds=bounds)
-    return drawn.goals[trial] if len(drawn.goals) > trial else None
+    goals = trials_of(sample, index, split.dataset, config, trial + 1).goals
+    return goals[trial] if len(goals) > trial else None
 
 
 def route_to(

@@ -33,10 +33,11 @@ from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.figures import draw
 from scenegen.model.reproduce.report import to_markdown
 from scenegen.model.reproduce.runs import RUNS, SEEDS, Run
+from scenegen.model.training.curve import read_rows
 from scenegen.model.training.data import opened
 from scenegen.model.training.device import choose_device
 from scenegen.model.training.loop import Watcher, train
-from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder, read_rows
+from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
 from scenegen.workers import run as run_workers
@@ -195,7 +196,7 @@ def _complete(folder: Path, run: Run, config: ReproduceConfig) -> bool:
     given["network"]["height"] = there["network"]["height"]  # which the data give, as the device does the precision
     if differences(there, there | {name: value for name, value in given.items() if name != "precision"}):
         return False
-    return read_rows(folder)[-1]["maps"] > asked.maps - asked.batch
+    return read_rows(folder / ROWS)[-1]["maps"] > asked.maps - asked.batch
 
 
 def _told(run: Run, folder: Path) -> dict[str, Any]:
@@ -203,7 +204,7 @@ def _told(run: Run, folder: Path) -> dict[str, Any]:
     held = _read(folder / CONFIG)
     if held is None:
         raise DatasetError(f"{folder / CONFIG}: is damaged; remove the folder, and the run is made again")
-    curve = read_rows(folder)
+    curve = read_rows(folder / ROWS)
     return {
         "asks": run.asks,
         "against": run.against,

@@ -94,15 +94,6 @@ def kept(rows: list[dict[str, float]], choose: str) -> dict[str, float]:
     return rows[-1] if choose == "last" else min(rows, key=lambda row: row[f"val_{choose}"])
 
 
-def read_rows(folder: Path) -> list[dict[str, float]]:
-    """The figures of every finished round of the run in `folder`. Raises DatasetError where there are none."""
-    try:
-        rows = csv.DictReader(read_bounded(folder / ROWS, MOST_HEADER_BYTES).decode().splitlines())
-        return [{name: float(value) for name, value in row.items()} for row in rows if row]
-    except (OSError, UnicodeDecodeError, ValueError, TypeError):
-        raise DatasetError(f"{folder / ROWS}: no figures of a run; train it again") from None
-
-
 class RunFolder:
     """The folder of one run. Files in it are whole or absent, and the last good ones outlive any failure."""
 

@@ -2,7 +2,7 @@
 
 import math
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,9 @@ from scenegen.dataset.messages import (
     Index,
     Stored,
 )
-from scenegen.errors import GuardError, printable
-from scenegen.limits import MOST_HEAP_BYTES, MOST_OBJECTS
+from scenegen.errors import DatasetError, GuardError, printable
+from scenegen.files import open_bounded
+from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_HEAP_BYTES, MOST_OBJECTS
 
 SECONDS = 20.0
 MEMORY_BYTES = 1 << 30
@@ -48,6 +49,21 @@ def read_index(handle: int, path: Path, most_chunks: int) -> Index:
     if isinstance(found, str):
         raise Hdf5Error(f"{reason}, and the HDF5 library does not read it: {found}")
     return found
+
+
+def read_guarded(read: Callable[[Path], Any], path: Path, most_bytes: int) -> Any:
+    """What `read` makes of the HDF5 file at `path`, of at most `most_bytes` bytes, in a process with limits: anybody
+    may have written it. Raises DatasetError."""
+    from scenegen.workers import guarded
+
+    try:
+        with open_bounded(path, most_bytes):
+            pass
+        return guarded(read, path, seconds=GUARD_S, memory_bytes=GUARD_BYTES)
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such file") from None
+    except GuardError as error:
+        raise DatasetError(f"{path}: cannot be read as HDF5 ({error})") from None
 
 
 @contextmanager

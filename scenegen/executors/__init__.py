@@ -15,8 +15,8 @@ class Executor(Protocol):
     def __init__(self, address: str, workers: int) -> None: ...
 
     def mine(self, tasks: Sequence[Any]) -> Sequence[Any]:
-        """Those of all `tasks` of a run, done or not, that are for this process to see to."""
-        ...
+        """Those of all `tasks` of a run, done or not, that are for this process to see to: all, unless it says so."""
+        return tasks
 
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]

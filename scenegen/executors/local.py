@@ -4,20 +4,17 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from scenegen.errors import DatasetError
+from scenegen.executors import Executor
 from scenegen.workers import run
 
 
-class Local:
+class Local(Executor):
     """See `Executor`. Raises DatasetError where an address is given."""
 
     def __init__(self, address: str, workers: int):
         if address:
             raise DatasetError(f"--on local://{address}: this machine has no address; give --on local")
         self.workers = workers
-
-    def mine(self, tasks: Sequence[Any]) -> Sequence[Any]:
-        """See `Executor`."""
-        return tasks
 
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]

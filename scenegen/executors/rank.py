@@ -5,6 +5,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any
 
 from scenegen.errors import DatasetError, short
+from scenegen.executors import Executor
 from scenegen.workers import run
 
 NAMES = (
@@ -20,7 +21,7 @@ FIRST = "SLURM_ARRAY_TASK_MIN"
 """The least number of a job array, which need not be 0."""
 
 
-class Rank:
+class Rank(Executor):
     """See `Executor`: every world-size-th task, from the rank on, by processes of this machine.
 
     Raises DatasetError where an address is given, and where the environment tells no rank.

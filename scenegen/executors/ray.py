@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from scenegen.errors import GenerationError, needs
+from scenegen.executors import Executor
 from scenegen.executors.remote import Outcome, attempt, named
 
 SILENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
@@ -19,7 +20,7 @@ AHEAD = 2
 """Tasks given away for every core of the cluster: one that runs, and one that waits."""
 
 
-class Ray:
+class Ray(Executor):
     """See `Executor`. With an address, ``ray://host:port`` or ``ray://auto`` for the cluster that this machine is of,
     a cluster that is there; else one that is begun on this machine, of `workers` cores, and ended afterwards.
 
@@ -34,10 +35,6 @@ class Ray:
             raise GenerationError(f"--on ray: {needs('ray', 'ray')}") from None
         self.ray = ray
         self.address, self.workers = address, workers
-
-    def mine(self, tasks: Sequence[Any]) -> Sequence[Any]:
-        """See `Executor`."""
-        return tasks
 
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]

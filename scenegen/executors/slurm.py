@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from scenegen.errors import DatasetError, GenerationError, needs, printable
+from scenegen.executors import Executor
 from scenegen.executors.remote import Outcome, attempt
 
 MINUTES = 240
@@ -28,7 +29,7 @@ LOOKS = 10
 """After how many a job counts as lost that is no longer queued, and whose result is not there."""
 
 
-class Slurm:
+class Slurm(Executor):
     """See `Executor`. `workers` jobs run at a time, one core each. The address, ``slurm://PARTITION?time=60&mem=4G``,
     may name the partition, and options of sbatch.
 
@@ -50,10 +51,6 @@ class Slurm:
             ) from None
         self.options = ({"partition": partition} if partition else {}) | given
         self.workers = workers
-
-    def mine(self, tasks: Sequence[Any]) -> Sequence[Any]:
-        """See `Executor`."""
-        return tasks
 
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]

@@ -98,8 +98,9 @@ def test_a_run_counts_as_complete_by_its_settings_and_its_last_map(tmp_path: Pat
         del settings["network"][name]
     (tmp_path / "config.json").write_text(json.dumps({"settings": settings | {"samples": 50, "precision": "bfloat16"}}))
     assert not stages._complete(tmp_path, run, config)
+    heads = "epoch,maps,train_loss,val_loss,val_iou,val_near_mae"
     for maps, whole in ((160, False), (200, True)):
-        (tmp_path / "metrics.csv").write_text(f"epoch,maps\n1,80\n2,{maps}\n")
+        (tmp_path / "metrics.csv").write_text(f"{heads}\n1,80,1,1,0,1\n2,{maps},1,1,0,1\n")
         assert stages._complete(tmp_path, run, config) == whole
     assert not stages._complete(tmp_path, run, ReproduceConfig(scale=0.02))
     assert not stages._complete(tmp_path, runs(ReproduceConfig(only=("occ-s1",)))[0], config)
