@@ -1,24 +1,31 @@
 """What the paper claims, and what a bench says of it.
 
 Every bold cell of the paper's tables is a claim: this method is better than each other one, by this metric, on this
-kind of worlds. A claim is judged seed by seed, by the difference between two methods on the same maps, with a 95 %
-interval from a bootstrap over worlds.
+kind of worlds. A claim is judged by every pair of seeds, one of each method: by the difference on the same maps, and by
+a bootstrap over worlds, which gives its 95 % interval and the probability of so large a difference where there is none.
+All claims together are held to one level (S. Holm, "A simple sequentially rejective multiple test procedure",
+Scandinavian Journal of Statistics 6, 1979).
 """
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import DRAWS
 from scenegen.model.reproduce.runs import Run
 
 Verdict = Literal["confirmed", "refuted", "undecided"]
+DRAWS = 10_000
+"""Resamples of the bootstrap: Holm's rule needs probabilities of a thousandth."""
+LEVEL = 0.05
+"""The probability that any verdict is decided where all differences are chance."""
 QUESTIONS = {
     "Q1": "Does learning occupancy and TUDF jointly improve reconstruction over single-task baselines?",
     "Q2": "Does the better reconstruction benefit planning in unknown environments?",
@@ -59,20 +66,14 @@ class Claim:
 
 @dataclass(frozen=True, kw_only=True)
 class Contrast:
-    """How much better `best` is than `other` by one seed's networks; positive where the claim holds."""
+    """How much better one network is than another; positive where the first is."""
 
-    seed: int
     difference: float
     low: float | None
     """Lower end of the 95 % interval; None where there is one world."""
     high: float | None
-
-    @property
-    def sign(self) -> int:
-        """1 where the interval lies above 0, -1 where it lies below, 0 where it holds 0."""
-        if self.low is None or self.high is None:
-            return 0
-        return int(self.low > 0) - int(self.high < 0)
+    chance: float | None
+    """Two-sided probability of a difference so far from 0 where there is none; None where there is one world."""
 
 
 def claims() -> tuple[Claim, ...]:
@@ -99,39 +100,63 @@ def beside() -> tuple[Claim, ...]:
     )
 
 
-def judge(claim: Claim, result: DatasetResult, *, seeds: Sequence[int], seed: int) -> list[Contrast]:
-    """The claim's contrast for every one of `seeds` whose networks `result` holds, as rows named ``occ-s0``; `seed` is
-    the bootstrap's."""
-    found = []
-    for number in seeds:
-        best, other = f"{claim.best}-s{number}", f"{claim.other}-s{number}"
-        if {best, other} <= result.methods.keys():
-            difference, low, high = _gain(claim.metric, result, best, other, seed)
-            found.append(Contrast(seed=number, difference=difference, low=low, high=high))
-    return found
+def judged(drawn: Sequence["Draws"], asked: Sequence[Claim], seeds: Sequence[int]) -> list[dict[str, Any]]:
+    """Each of `asked` as JSON: what it says, its question, its verdict, its probability by Holm, and its contrast for
+    every pair of `seeds` whose networks are there, as rows named ``occ-s0``.
+
+    A claim is confirmed where every pair has it so, refuted where every pair has it the other way, and the least of its
+    pairs is still told from chance at `LEVEL` among all claims that can be decided; it is undecided otherwise, and
+    where a method has fewer than two seeds.
+    """
+    by_kind = {one.result.kind: one for one in drawn}
+    found = [_pairs(claim, by_kind[claim.kind], seeds) for claim in asked if claim.kind in by_kind]
+    chances = {number: chance for number, (_, pairs) in enumerate(found) if (chance := _least_sure(pairs)) is not None}
+    adjusted = dict(zip(chances, holm(list(chances.values())), strict=True))
+    return [
+        vars(claim)
+        | {"question": claim.question, "verdict": _verdict(pairs, adjusted.get(number)), "holm": adjusted.get(number)}
+        | {"pairs": [{"best_seed": ours, "other_seed": theirs} | vars(one) for (ours, theirs), one in pairs.items()]}
+        for number, (claim, pairs) in enumerate(found)
+    ]
 
 
-def verdict(contrasts: Sequence[Contrast]) -> Verdict:
-    """Confirmed where every seed's interval lies on the claim's side of 0, refuted where every one lies on the other
-    side; undecided otherwise, and where there are fewer than two seeds."""
-    signs = {contrast.sign for contrast in contrasts}
-    if len(contrasts) < 2 or signs not in ({1}, {-1}):
+Pairs = Mapping[tuple[int, int], Contrast]
+"""Contrasts by the seeds of the better and of the other method."""
+
+
+def _pairs(claim: Claim, drawn: "Draws", seeds: Sequence[int]) -> tuple[Claim, Pairs]:
+    ours, theirs = ({seed: f"{name}-s{seed}" for seed in seeds} for name in (claim.best, claim.other))
+    rows = drawn.result.methods.keys()
+    return claim, {
+        (first, second): drawn.gain(claim.metric, ours[first], theirs[second])
+        for first, second in product(seeds, seeds)
+        if {ours[first], theirs[second]} <= rows
+    }
+
+
+def _least_sure(pairs: Pairs) -> float | None:
+    """The largest probability of chance among the pairs; None where they cannot decide."""
+    if any(len({pair[place] for pair in pairs}) < 2 for place in (0, 1)):
+        return None
+    chances = [one.chance for one in pairs.values() if one.chance is not None]
+    return max(chances) if len(chances) == len(pairs) else None
+
+
+def _verdict(pairs: Pairs, chance: float | None) -> Verdict:
+    sides = {one.difference > 0 for one in pairs.values()}
+    if chance is None or chance > LEVEL or len(sides) > 1:
         return "undecided"
-    return "confirmed" if signs == {1} else "refuted"
+    return "confirmed" if sides == {True} else "refuted"
 
 
-def judged(
-    result: DatasetResult, asked: Sequence[Claim], *, seeds: Sequence[int], seed: int = 0
-) -> list[dict[str, Any]]:
-    """Those claims of `asked` that are about `result`'s kind, as JSON: what each says, its question, its verdict, and
-    each seed's contrast."""
-    found = []
-    for claim in asked:
-        if claim.kind == result.kind:
-            contrasts = judge(claim, result, seeds=seeds, seed=seed)
-            said = {"question": claim.question, "verdict": verdict(contrasts)}
-            found.append(vars(claim) | said | {"seeds": [vars(contrast) for contrast in contrasts]})
-    return found
+def holm(chances: Sequence[float]) -> list[float]:
+    """Each probability adjusted for all of them by Holm's step-down rule: at most `LEVEL` where it is told from chance
+    among all at that level."""
+    order = np.argsort(chances, kind="stable")
+    left = np.arange(len(chances), 0, -1)
+    adjusted = np.empty(len(chances))
+    adjusted[order] = np.minimum(np.maximum.accumulate(np.array(chances)[order] * left), 1)
+    return adjusted.tolist()
 
 
 def answers(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -151,46 +176,70 @@ def _loss(metric: str, value: Any) -> Any:
     return -value if better == "higher" else value if better == "lower" else np.abs(value)
 
 
-def contrasts(result: DatasetResult, runs: Sequence[Run], *, seed: int) -> list[dict[str, Any]]:
+def contrasts(drawn: "Draws", runs: Sequence[Run]) -> list[dict[str, Any]]:
     """How much better each of `runs` is than the one that it is compared with, by `TOLD`, as JSON: one seed, so that
     no verdict follows."""
     return [
-        {"run": run.name, "against": run.against, "kind": result.kind, "metric": metric}
-        | dict(zip(("difference", "low", "high"), _gain(metric, result, run.name, run.against, seed), strict=True))
+        {"run": run.name, "against": run.against, "kind": drawn.result.kind, "metric": metric}
+        | vars(drawn.gain(metric, run.name, run.against))
         for run in runs
-        if run.against in result.methods
+        if run.against in drawn.result.methods
         for metric in TOLD
     ]
 
 
-def _gain(
-    metric: str, result: DatasetResult, best: str, other: str, seed: int
-) -> tuple[float, float | None, float | None]:
-    """By how much row `best` of `result` is better than row `other`, and the interval's ends, as in `Contrast`.
+class Draws:
+    """The means of a bench's rows over resamples of its worlds, the same resamples for all of them."""
 
-    Each method's mean is over its own values, as in the tables; worlds are drawn with replacement for both alike.
-    """
-    rows = [result.methods[name] for name in (best, other)]
-    if metric in METRICS:
-        column, worlds = list(METRICS).index(metric), result.worlds
-        pair = [row.reconstruction[:, 0, column] for row in rows]
-    else:
-        of, worlds = PLAN_METRICS[metric].of, result.trial_worlds
-        pair = [np.array([of(trial) for trial in row.trials], np.float64) for row in rows]
-    names, member = np.unique(worlds, return_inverse=True)
-    drawn = np.random.default_rng(seed).multinomial(len(names), np.full(len(names), 1 / len(names)), DRAWS)
-    weights = np.vstack([np.ones(len(names)), drawn])
-    losses = []
-    for values in pair:
+    def __init__(self, result: DatasetResult, seed: int):
+        """`seed` is the bootstrap's."""
+        self.result = result
+        self._of_maps, self._of_trials = _Worlds(result.worlds, seed), _Worlds(result.trial_worlds, seed)
+        self._losses: dict[tuple[str, str], NDArray[np.float64]] = {}
+
+    def gain(self, metric: str, best: str, other: str) -> Contrast:
+        """By how much row `best` is better than row `other`."""
+        gains = self._loss(metric, other) - self._loss(metric, best)
+        difference, resampled = float(gains[0]), gains[1:][np.isfinite(gains[1:])]
+        if self._of_maps.count < 2 or not len(resampled):
+            return Contrast(difference=difference, low=None, high=None, chance=None)
+        low, high = np.percentile(resampled, [2.5, 97.5])
+        beyond = min(np.count_nonzero(resampled <= 0), np.count_nonzero(resampled >= 0))
+        chance = min(2 * (beyond + 1) / (len(resampled) + 1), 1.0)
+        return Contrast(difference=difference, low=float(low), high=float(high), chance=chance)
+
+    def _loss(self, metric: str, name: str) -> NDArray[np.float64]:
+        """The mean of row `name` as something to be small, (1 + DRAWS,): of all worlds first, then of each resample.
+
+        It is over the row's own values, as in the tables.
+        """
+        if (metric, name) not in self._losses:
+            row = self.result.methods[name]
+            if metric in METRICS:
+                values, worlds = row.reconstruction[:, 0, list(METRICS).index(metric)], self._of_maps
+            else:
+                of, worlds = PLAN_METRICS[metric].of, self._of_trials
+                values = np.array([of(trial) for trial in row.trials], np.float64)
+            self._losses[metric, name] = _loss(metric, worlds.means(values))
+        return self._losses[metric, name]
+
+
+class _Worlds:
+    """Resamples of worlds with replacement, for values that belong to them."""
+
+    def __init__(self, worlds: NDArray[np.int64], seed: int):
+        """`worlds` (N,) names the world of every value."""
+        names, self._member = np.unique(worlds, return_inverse=True)
+        self.count = len(names)
+        drawn = np.random.default_rng(seed).multinomial(self.count, np.full(self.count, 1 / self.count), DRAWS)
+        self._weights = np.vstack([np.ones(self.count), drawn])
+
+    def means(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The mean of `values` (N,) that are finite: of all worlds first, then of each resample, (1 + DRAWS,)."""
         held = np.isfinite(values)
         sums, counts = (
-            np.bincount(member[held], weights=part[held], minlength=len(names))
+            np.bincount(self._member[held], weights=part[held], minlength=self.count)
             for part in (values, np.ones(len(values)))
         )
         with np.errstate(invalid="ignore"):  # a draw of worlds without a path says nothing
-            losses.append(_loss(metric, (weights @ sums) / (weights @ counts)))
-    gains = losses[1] - losses[0]
-    if len(names) < 2 or not np.isfinite(gains[1:]).any():
-        return float(gains[0]), None, None
-    low, high = np.nanpercentile(gains[1:], [2.5, 97.5])
-    return float(gains[0]), float(low), float(high)
+            return np.asarray((self._weights @ sums) / (self._weights @ counts))

@@ -41,10 +41,10 @@ def learning(study: Study) -> bytes:
 
 
 def claims(study: Study) -> bytes | None:
-    """Every claim's difference by each seed, with its interval, in units of its metric; None where no claim has
-    networks."""
+    """Every claim's difference by each pair of seeds, with its interval, in units of its metric; None where no claim
+    has networks."""
     kinds = list(study["report"]["datasets"])
-    tried = [claim for claim in study["claims"] if claim["seeds"]]
+    tried = [claim for claim in study["claims"] if claim["pairs"]]
     if not tried:
         return None
     figure = _figure(12, 1.2 + 0.3 * max(sum(claim["kind"] == kind for claim in tried) for kind in kinds))
@@ -53,7 +53,7 @@ def claims(study: Study) -> bytes | None:
         _forest(
             axes,
             [f"{_title(one['metric'])}: {one['best']} before {one['other']}" for one in rows],
-            [one["seeds"] for one in rows],
+            [one["pairs"] for one in rows],
             [COLOURS[one["verdict"]] for one in rows],
         )
         axes.set_title(f"{kind}: better by", fontsize="medium")
@@ -109,7 +109,7 @@ def _forest(
         for m, one in enumerate(found):
             if one["difference"] is not None:
                 shown = {"mean": one["difference"], "low": one["low"], "high": one["high"]}
-                at = n + 0.25 * (m - (len(found) - 1) / 2)
+                at = n + 0.2 * (m - (len(found) - 1) / 2)
                 axes.errorbar(one["difference"], at, xerr=_errors([shown]), fmt="os"[m % 2], color=colour, markersize=4)
     axes.axvline(0, color="grey", linewidth=0.8)
     axes.set_yticks(range(len(names)), names, fontsize="small")

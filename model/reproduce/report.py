@@ -31,8 +31,9 @@ def to_markdown(study: Mapping[str, Any]) -> str:
         "## Verdicts",
         "",
         "A claim is that one of the paper's methods is better than another by one metric on one kind of worlds: one "
-        "for every bold cell of its tables and every other row. It is confirmed, or refuted, where the 95 % interval "
-        "of the difference lies on one side of 0 for two seeds or more; else it is undecided.",
+        "for every bold cell of its tables and every other row. It is confirmed, or refuted, where every pair of "
+        "seeds, one of each method and two of each at least, differs to the same side, and the least sure of the pairs "
+        "is told from chance at a level of .05 for all claims together (Holm); else it is undecided.",
         "",
         *head(("verdict", "claims")),
     ]
@@ -42,9 +43,9 @@ def to_markdown(study: Mapping[str, Any]) -> str:
         lines += ["", f"## {kind}", ""]
         for title, claims in (("The paper's claims", study["claims"]), ("Beside them, judged alike", study["beside"])):
             rows = [claim for claim in claims if claim["kind"] == kind]
-            tried = [claim for claim in rows if claim["seeds"]]
+            tried = [claim for claim in rows if claim["pairs"]]
             lines += [f"{title}; {len(rows) - len(tried)} of {len(rows)} have no networks yet:", ""]
-            lines += [*head(("verdict", "better by, seed by seed")), *_judged(tried), ""]
+            lines += [*head(("verdict", "chance (Holm)", "better by, pair by pair")), *_judged(tried), ""]
         lines += ["Means over test maps and trials, with 95 % intervals:", "", *_means(study["report"], kind)]
         if studied := study["report"].get("study", {}).get(kind):
             lines += [
@@ -74,7 +75,8 @@ def _means(report: Mapping[str, Any], kind: str) -> list[str]:
 def _judged(claims: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     for claim in claims:
         name = f"{_label(claim['metric'])}: {claim['best']} before {claim['other']}"
-        yield line(name, (claim["verdict"], "; ".join(map(_gain, claim["seeds"]))))
+        chance = "" if claim["holm"] is None else f"{claim['holm']:.4f}"
+        yield line(name, (claim["verdict"], chance, "; ".join(map(_gain, claim["pairs"]))))
 
 
 def _compared(rows: Sequence[Mapping[str, Any]]) -> Iterable[str]:

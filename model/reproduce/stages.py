@@ -28,7 +28,7 @@ from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import DatasetResult, bench
 from scenegen.model.evaluation.seen import Seen
-from scenegen.model.reproduce.claims import answers, beside, claims, contrasts, judged
+from scenegen.model.reproduce.claims import Draws, answers, beside, claims, contrasts, judged
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.figures import draw
 from scenegen.model.reproduce.report import to_markdown
@@ -79,10 +79,8 @@ def reproduce(
     done = [run for run in RUNS if run in chosen or _complete(out / "runs" / run.name, run, config)]
     measured = [_measure(out, folder, done, config, workers, progress(f"bench {folder.name}")) for folder in folders]
     short = {run.name for run in done if run.share < 1}
-    said, others = (
-        [row for one in measured for row in judged(one, asked, seeds=SEEDS, seed=config.seed)]
-        for asked in (claims(), beside())
-    )
+    drawn = [Draws(one, config.seed) for one in measured]
+    said, others = (judged(drawn, asked, SEEDS) for asked in (claims(), beside()))
     study = {
         "settings": {name: value for name, value in asdict(config).items() if name != "only"},
         "commit": commit(),
@@ -91,7 +89,7 @@ def reproduce(
         "verdicts": answers(said),
         "claims": said,
         "beside": others,
-        "contrasts": [row for one in measured for row in contrasts(one, done, seed=config.seed)],
+        "contrasts": [row for one in drawn for row in contrasts(one, done)],
         "report": _report(measured, lambda name: name not in short, config.seed),
         "short": _report(measured, lambda name: name in short, config.seed),
     }
