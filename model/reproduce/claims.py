@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
+from scenegen.model.evaluation.statistics import holm
 from scenegen.model.reproduce.runs import Run
 
 Verdict = Literal["confirmed", "refuted", "undecided"]
@@ -111,7 +112,7 @@ def judged(drawn: Sequence["Draws"], asked: Sequence[Claim], seeds: Sequence[int
     by_kind = {one.result.kind: one for one in drawn}
     found = [_pairs(claim, by_kind[claim.kind], seeds) for claim in asked if claim.kind in by_kind]
     chances = {number: chance for number, (_, pairs) in enumerate(found) if (chance := _least_sure(pairs)) is not None}
-    adjusted = dict(zip(chances, holm(list(chances.values())), strict=True))
+    adjusted = dict(zip(chances, holm(list(chances.values())).tolist(), strict=True))
     return [
         vars(claim)
         | {"question": claim.question, "verdict": _verdict(pairs, adjusted.get(number)), "holm": adjusted.get(number)}
@@ -147,16 +148,6 @@ def _verdict(pairs: Pairs, chance: float | None) -> Verdict:
     if chance is None or chance > LEVEL or len(sides) > 1:
         return "undecided"
     return "confirmed" if sides == {True} else "refuted"
-
-
-def holm(chances: Sequence[float]) -> list[float]:
-    """Each probability adjusted for all of them by Holm's step-down rule: at most `LEVEL` where it is told from chance
-    among all at that level."""
-    order = np.argsort(chances, kind="stable")
-    left = np.arange(len(chances), 0, -1)
-    adjusted = np.empty(len(chances))
-    adjusted[order] = np.minimum(np.maximum.accumulate(np.array(chances)[order] * left), 1)
-    return adjusted.tolist()
 
 
 def answers(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

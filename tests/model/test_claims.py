@@ -9,7 +9,7 @@ import pytest
 
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.reproduce.claims import LEVEL, Claim, Contrast, Draws, answers, claims, contrasts, holm, judged
+from scenegen.model.reproduce.claims import Claim, Contrast, Draws, answers, claims, contrasts, judged
 from scenegen.model.reproduce.runs import RUNS
 
 WORLDS = np.repeat(np.arange(40), 5)
@@ -87,20 +87,6 @@ def test_one_world_decides_nothing() -> None:
     both = result(proposed_s0=row(np.ones(200)), occ_s0=row(np.zeros(200)))
     both.worlds = np.zeros(200)
     assert gain(both, "iou") == Contrast(difference=1.0, low=None, high=None, chance=None)
-
-
-def test_holm_holds_the_least_of_all_to_the_level_of_their_number() -> None:
-    """The definition: in rising order, the k-th of n is told from chance while n - k + 1 times it is at the level."""
-    rng = np.random.default_rng(2)
-    for count in range(8):
-        chances = rng.uniform(0, 0.05, count).tolist()
-        told = set()
-        for k, chance in enumerate(sorted(chances)):
-            if chance * (count - k) > LEVEL:
-                break
-            told.add(chance)
-        assert {chance for chance, found in zip(chances, holm(chances), strict=True) if found <= LEVEL} == told
-    assert holm([0.9, 0.8]) == [1, 1]
 
 
 def verdict(rows: dict[str, Any], asked: str = "iou") -> str:
