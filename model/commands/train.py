@@ -28,7 +28,7 @@ from scenegen.terminal.options import (
     was_given,
 )
 from scenegen.terminal.progress import Progress
-from scenegen.terminal.show import say
+from scenegen.terminal.show import curve, say
 
 if TYPE_CHECKING:
     from scenegen.model.training.data import Samples
@@ -184,6 +184,9 @@ def train(
         return
     if not shown.begun:
         say(f"{out}: this run is complete already; give another --out for another one")
+    for name, column in (("loss", "val_loss"), ("IoU", "val_iou")) if len(rows) > 1 else ():
+        values = [row[column] for row in rows]
+        say(f"validation {name:4}  {curve(values)}  {values[0]:.4f} to {values[-1]:.4f}")
     say(f"best: epoch {best['epoch']:.0f} of {len(rows)}, {_validated(best)}; {out}, {seconds:.0f} s")
 
 

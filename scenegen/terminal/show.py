@@ -1,6 +1,7 @@
 """Results as people read them. All that comes from files is escaped here."""
 
 import shutil
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ from scenegen.errors import escaped
 
 ENDLESS = 1 << 30
 """Columns of what is no terminal."""
+BARS, PLAIN_BARS = "▁▂▃▄▅▆▇█", "_.-=*#"
+"""From low to high; the second where the terminal has no others."""
 
 
 def say(text: object = "") -> None:
@@ -47,6 +50,18 @@ def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title:
         for name, cells in rows.items():
             say(escaped(name).ljust(first) + "".join(cells[n].rjust(widths[n]) for n in columns))
         begin = end
+
+
+def curve(values: Sequence[float], *, most: int = 60) -> str:
+    """Numbers as a line of bars, the least the lowest; of more than `most` as many, evenly spread."""
+    shown = [values[n * (len(values) - 1) // max(most - 1, 1)] for n in range(most)] if len(values) > most else values
+    least, height = min(shown), max(shown) - min(shown)
+    try:
+        BARS.encode(sys.stdout.encoding or "ascii")
+        bars = BARS
+    except UnicodeEncodeError:
+        bars = PLAIN_BARS
+    return "".join(bars[round((value - least) / (height or 1) * (len(bars) - 1))] for value in shown)
 
 
 def per_split(counts: Mapping[str, int]) -> str:

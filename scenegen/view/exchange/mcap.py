@@ -1,11 +1,13 @@
-"""MCAP recordings (mcap.dev) with ROS 2 messages: scans and voxels as point clouds, and where the sensor was.
+"""MCAP recordings (mcap.dev) with ROS 2 messages: scans and voxels as point clouds, maps as voxel grids, and where the
+sensor was.
 
 Messages are in CDR (OMG's Common Data Representation, little-endian), where a number begins at a multiple of its size.
-Their definitions are ROS's own common interfaces, written here as far as they are used.
+Their definitions are ROS's own common interfaces and Foxglove's VoxelGrid, written here as far as they are used.
 """
 
 import io
 import struct
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,21 +24,35 @@ CLOUD = (
     "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
     f"{RULE}MSG: sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n{HEADER}"
 )
-POSE = (
-    "std_msgs/Header header\ngeometry_msgs/Pose pose\n"
+POSES = (
     f"{RULE}MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"
     f"{RULE}MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
-    f"{RULE}MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{HEADER}"
+    f"{RULE}MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
 )
+POSE = f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{POSES}{HEADER}"
+VOXEL_GRID = (
+    "builtin_interfaces/Time timestamp\nstring frame_id\ngeometry_msgs/Pose pose\nuint32 row_count\n"
+    "uint32 column_count\ngeometry_msgs/Vector3 cell_size\nuint32 slice_stride\nuint32 row_stride\n"
+    "uint32 cell_stride\nfoxglove_msgs/PackedElementField[] fields\nuint8[] data\n"
+    f"{RULE}MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+    f"{RULE}MSG: foxglove_msgs/PackedElementField\nstring name\nuint32 offset\nuint8 type\n{POSES}{TIME}"
+)
+SCHEMAS = {
+    "sensor_msgs/msg/PointCloud2": CLOUD,
+    "geometry_msgs/msg/PoseStamped": POSE,
+    "foxglove_msgs/msg/VoxelGrid": VOXEL_GRID,
+}
 FLOAT32 = 7
 """PointField's number for it."""
+UINT8 = 1
+"""PackedElementField's number for it."""
 FRAME = "world"
 
 
 class Mcap:
     """``train-000000.mcap`` with the first samples, a second apart, and so on. Topics are ``/scan``, the returns;
-    ``/observed``, ``/free`` and ``/occupancy``, centres of voxels; all PointCloud2 in the world; and ``/pose``, the
-    body's PoseStamped."""
+    ``/observed``, ``/free`` and ``/occupancy``, centres of voxels; all PointCloud2 in the world; ``/map``, a VoxelGrid
+    with those three as fields, 0 or 1; and ``/pose``, the body's PoseStamped."""
 
     together = 100
 
@@ -54,21 +70,19 @@ class Mcap:
         memory = io.BytesIO()
         writer = Writer(memory, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="scenegen")
-        clouds, poses = (
-            writer.register_schema(name, "ros2msg", text.encode())
-            for name, text in (("sensor_msgs/msg/PointCloud2", CLOUD), ("geometry_msgs/msg/PoseStamped", POSE))
-        )
-        topics = {name: writer.register_channel(f"/{name}", "cdr", clouds) for name in (*VOXELS, "scan")}
-        pose = writer.register_channel("/pose", "cdr", poses)
+        clouds, poses, maps = (writer.register_schema(name, "ros2msg", text.encode()) for name, text in SCHEMAS.items())
+        schemas = dict.fromkeys((*VOXELS, "scan"), clouds) | {"map": maps, "pose": poses}
+        topics = {name: writer.register_channel(f"/{name}", "cdr", schema) for name, schema in schemas.items()}
         for number, sample in samples:
             points = {"scan": sample.points(lidar)}
             centres = grid.centres(sample.origin)
             points |= {name: centres[getattr(sample, name)] for name in VOXELS}
-            messages = [(topics[name], encode_cloud(found, number)) for name, found in points.items()]
-            messages.append((pose, encode_pose(sample.position, sample.quaternion, number)))
-            for channel, data in messages:
+            messages = {name: encode_cloud(found, number) for name, found in points.items()}
+            messages["map"] = encode_map({name: getattr(sample, name) for name in VOXELS}, sample.origin, grid, number)
+            messages["pose"] = encode_pose(sample.position, sample.quaternion, number)
+            for name, data in messages.items():
                 at = number * 10**9
-                writer.add_message(channel, log_time=at, publish_time=at, data=data, sequence=number)
+                writer.add_message(topics[name], log_time=at, publish_time=at, data=data, sequence=number)
         writer.finish()
         return (memory.getvalue(),)
 
@@ -98,6 +112,28 @@ def encode_pose(position: NDArray[np.float64], quaternion: NDArray[np.float64], 
     out = _Cdr()
     out.header(second)
     out.put("7d", *position, *np.roll(quaternion, -1))
+    return out.content
+
+
+def encode_map(
+    fields: Mapping[str, NDArray[np.bool_]], origin: NDArray[np.float64], grid: GridSpec, second: int
+) -> bytes:
+    """A VoxelGrid of `fields` (X, Y, Z), whose least corner is `origin` (3,) in the world, metres."""
+    out = _Cdr()
+    out.header(second)
+    out.put("7d", *origin, 0, 0, 0, 1)
+    columns, rows, _ = grid.shape
+    out.put("II", rows, columns)
+    out.put("3d", *(grid.voxel_m,) * 3)
+    stride = len(fields)
+    out.put("III", stride * columns * rows, stride * columns, stride)
+    out.put("I", stride)
+    for n, name in enumerate(fields):
+        out.text(name)
+        out.put("IB", n, UINT8)
+    data = np.stack(list(fields.values()), axis=-1).transpose(2, 1, 0, 3).astype(np.uint8).tobytes()
+    out.put("I", len(data))
+    out.raw(data)
     return out.content
 
 

@@ -1,6 +1,7 @@
 """`scenegen train`, `complete`, `export`, `networks` and `bench --weights` as users meet them."""
 
 import json
+import re
 import sys
 import time
 from pathlib import Path
@@ -34,6 +35,7 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     assert code == 0
     assert said.count("epoch ") == 3
     assert "best: epoch" in said
+    assert re.search(r"validation loss  .. +\d\.\d+ to ", said)
     settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())
     assert settings["command"].startswith("scenegen train --epochs 2")
     assert settings["settings"]["network"]["width"] == 4

@@ -1,8 +1,10 @@
 """Nothing that comes from a file prints a line, or a colour, of its own."""
 
+import io
+
 import pytest
 
-from scenegen.terminal.show import say, show_figures, show_table
+from scenegen.terminal.show import curve, say, show_figures, show_table
 
 FORGED = "pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07\u202e"
 
@@ -49,3 +51,17 @@ def test_in_a_pipe_figures_stand_in_one_line(
     monkeypatch.delenv("COLUMNS", raising=False)
     show_figures({"one": ["0.5"] * 50}, ["metric"] * 50)
     assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+@pytest.mark.parametrize(("encoding", "least", "greatest"), [("utf-8", "▁", "█"), ("ascii", "_", "#")])
+def test_a_curve_rises_and_falls_with_its_numbers(
+    monkeypatch: pytest.MonkeyPatch, encoding: str, least: str, greatest: str
+) -> None:
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(io.BytesIO(), encoding))
+    assert curve([0.5, 0.1, 0.9]) == f"{curve([0.5, 0.1, 0.9])[0]}{least}{greatest}"
+    assert curve([2.0, 2.0]) == 2 * least
+    long = curve([float(n) for n in range(1000)])
+    assert len(long) == 60
+    assert (long[0], long[-1]) == (least, greatest)
+    ranks = [long.index(bar) for bar in dict.fromkeys(long)]
+    assert ranks == sorted(ranks)

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from lidarsim import GridSpec
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
+from scenegen.sample import Sample
 from scenegen.single import read_world
 from scenegen.view.exchange import FORMATS
 from scenegen.view.exchange.choices import Choices
@@ -248,9 +250,14 @@ def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made: Path, tmp_
         read = reader.make_reader(file, decoder_factories=[ros2.DecoderFactory()], validate_crcs=True)
         for schema, channel, message, decoded in read.iter_decoded_messages():
             number, topic = message.sequence, channel.topic[1:]
-            assert (decoded.header.stamp.sec, decoded.header.frame_id) == (number, "world")
             seen.add((number, topic))
             sample = samples[number]
+            if topic == "map":
+                assert (decoded.timestamp.sec, decoded.frame_id) == (number, "world")
+                assert schema.name == "foxglove_msgs/msg/VoxelGrid"
+                shown_as_foxglove_reads_it(decoded, sample, grid)
+                continue
+            assert (decoded.header.stamp.sec, decoded.header.frame_id) == (number, "world")
             if topic == "pose":
                 at, turned = decoded.pose.position, decoded.pose.orientation
                 assert (at.x, at.y, at.z) == tuple(sample.position)
@@ -266,7 +273,31 @@ def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made: Path, tmp_
             assert decoded.row_step == decoded.point_step * decoded.width == len(decoded.data)
             expected = sample.points() if topic == "scan" else grid.centres(sample.origin)[getattr(sample, topic)]
             np.testing.assert_array_equal(points, expected.astype(np.float32))
-    assert seen == {(n, topic) for n in range(len(samples)) for topic in (*SENSED, "scan", "pose")}
+    assert seen == {(n, topic) for n in range(len(samples)) for topic in (*SENSED, "scan", "map", "pose")}
+
+
+def shown_as_foxglove_reads_it(found: Any, sample: Sample, grid: GridSpec) -> None:
+    """Where the cell of a byte lies is as https://docs.foxglove.dev/docs/sdk/schemas/voxel-grid says."""
+    data = np.frombuffer(bytes(found.data), np.uint8)
+    assert [(one.name, one.offset, one.type) for one in found.fields] == [(name, n, 1) for n, name in enumerate(SENSED)]
+    assert (found.column_count, found.row_count) == grid.shape[:2]
+    assert len(data) == found.slice_stride * grid.shape[2]
+    i = np.arange(0, len(data), found.cell_stride)
+    cells = np.stack(
+        [
+            i % found.row_stride // found.cell_stride * found.cell_size.x,
+            i % found.slice_stride // found.row_stride * found.cell_size.y,
+            i // found.slice_stride * found.cell_size.z,
+        ],
+        axis=-1,
+    )
+    corner = found.pose.position
+    assert (corner.x, corner.y, corner.z) == tuple(sample.origin)
+    assert found.pose.orientation.w == 1
+    for field in found.fields:
+        held = sample.origin + cells[data[i + field.offset] == 1] + grid.voxel_m / 2
+        expected = grid.centres(sample.origin)[getattr(sample, field.name)]
+        np.testing.assert_allclose(*(points[np.lexsort(points.round(6).T)] for points in (held, expected)), atol=1e-9)
 
 
 RERUN = """
