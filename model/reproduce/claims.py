@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import holm
+from scenegen.model.evaluation.statistics import holm, resamples
 from scenegen.model.reproduce.runs import Run
 
 Verdict = Literal["confirmed", "refuted", "undecided"]
@@ -222,8 +222,7 @@ class _Worlds:
         """`worlds` (N,) names the world of every value."""
         names, self._member = np.unique(worlds, return_inverse=True)
         self.count = len(names)
-        drawn = np.random.default_rng(seed).multinomial(self.count, np.full(self.count, 1 / self.count), DRAWS)
-        self._weights = np.vstack([np.ones(self.count), drawn])
+        self._weights = np.vstack([np.ones(self.count), resamples(self.count, np.random.default_rng(seed), DRAWS)])
 
     def means(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The mean of `values` (N,) that are finite: of all worlds first, then of each resample, (1 + DRAWS,)."""
