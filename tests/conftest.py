@@ -59,6 +59,11 @@ def picky_recipe() -> Recipe:
     )
 
 
+def quarter(count: int) -> pytest.MarkDecorator:
+    """A test of so many instances, its argument `count`: a quarter of them by default, all among the slow tests."""
+    return pytest.mark.parametrize("count", [count // 4, pytest.param(count, marks=pytest.mark.slow)])
+
+
 Once = Callable[[str, Callable[[Path], object]], Path]
 
 
