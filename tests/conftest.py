@@ -1,9 +1,10 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
 import fcntl
+import gc
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,22 @@ LONG = ("test_campaign.py", "test_crash.py", "test_silence.py", "test_export.py"
 
 MANY = 300
 """A run of this many tests needs most kernels."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in any test."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def pytest_sessionfinish() -> None:
+    """Libraries that count what is left when a process ends find it gone."""
+    gc.unfreeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
