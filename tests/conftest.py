@@ -1,5 +1,6 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
+import atexit
 import fcntl
 import gc
 import os
@@ -32,6 +33,8 @@ MANY = 300
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
     """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in any test."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        atexit.register(os._exit, 0)  # a worker has reported by then; taking apart what it imported takes seconds
     gc.disable()
     try:
         return (yield)
