@@ -1,9 +1,11 @@
 """Small worlds, grids and sensors, so that a whole dataset takes a second."""
 
+import atexit
 import fcntl
+import gc
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,24 @@ LONG = ("test_campaign.py", "test_crash.py", "test_silence.py", "test_export.py"
 
 MANY = 300
 """A run of this many tests needs most kernels."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in any test."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        atexit.register(os._exit, 0)  # a worker has reported by then; taking apart what it imported takes seconds
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def pytest_sessionfinish() -> None:
+    """Libraries that count what is left when a process ends find it gone."""
+    gc.unfreeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -57,6 +77,11 @@ def picky_recipe() -> Recipe:
         accept={"min_solids": 2.0, "min_occupied_share": 0.01, "min_returned_share": 0.03},
         flight={"altitude_m": (1.5, 5.0)},
     )
+
+
+def quarter(count: int) -> pytest.MarkDecorator:
+    """A test of so many instances, its argument `count`: a quarter of them by default, all among the slow tests."""
+    return pytest.mark.parametrize("count", [count // 4, pytest.param(count, marks=pytest.mark.slow)])
 
 
 Once = Callable[[str, Callable[[Path], object]], Path]

@@ -1,6 +1,7 @@
 """Every kernel compiled once for all processes that run the tests: each compiles a share, and the others read it."""
 
 import fcntl
+import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,8 @@ import numpy as np
 import scenegen
 from lidarsim.jit import cache_folder, cache_trouble
 
-STAMP = "compiled-for-the-tests"
+STAMP = f"compiled-for-the-tests-{hashlib.sha256(__file__.encode()).hexdigest()[:16]}"
+"""Numba keeps machine code by the path of its source, so what another checkout compiled serves this one nothing."""
 
 
 def share(worker: int, workers: int, meeting: Path) -> None:
@@ -63,16 +65,22 @@ def _clearance() -> None:
 def _cast() -> None:
     from lidarsim import AnalyticEngine
 
-    AnalyticEngine(_nothing()).cast(np.zeros((1, 3)), np.ones((1, 2, 3)), 10.0)
+    engine = AnalyticEngine(_nothing())
+    engine.hits(np.zeros((1, 3)), np.ones((1, 2, 3)), 10.0)
+    engine.move(_nothing())
 
 
 def _voxelize() -> None:
     import mujoco
 
-    from lidarsim import Lidar, MujocoEngine, Pose, cast, voxelize
+    from lidarsim import Lidar, MujocoEngine, Pose, cast
+    from lidarsim.fusion import Fusion
+    from lidarsim.voxelize import crossed, fuse
 
     engine = MujocoEngine.of(mujoco.MjSpec().compile())
-    voxelize(cast(engine, Lidar(rows=2, columns=4), Pose.level(np.zeros(3), 0.5)), _grid())
+    scan = cast(engine, Lidar(rows=2, columns=4), Pose.level(np.zeros(3), 0.5))
+    fuse([scan], _grid(), np.zeros(3), Fusion(fusion="log-odds"))
+    crossed(np.zeros(3), np.ones((1, 3)), _grid(), np.zeros(3))
 
 
 def _distances() -> None:

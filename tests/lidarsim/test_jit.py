@@ -149,8 +149,7 @@ def test_the_cache_lies_where_the_environment_says(package: Path, monkeypatch: p
 def test_kernels_are_not_taken_from_where_others_may_write(
     level: str, what: str, package: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    values = np.arange(4.0)
-    assert fresh("caller").summed(values) == 12.0
+    assert fresh("callee").scaled(6.0) == 12.0
     root = package.parent / "cache"
     place = root / level.format(name=folder_now().name)
     if what == "open to others":
@@ -161,19 +160,19 @@ def test_kernels_are_not_taken_from_where_others_may_write(
     else:
         monkeypatch.setattr(jit.os, "geteuid", lambda: 54321)
         monkeypatch.setattr(jit, "ROOT", 54322)
-    again = fresh("caller")
-    assert again.summed(values) == 12.0
+    again = fresh("callee")
+    assert again.scaled(6.0) == 12.0
     trouble = jit.cache_trouble("kernelled")
     if level == "" and what == "a link":  # the root's own name may be one
         assert trouble == ""
         return
     assert str(place if what != "another user's" else root) in trouble
-    assert sum(again.summed.stats.cache_hits.values()) == 0
+    assert sum(again.scaled.stats.cache_hits.values()) == 0
     if what == "open to others":
         place.chmod(0o755)
-        again = fresh("caller")
-        assert (again.summed(values), jit.cache_trouble("kernelled")) == (12.0, "")
-        assert sum(again.summed.stats.cache_hits.values()) == 1
+        again = fresh("callee")
+        assert (again.scaled(6.0), jit.cache_trouble("kernelled")) == (12.0, "")
+        assert sum(again.scaled.stats.cache_hits.values()) == 1
 
 
 def test_the_cache_is_made_for_its_user_alone(package: Path) -> None:

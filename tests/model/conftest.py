@@ -32,3 +32,9 @@ def folders(once: Once) -> list[Path]:
     """One dataset of each kind; the second leaves out what can be derived."""
     pillar = once("pillar", make_dataset)
     return [pillar, once("geometric", lambda folder: make_dataset(folder, "geometric", compact=True))]
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Curves take longer than short runs."""
+    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.skipif(
     not all(importlib.util.find_spec(name) for name in ("torch", "onnx")), reason="needs torch and onnx"
 )
 ROOT = Path(__file__).parents[2]
-CASES = 5
+CASES = 3
 """Of every family, in the ordinary suite."""
 
 

@@ -13,7 +13,7 @@ import pytest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.publish.stage import Request
 from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import Once, small_recipe
 from tests.scenegen.hub import TOKEN, Hub
 
 COUNTS = {"train": 11, "val": 2, "test": 4}
@@ -28,12 +28,15 @@ class Check:
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(once: Once) -> Path:
     """A dataset of seven shards; not to be changed."""
-    folder = tmp_path_factory.mktemp("made") / "pillar"
-    recipe = small_recipe()
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=3), workers=1)
-    return folder
+
+    def make(folder: Path) -> None:
+        recipe = small_recipe()
+        plan = plan_dataset(folder / "pillar", recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=3)
+        build(plan, workers=1)
+
+    return once("made", make) / "pillar"
 
 
 @pytest.fixture

@@ -27,6 +27,14 @@ SLACK_M = 2e-3
 """What a motion check may be off by; its shortest step is half of it."""
 
 
+def seeds(all_of: int) -> pytest.MarkDecorator:
+    """Half of so many by default, and the others among the slow tests."""
+    few = all_of // 2
+    return pytest.mark.parametrize(
+        "seed", [*range(few), *(pytest.param(n, marks=pytest.mark.slow) for n in range(few, all_of))]
+    )
+
+
 def primitive_world(seed: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Primitives of every kind at any attitude, within the bounds and around them; the last geom is a probe."""
     rng = np.random.default_rng(seed)
@@ -96,7 +104,7 @@ def check_motions(clearance: Clearance, distances: Distances, seed: int, *, coun
     assert min(verdicts.count(True), verdicts.count(False)) > count / 8
 
 
-@pytest.mark.parametrize("seed", range(4))
+@seeds(4)
 def test_distances_to_primitives_are_those_of_mujoco(seed: int) -> None:
     model, data = primitive_world(seed)
     clearance = Clearance(solids_of(model), BOUNDS)
@@ -108,7 +116,7 @@ def test_distances_to_primitives_are_those_of_mujoco(seed: int) -> None:
     assert min((expected == 0).sum(), (expected == CAP_M).sum(), ((expected > 0) & (expected < CAP_M)).sum()) > 5
 
 
-@pytest.mark.parametrize("seed", range(4))
+@seeds(4)
 def test_a_motion_among_primitives_is_free_where_its_points_keep_the_radius(seed: int) -> None:
     model, data = primitive_world(seed)
     clearance = Clearance(solids_of(model), BOUNDS)
@@ -214,7 +222,7 @@ def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(name
         assert deep.sum() > 20, "no point lies well within a filled shape: the test shows nothing"
 
 
-@pytest.mark.parametrize("seed", range(2))
+@seeds(2)
 def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius(seed: int) -> None:
     clearance, shapes = bent_world(("hill", "ring", "half a ring"), seed)
     check_motions(clearance, lambda points: distances_to(shapes, points), seed, count=40, longest_m=1.5)

@@ -70,6 +70,7 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     assert made[1].stat().st_mtime_ns == kept
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_stream_trains_without_a_dataset(here: Path, small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("--stream", f"{small}=2", "--stream", "geometric.toml", "--stream-seed", 3, "--interval", 8, *QUICK)
     (here / "geometric.toml").write_text(small.read_text().replace("pillar", "geometric"))

@@ -20,12 +20,6 @@ from tests.model.training.runs import SMALL, train
 TINY = dataclasses.replace(SMALL, network=NetworkConfig(width=1, heads=1, variant="occ"), batch=12)
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Curves take longer than rounds."""
-    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
-
-
 class Counted:
     """As many maps as it is told."""
 

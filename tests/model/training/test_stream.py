@@ -22,6 +22,7 @@ from tests.model.training.runs import SMALL
 from tests.model.training.test_loop import same as same_run
 from tests.scenegen.streaming.test_stream import same
 
+pytestmark = pytest.mark.usefixtures("undrawn")
 CONFIG = dataclasses.replace(SMALL, maps=24, interval=8)
 
 

@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import os
+import shutil
 import time
 import zipfile
 from collections.abc import Callable, Generator, Sequence
@@ -28,9 +29,10 @@ from scenegen.executors.local import Local
 from scenegen.recipe import Recipe
 from scenegen.sample import SCHEMA
 from scenegen.source import DrawnWorlds
-from tests.conftest import picky_recipe, small_recipe
+from tests.conftest import Once, picky_recipe, small_recipe
 
 COUNTS = {"train": 13, "val": 3, "test": 4}
+MORE = {"train": 20, "val": 3, "test": 8}
 SEED = 3
 """One at which every shard rejects worlds, and all but one viewpoints, too."""
 
@@ -49,20 +51,36 @@ def content(folder: Path) -> dict[str, str]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What lies in a folder that was made in one go."""
-    folder = tmp_path_factory.mktemp("undisturbed") / "d"
-    make(folder)
-    return content(folder)
+@pytest.fixture(scope="session")
+def whole(once: Once) -> Path:
+    """A folder that was made in one go; not to be changed."""
+    return once("build-whole", make)
 
 
-def test_the_number_of_workers_changes_no_byte(tmp_path: Path) -> None:
-    assert make(tmp_path / "one").digest == make(tmp_path / "two", workers=2).digest
-    assert content(tmp_path / "one") == content(tmp_path / "two")
+@pytest.fixture(scope="session")
+def larger(once: Once) -> Path:
+    """One of more samples of the same."""
+    return once("build-larger", lambda folder: make(folder, counts=MORE))
 
 
-def test_shards_may_be_written_anywhere_and_come_in_any_order(tmp_path: Path) -> None:
+@pytest.fixture
+def folder(whole: Path, tmp_path: Path) -> Path:
+    """A copy of the first, to change."""
+    return Path(shutil.copytree(whole, tmp_path / "d"))
+
+
+@pytest.fixture(scope="session")
+def undisturbed(whole: Path) -> dict[str, str]:
+    """What lies in it."""
+    return content(whole)
+
+
+def test_the_number_of_workers_changes_no_byte(tmp_path: Path, whole: Path, undisturbed: dict[str, str]) -> None:
+    assert make(tmp_path / "two", workers=2).digest == manifest.read(whole)["digest"]
+    assert content(tmp_path / "two") == undisturbed
+
+
+def test_shards_may_be_written_anywhere_and_come_in_any_order(tmp_path: Path, whole: Path) -> None:
     """An executor of one's own: here a thread that goes through the shards from the last to the first."""
 
     class Backwards(Local):
@@ -81,13 +99,13 @@ def test_shards_may_be_written_anywhere_and_come_in_any_order(tmp_path: Path) ->
     assert len(several.shards) > 2
     done = build(several, execute=Backwards("", 1), on_start=lambda: begun.append(True))
     assert begun == [True]
-    assert done.digest == make(tmp_path / "here").digest
-    assert content(tmp_path / "elsewhere") == content(tmp_path / "here")
+    assert done.digest == manifest.read(whole)["digest"]
+    assert content(tmp_path / "elsewhere") == content(whole)
 
 
-def test_shard_size_and_compactness_change_no_sample(tmp_path: Path) -> None:
+def test_shard_size_and_compactness_change_no_sample(tmp_path: Path, whole: Path) -> None:
     digests = {
-        make(tmp_path / "a").digest,
+        manifest.read(whole)["digest"],
         make(tmp_path / "b", shard_samples=1).digest,
         make(tmp_path / "c", shard_samples=1000).digest,
         make(tmp_path / "d", compact=True).digest,
@@ -96,36 +114,31 @@ def test_shard_size_and_compactness_change_no_sample(tmp_path: Path) -> None:
     assert make(tmp_path / "e", seed=1).digest not in digests
 
 
-def test_a_smaller_dataset_is_the_beginning_of_a_larger_one(tmp_path: Path) -> None:
+def test_a_smaller_dataset_is_the_beginning_of_a_larger_one(tmp_path: Path, whole: Path) -> None:
     make(tmp_path / "small", counts={"train": 4, "val": 1, "test": 2})
-    make(tmp_path / "large", counts={"train": 14, "val": 3, "test": 5})
-    small, large = Dataset(tmp_path / "small"), Dataset(tmp_path / "large")
+    small, large = Dataset(tmp_path / "small"), Dataset(whole)
     for split in SPLITS:
         for a, b in zip(small.split(split), large.split(split), strict=False):
             assert a.sha256() == b.sha256()
 
 
-def test_a_dataset_grows_into_the_one_that_was_made_at_once(tmp_path: Path) -> None:
+def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder: Path, larger: Path) -> None:
     """Byte by byte; whole shards are kept, and one that was not full is made again."""
-    more = {"train": 20, "val": 3, "test": 8}
-    make(tmp_path / "d")
-    kept = {path.name: path.stat().st_size for path in (tmp_path / "d").glob("*-00000.h5")}
-    grown = make(tmp_path / "d", counts=more)
+    kept = {path.name: path.stat().st_size for path in folder.glob("*-00000.h5")}
+    grown = make(folder, counts=MORE)
     assert grown.samples_written == 20 + 8 - 12, "two shards of training and one of validation were whole"
-    assert grown.digest == make(tmp_path / "whole", counts=more).digest
-    assert content(tmp_path / "d") == content(tmp_path / "whole")
+    assert grown.digest == manifest.read(larger)["digest"]
+    assert content(folder) == content(larger)
     assert len(kept) == 3
     with pytest.raises(DatasetError, match=r"counts\.train is 20 there, 13 asked for"):
-        make(tmp_path / "d")
+        make(folder)
     with pytest.raises(DatasetError, match=r"counts\.train is 20 there, 13 asked for"):
-        make(tmp_path / "d", counts={"train": 13, "val": 9, "test": 9})
+        make(folder, counts={"train": 13, "val": 9, "test": 9})
 
 
 @pytest.mark.parametrize("after", [0, 1, 2, 3])
-def test_growth_that_is_killed_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
-    more, done = {"train": 20, "val": 3, "test": 8}, 0
-    make(tmp_path / "d")
-    original = shards.write_whole
+def test_growth_that_is_killed_goes_on(folder: Path, larger: Path, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    done, original = 0, shards.write_whole
 
     def killed(path: Path, written: bytes) -> None:
         nonlocal done
@@ -136,25 +149,22 @@ def test_growth_that_is_killed_goes_on(tmp_path: Path, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(shards, "write_whole", killed)
     with pytest.raises(KeyboardInterrupt):
-        make(tmp_path / "d", counts=more)
+        make(folder, counts=MORE)
     monkeypatch.setattr(shards, "write_whole", original)
-    assert make(tmp_path / "d", counts=more).complete
-    make(tmp_path / "whole", counts=more)
-    assert content(tmp_path / "d") == content(tmp_path / "whole")
+    assert make(folder, counts=MORE).complete
+    assert content(folder) == content(larger)
 
 
-def test_a_lost_manifest_is_made_from_the_shards(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    whole = content(tmp_path / "d")
-    (tmp_path / "d" / manifest.NAME).unlink()
+def test_a_lost_manifest_is_made_from_the_shards(folder: Path) -> None:
+    whole = content(folder)
+    (folder / manifest.NAME).unlink()
     with pytest.raises(DatasetError, match="holds other files"):
-        make(tmp_path / "d", counts=COUNTS | {"train": 12})
-    assert make(tmp_path / "d").samples_written == 0
-    assert content(tmp_path / "d") == whole
+        make(folder, counts=COUNTS | {"train": 12})
+    assert make(folder).samples_written == 0
+    assert content(folder) == whole
 
 
-def test_a_cluster_makes_the_same_folder_in_parts(tmp_path: Path) -> None:
-    make(tmp_path / "whole")
+def test_a_cluster_makes_the_same_folder_in_parts(tmp_path: Path, undisturbed: dict[str, str]) -> None:
     parts = plan(tmp_path / "parts")
     count = len(parts.shards)
     first = build(parts, shard_range=(2, count))
@@ -164,7 +174,7 @@ def test_a_cluster_makes_the_same_folder_in_parts(tmp_path: Path) -> None:
         Dataset(tmp_path / "parts")
     last = build(parts, shard_range=(0, 2))
     assert last.complete
-    assert content(tmp_path / "parts") == content(tmp_path / "whole")
+    assert content(tmp_path / "parts") == undisturbed
 
 
 def test_a_job_reads_its_own_part_and_the_last_one_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,9 +213,8 @@ def test_what_is_finished_is_written_down_on_the_way(tmp_path: Path, monkeypatch
     assert make(tmp_path / "d").complete
 
 
-def test_worlds_of_different_splits_differ_and_numbers_are_dense(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    dataset = Dataset(tmp_path / "d")
+def test_worlds_of_different_splits_differ_and_numbers_are_dense(folder: Path) -> None:
+    dataset = Dataset(folder)
     documents = {}
     for split in SPLITS:
         numbers = sorted({world for _, world, _ in dataset.split(split).names})
@@ -218,10 +227,8 @@ def test_worlds_of_different_splits_differ_and_numbers_are_dense(tmp_path: Path)
     assert names == [("train", n // each, n % each) for n in range(COUNTS["train"])]
 
 
-def test_the_format_is_the_contract(tmp_path: Path) -> None:
-    recipe = small_recipe()
-    make(tmp_path / "d", recipe=recipe)
-    there = manifest.read(tmp_path / "d")
+def test_the_format_is_the_contract(whole: Path) -> None:
+    there = manifest.read(whole)
     assert (there["format"], there["version"], there["complete"]) == ("scenegen-dataset", 1, True)
     assert there["grid"] == {"shape": [24, 24, 16], "voxel": 0.2, "truncation": 2.0}
     expected = {
@@ -239,9 +246,9 @@ def test_the_format_is_the_contract(tmp_path: Path) -> None:
     assert there["fields"] == list(expected)
     samples = 0
     for shard in there["shards"]:
-        path = tmp_path / "d" / shard["file"]
+        path = whole / shard["file"]
         assert hashlib.sha256(path.read_bytes()).hexdigest() == shard["sha256"]
-        assert hashlib.sha256((tmp_path / "d" / shard["worlds"]).read_bytes()).hexdigest() == shard["worlds_sha256"]
+        assert hashlib.sha256((whole / shard["worlds"]).read_bytes()).hexdigest() == shard["worlds_sha256"]
         with h5py.File(path) as file:
             assert {item.shape[0] for item in file.values()} == {shard["samples"]}
             assert file["world"][:].min() == shard["first_world"]
@@ -256,35 +263,30 @@ def test_the_format_is_the_contract(tmp_path: Path) -> None:
     assert samples == sum(COUNTS.values())
 
 
-def test_the_digest_is_what_the_contract_says(tmp_path: Path) -> None:
-    make(tmp_path / "d")
+def test_the_digest_is_what_the_contract_says(folder: Path) -> None:
     total = hashlib.sha256()
-    for shard in manifest.read(tmp_path / "d")["shards"]:
-        with h5py.File(tmp_path / "d" / shard["file"]) as file:
+    for shard in manifest.read(folder)["shards"]:
+        with h5py.File(folder / shard["file"]) as file:
             for row in range(shard["samples"]):
                 raw = b"".join(np.packbits(file[name][row]).tobytes() for name in ("observed", "occupancy"))
                 for name in ("ranges", "position", "quaternion", "origin", "world", "viewpoint"):
                     raw += np.asarray(file[name][row]).tobytes()
                 total.update(hashlib.sha256(raw).digest())
                 assert file["sha256"][row].tobytes() == hashlib.sha256(raw).digest()
-    assert manifest.read(tmp_path / "d")["digest"] == total.hexdigest()
+    assert manifest.read(folder)["digest"] == total.hexdigest()
 
 
-def test_a_compact_dataset_reads_like_a_full_one(tmp_path: Path) -> None:
-    make(tmp_path / "full")
+def test_a_compact_dataset_reads_like_a_full_one(tmp_path: Path, whole: Path) -> None:
     make(tmp_path / "compact", compact=True)
     assert "tudf" not in manifest.read(tmp_path / "compact")["fields"]
     for split in SPLITS:
-        for a, b in zip(
-            Dataset(tmp_path / "full").split(split), Dataset(tmp_path / "compact").split(split), strict=True
-        ):
+        for a, b in zip(Dataset(whole).split(split), Dataset(tmp_path / "compact").split(split), strict=True):
             for name in SCHEMA:
                 np.testing.assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
 
 
-def test_archived_worlds_open_in_mujoco_and_archives_are_reproducible(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    for archive_path in (tmp_path / "d").glob("*.zip"):
+def test_archived_worlds_open_in_mujoco_and_archives_are_reproducible(folder: Path) -> None:
+    for archive_path in folder.glob("*.zip"):
         with zipfile.ZipFile(archive_path) as archive:
             assert archive.namelist() == sorted(archive.namelist())
             for member in archive.infolist():
@@ -292,9 +294,8 @@ def test_archived_worlds_open_in_mujoco_and_archives_are_reproducible(tmp_path: 
                 assert mujoco.MjModel.from_xml_string(archive.read(member).decode()).ngeom > 0
 
 
-def test_going_on_with_other_parameters_is_refused_by_name(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    before = content(tmp_path / "d")
+def test_going_on_with_other_parameters_is_refused_by_name(folder: Path) -> None:
+    before = content(folder)
     for options, named in (
         ({"seed": 5}, "seed is 3 there, 5 asked for"),
         ({"counts": {**COUNTS, "train": 12}}, "counts.train is 13 there, 12 asked for"),
@@ -302,51 +303,47 @@ def test_going_on_with_other_parameters_is_refused_by_name(tmp_path: Path) -> No
         ({"compact": True}, "fields"),
     ):
         with pytest.raises(DatasetError, match=named):
-            make(tmp_path / "d", **options)
-    assert content(tmp_path / "d") == before
+            make(folder, **options)
+    assert content(folder) == before
 
 
-def test_other_versions_of_what_numbers_depend_on_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make(tmp_path / "d")
+def test_other_versions_of_what_numbers_depend_on_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(manifest, "software", lambda: {"mujoco": "9.9"})
     with pytest.raises(DatasetError, match=r"software\.mujoco"):
-        make(tmp_path / "d")
+        make(folder)
 
 
-def test_a_dataset_of_another_generator_is_never_gone_on_with(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    given = manifest.read(tmp_path / "d")
+def test_a_dataset_of_another_generator_is_never_gone_on_with(folder: Path) -> None:
+    given = manifest.read(folder)
     assert given.pop("generator") == GENERATOR
-    manifest.write(tmp_path / "d", given)
-    before = content(tmp_path / "d")
+    manifest.write(folder, given)
+    before = content(folder)
     with pytest.raises(DatasetError, match=f"holds another dataset: generator is 1 there, {GENERATOR} asked for; "):
-        make(tmp_path / "d")
-    assert content(tmp_path / "d") == before
+        make(folder)
+    assert content(folder) == before
 
 
-def test_force_replaces_a_dataset_and_nothing_else(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    (tmp_path / "d" / "notes.txt").write_text("mine")
-    replaced = build(plan(tmp_path / "d", seed=5, counts={"train": 3, "val": 0, "test": 0}), force=True)
+def test_force_replaces_a_dataset_and_nothing_else(folder: Path, tmp_path: Path) -> None:
+    (folder / "notes.txt").write_text("mine")
+    replaced = build(plan(folder, seed=5, counts={"train": 3, "val": 0, "test": 0}), force=True)
     assert replaced.complete
     assert replaced.digest == make(tmp_path / "fresh", seed=5, counts={"train": 3, "val": 0, "test": 0}).digest
-    names = {path.name for path in (tmp_path / "d").iterdir()}
+    names = {path.name for path in folder.iterdir()}
     assert names == {"notes.txt", "dataset.json", "train-00000.h5", "train-00000.worlds.zip"}
 
 
-def test_beginning_anew_with_the_same_parameters_keeps_what_is_there(tmp_path: Path) -> None:
-    before = make(tmp_path / "d")
-    again = build(plan(tmp_path / "d"), force=True, shard_range=(0, 1))
-    assert (again.complete, again.digest, again.samples_written) == (True, before.digest, 0)
+def test_beginning_anew_with_the_same_parameters_keeps_what_is_there(folder: Path) -> None:
+    digest = manifest.read(folder)["digest"]
+    again = build(plan(folder), force=True, shard_range=(0, 1))
+    assert (again.complete, again.digest, again.samples_written) == (True, digest, 0)
 
 
-def test_what_a_killed_replacement_left_behind_goes(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    undisturbed = content(tmp_path / "d")
+def test_what_a_killed_replacement_left_behind_goes(folder: Path) -> None:
+    undisturbed = content(folder)
     for name in ("train-00099.h5", "train-00099.worlds.zip", "test-00050.h5"):
-        (tmp_path / "d" / name).write_bytes(b"of another dataset")
-    make(tmp_path / "d")
-    assert content(tmp_path / "d") == undisturbed
+        (folder / name).write_bytes(b"of another dataset")
+    make(folder)
+    assert content(folder) == undisturbed
 
 
 def test_jobs_that_finish_at_the_same_time_sign_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -364,13 +361,12 @@ def test_jobs_that_finish_at_the_same_time_sign_the_whole(tmp_path: Path, monkey
     assert manifest.read(tmp_path / "d")["complete"]
 
 
-def test_a_list_of_shards_that_is_damaged_is_written_anew(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    undisturbed = content(tmp_path / "d")
+def test_a_list_of_shards_that_is_damaged_is_written_anew(folder: Path) -> None:
+    undisturbed = content(folder)
     for damage in ({"shards": [{"file": 1}]}, {"shards": None}, {"rejected": 0, "digest": "x"}):
-        manifest.write(tmp_path / "d", manifest.read(tmp_path / "d") | damage)
-        assert make(tmp_path / "d").samples_written == 0
-        assert content(tmp_path / "d") == undisturbed
+        manifest.write(folder, manifest.read(folder) | damage)
+        assert make(folder).samples_written == 0
+        assert content(folder) == undisturbed
 
 
 def test_the_manifest_is_read_again_only_where_another_job_may_have_written_it(
@@ -392,21 +388,19 @@ def test_the_manifest_is_read_again_only_where_another_job_may_have_written_it(
     assert count == 1 + 3  # at first, before the first shard is written, and before it is signed
 
 
-def test_damage_after_the_signature_is_noticed_and_mended(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    undisturbed = content(tmp_path / "d")
-    shards, archives = sorted((tmp_path / "d").glob("*.h5")), sorted((tmp_path / "d").glob("*.zip"))
+def test_damage_after_the_signature_is_noticed_and_mended(folder: Path) -> None:
+    undisturbed = content(folder)
+    shards, archives = sorted(folder.glob("*.h5")), sorted(folder.glob("*.zip"))
     with h5py.File(shards[0], "r+") as file:
         file["position"][0, 0] += 1e-9
     archives[1].write_bytes(archives[2].read_bytes())
-    make(tmp_path / "d")
-    assert content(tmp_path / "d") == undisturbed
+    make(folder)
+    assert content(folder) == undisturbed
 
 
-def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    undisturbed = content(tmp_path / "d")
-    parts = plan(tmp_path / "d")
+def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(folder: Path) -> None:
+    undisturbed = content(folder)
+    parts = plan(folder)
     first, last = parts.shards[0].file, parts.shards[-1].file
     first.write_bytes(first.read_bytes()[:500])
     with h5py.File(last, "r+") as file:
@@ -414,7 +408,7 @@ def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(tmp_path: 
     between = build(parts, shard_range=(1, len(parts.shards) - 1))
     assert (between.complete, between.shards_missing, between.samples_written) == (False, 2, 0)
     assert build(parts).complete
-    assert content(tmp_path / "d") == undisturbed
+    assert content(folder) == undisturbed
 
 
 def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path: Path) -> None:
@@ -497,16 +491,15 @@ def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path: Path) -> None:
         build(plan(tmp_path / "other"))
 
 
-def test_a_damaged_or_foreign_shard_is_made_again(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    before = content(tmp_path / "d")
+def test_a_damaged_or_foreign_shard_is_made_again(folder: Path, tmp_path: Path) -> None:
+    before = content(folder)
     names = sorted(name for name in before if name.endswith(".h5"))
-    (tmp_path / "d" / names[0]).write_bytes((tmp_path / "d" / names[0]).read_bytes()[:1000])
-    make(tmp_path / "other", seed=9)
-    (tmp_path / "d" / names[1]).write_bytes((tmp_path / "other" / names[1]).read_bytes())
-    (tmp_path / "d" / names[2]).with_suffix(".worlds.zip").unlink()
-    again = make(tmp_path / "d")
-    assert content(tmp_path / "d") == before
+    (folder / names[0]).write_bytes((folder / names[0]).read_bytes()[:1000])
+    make(tmp_path / "other", seed=9, counts={"train": 6, "val": 0, "test": 0})
+    (folder / names[1]).write_bytes((tmp_path / "other" / names[1]).read_bytes())
+    (folder / names[2]).with_suffix(".worlds.zip").unlink()
+    again = make(folder)
+    assert content(folder) == before
     assert 0 < again.samples_written < sum(COUNTS.values())
 
 
@@ -518,9 +511,8 @@ STRANGE: dict[str, tuple[Any, ...]] = {
 }
 
 
-def test_a_shard_of_strange_content_counts_as_absent(tmp_path: Path) -> None:
-    make(tmp_path / "d")
-    shard = plan(tmp_path / "d").shards[0]
+def test_a_shard_of_strange_content_counts_as_absent(folder: Path) -> None:
+    shard = plan(folder).shards[0]
     whole = shard.file.read_bytes()
 
     def damaged(damage: Callable[[h5py.File], object]) -> bool:
@@ -539,27 +531,28 @@ def test_a_shard_of_strange_content_counts_as_absent(tmp_path: Path) -> None:
     assert damaged(lambda file: file["tudf"].id.write_direct_chunk((0, 0, 0, 0), b"few"))
 
 
-def test_bytes_zeroed_in_a_shard_never_stop_a_run_that_goes_on(tmp_path: Path) -> None:
+def test_bytes_zeroed_in_a_shard_never_stop_a_run_that_goes_on(folder: Path) -> None:
     """HDF5 itself spins for ever on some of these."""
-    make(tmp_path / "d")
-    shard = plan(tmp_path / "d").shards[0]
+    shard = plan(folder).shards[0]
     whole = shard.file.read_bytes()
     begin = time.process_time()
     good = read_report(shard, verify=True)
     assert good is not None
     refused = 0
-    for at in range(0, len(whole), max(len(whole) // 200, 1)):
+    for at in range(0, len(whole), max(len(whole) // 100, 1)):
         shard.file.write_bytes(whole[:at] + bytes(50) + whole[at + 50 :])
         report = read_report(shard, verify=True)
         refused += report is None
         # what is taken was zero before, or belongs to nothing
         assert report is None or (report.digests, report.rejected.worlds) == (good.digests, good.rejected.worlds)
-    assert refused > 80
+    assert refused > 40
     assert time.process_time() - begin < 60
 
 
-@pytest.mark.parametrize(("code", "advice"), [(errno.ENOSPC, "disk is full"), (errno.EACCES, "no permission")])
-@pytest.mark.parametrize("nth", [3, 5, 8])
+@pytest.mark.parametrize(
+    ("nth", "code", "advice"),
+    [(3, errno.ENOSPC, "disk is full"), (5, errno.EACCES, "no permission"), (8, errno.ENOSPC, "disk is full")],
+)
 def test_a_refusing_disk_ends_in_one_line_and_loses_nothing(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -594,7 +587,9 @@ def test_too_small_a_disk_is_noticed_before_the_work(tmp_path: Path, monkeypatch
         make(tmp_path / "d")
 
 
-def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_worker_is_reported_and_the_rest_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undisturbed: dict[str, str]
+) -> None:
     def die_on_test_worlds(spec: Any) -> Any:
         if spec.split == "test":
             os.kill(os.getpid(), 9)
@@ -607,28 +602,28 @@ def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path: Path, monkey
     with pytest.raises(GenerationError, match="worker process was killed"):
         make(tmp_path / "d", workers=2)
     monkeypatch.undo()
-    assert make(tmp_path / "d").digest == make(tmp_path / "undisturbed").digest
+    make(tmp_path / "d")
+    assert content(tmp_path / "d") == undisturbed
 
 
-def test_reading_names_what_is_wrong(tmp_path: Path) -> None:
+def test_reading_names_what_is_wrong(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(DatasetError, match="not a dataset"):
         Dataset(tmp_path)
-    make(tmp_path / "d")
-    dataset = Dataset(tmp_path / "d")
+    dataset = Dataset(folder)
     with pytest.raises(DatasetError, match="no world 99 in its val split"):
         dataset.world("val", 99)
     with pytest.raises(DatasetError, match="no split 'tarin'"):
         dataset.split("tarin")
-    damaged = next((tmp_path / "d").glob("test-*.zip"))
+    damaged = next(folder.glob("test-*.zip"))
     damaged.write_bytes(damaged.read_bytes()[:100])
     with pytest.raises(DatasetError, match="not a whole zip file"):
         dataset.world("test", 0)
     with pytest.raises(IndexError, match="sample 99"):
         dataset.split("val")[99]
-    next((tmp_path / "d").glob("val-*.h5")).unlink()
+    next(folder.glob("val-*.h5")).unlink()
     with pytest.raises(DatasetError, match="is missing"):
-        Dataset(tmp_path / "d").split("val")[0]
-    given = json.loads((tmp_path / "d" / "dataset.json").read_text())
-    (tmp_path / "d" / "dataset.json").write_text(json.dumps({**given, "version": 2}))
+        Dataset(folder).split("val")[0]
+    given = json.loads((folder / "dataset.json").read_text())
+    (folder / "dataset.json").write_text(json.dumps({**given, "version": 2}))
     with pytest.raises(DatasetError, match="format version 2"):
-        Dataset(tmp_path / "d")
+        Dataset(folder)

@@ -18,6 +18,7 @@ from lidarsim import GridSpec
 from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
 from scenegen.truth import rasterize
+from tests.conftest import quarter
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import EITHER, FREE, OCCUPIED, Floats, Judged, Shape, disagreements, judge
 
@@ -128,7 +129,8 @@ def samples_only(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, o
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_reference_agrees_with_mujocos_own_distance_to_a_cube(kind: str) -> None:
+@quarter(60)
+def test_the_reference_agrees_with_mujocos_own_distance_to_a_cube(kind: str, count: int) -> None:
     """``mj_geomDistance`` of a box geom, with a tolerance tighter than its default.
 
     At the default (1e-6, 35 iterations) it erred by up to 1.5e-6 m on flat ellipsoids; tightened, by 2e-7 m.
@@ -137,7 +139,7 @@ def test_the_reference_agrees_with_mujocos_own_distance_to_a_cube(kind: str) -> 
     """
     rng = np.random.default_rng(11)
     apart = touching = 0
-    for _ in range(60):
+    for _ in range(count):
         shape = random_shape(kind, rng)
         shape = shape.at(-surface_point(shape, rng))
         spec = mujoco.MjSpec()
@@ -159,8 +161,8 @@ def test_the_reference_agrees_with_mujocos_own_distance_to_a_cube(kind: str) -> 
             else:
                 apart += 1
                 assert low - 5e-7 <= theirs <= high + 5e-7
-    assert apart > 100
-    assert touching > 50
+    assert apart > 2 * count
+    assert touching > 0.8 * count
 
 
 # Metres between the solid and the cube; negative is how deep one sinks into the other.
@@ -190,7 +192,8 @@ def squarely(shape: Shape, normal: Floats, rng: np.random.Generator) -> Shape:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_gaps_of_a_micrometre_decide(kind: str) -> None:
+@quarter(250)
+def test_gaps_of_a_micrometre_decide(kind: str, count: int) -> None:
     """Cubes at a distance known by construction, from solids at random attitudes or flat against them.
 
     The point of the solid that is farthest along -n is put the gap away along n from a point of the cube
@@ -199,7 +202,7 @@ def test_gaps_of_a_micrometre_decide(kind: str) -> None:
     """
     rng = np.random.default_rng(12)
     cubes = 0
-    for _ in range(250):
+    for _ in range(count):
         voxel = float(rng.choice(VOXELS))
         grid_shape = (3, 2, 4)
         shape = random_shape(kind, rng)
@@ -229,7 +232,7 @@ def test_gaps_of_a_micrometre_decide(kind: str) -> None:
             assert answer[tuple(index)] == expected, where
             assert not len(disagreements(answer, truth)), where
             cubes += 1
-    assert cubes > 1500
+    assert cubes > 6 * count
 
 
 # ---------------------------------------------------------------------------------------------------------
@@ -243,30 +246,31 @@ SEEN_THROUGH = 1e-3
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("attitudes", [ATTITUDES // 4, pytest.param(ATTITUDES, marks=pytest.mark.slow)])
-def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind: str, attitudes: int) -> None:
+@quarter(ATTITUDES)
+def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind: str, count: int) -> None:
     """Random sizes, attitudes, positions and voxels; every voxel of every map, near the surface or not."""
     rng = np.random.default_rng([13, KINDS.index(kind)])
     n = 16
     boundary = filled = undecidable = 0
-    cases = [placed(kind, rng, n) for _ in range(attitudes)]
+    cases = [placed(kind, rng, n) for _ in range(count)]
     for (shape, voxel, origin), solids in zip(cases, compiled([case[0] for case in cases]), strict=True):
         truth = check(shape, solids, (n, n, n), voxel, origin)
         boundary += int(truth.boundary.sum())
         filled += int((truth.boundary & (truth.verdict == OCCUPIED)).sum())
         undecidable += int((truth.verdict == EITHER).sum())
-    assert boundary >= WANTED[kind] * attitudes / ATTITUDES
+    assert boundary >= WANTED[kind] * count / ATTITUDES
     assert 0.02 * boundary < filled < 0.98 * boundary
     assert undecidable < 1e-4 * boundary
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_looking_at_voxel_centres_only_would_not_pass(kind: str) -> None:
+@quarter(60)
+def test_looking_at_voxel_centres_only_would_not_pass(kind: str, count: int) -> None:
     """The comparison must see through two cheaper rasterizers, one of them good."""
     rng = np.random.default_rng([14, KINDS.index(kind)])
     n = 16
     boundary = by_centre = by_samples = 0
-    for _ in range(60):
+    for _ in range(count):
         shape, voxel, origin = placed(kind, rng, n)
         truth = judge(shape, (n, n, n), voxel, origin)
         boundary += int(truth.boundary.sum())
@@ -276,7 +280,7 @@ def test_looking_at_voxel_centres_only_would_not_pass(kind: str) -> None:
     if kind == "plane":
         assert by_samples == 0  # its lowest corner decides
     else:
-        assert by_samples > max(10, SEEN_THROUGH * boundary)
+        assert by_samples > max(count / 6, SEEN_THROUGH * boundary)
 
 
 def test_a_shifted_or_eroded_or_padded_map_would_not_pass() -> None:
@@ -401,7 +405,8 @@ def test_upright_and_upside_down_solids_at_many_yaws(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_hair_off_upright_is_not_upright(kind: str) -> None:
+@quarter(8)
+def test_a_hair_off_upright_is_not_upright(kind: str, count: int) -> None:
     """Tilts from 1e-9 to 1e-2 rad of solids up to 50 m long, whose far end is then micrometres to metres off.
 
     The map lies at the far end, where an error of attitude shows most: the solid's rim or face is 4 and 12
@@ -410,7 +415,7 @@ def test_a_hair_off_upright_is_not_upright(kind: str) -> None:
     rng = np.random.default_rng(18)
     decided = 0
     for tilt in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
-        for _ in range(8):
+        for _ in range(count):
             quat = np.zeros(4)
             about = rng.uniform(0, 2 * math.pi)
             yaw = rng.uniform(0, 2 * math.pi)
@@ -433,18 +438,19 @@ def test_a_hair_off_upright_is_not_upright(kind: str) -> None:
                 origin[axis] = reach[axis] + sign * gap - 3 * voxel
                 truth = check(shape, solids, (6, 6, 6), voxel, origin)
                 decided += int(truth.boundary.sum())
-    assert decided > 20_000
+    assert decided > 2500 * count
 
 
 @pytest.mark.parametrize("kind", CONVEX)
-def test_solids_smaller_than_a_voxel_leave_a_mark(kind: str) -> None:
+@quarter(40)
+def test_solids_smaller_than_a_voxel_leave_a_mark(kind: str, count: int) -> None:
     """From 0.2 mm to 4 cm across: one voxel when inside it, and all those around a corner it sits on.
 
     Inside means anywhere inside, close to faces, edges and corners too.
     """
     rng = np.random.default_rng(19)
     for voxel in VOXELS:
-        for _ in range(40):
+        for _ in range(count):
             size = tuple(float(v) for v in log_uniform(rng, 1e-4, 2e-2))
             index = rng.integers(0, 4, 3)
             shape = Shape(kind, size, quat=rng.normal(size=4))
@@ -461,11 +467,12 @@ def test_solids_smaller_than_a_voxel_leave_a_mark(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind: str) -> None:
+@quarter(120)
+def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind: str, count: int) -> None:
     """Maps that a solid swallows, clips, or misses altogether, of unequal sides and far from the origin."""
     rng = np.random.default_rng(20)
     kinds_seen = {"full": 0, "part": 0, "empty": 0}
-    for k in range(120):
+    for k in range(count):
         grid_shape = (int(rng.integers(1, 12)), int(rng.integers(1, 12)), int(rng.integers(1, 12)))
         voxel = float(rng.choice(VOXELS))
         origin = rng.uniform(-200, 200, 3)
@@ -476,7 +483,7 @@ def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind: str) -
         truth = check(shape, solids_of(reference.world_of(shape)), grid_shape, voxel, origin)
         share = (truth.verdict == OCCUPIED).mean()
         kinds_seen["full" if share == 1 else "empty" if share == 0 else "part"] += 1
-    assert min(kinds_seen.values()) >= 5
+    assert min(kinds_seen.values()) >= count / 24
 
 
 def test_planes_fill_everything_below_them_however_large_they_are_drawn() -> None:
@@ -633,14 +640,15 @@ def mesh_triangles(mesh: Mesh, pos: ArrayLike, quat: ArrayLike) -> Floats:
 
 
 @pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
-def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str) -> None:
+@pytest.mark.parametrize("count", [3, pytest.param(6, marks=pytest.mark.slow)])  # one of each voxel, at least
+def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str, count: int) -> None:
     """At random attitudes; hollows and holes stay free, unlike in the convex hull."""
     rng = np.random.default_rng(22)
     closed = name in WATERTIGHT
     mesh = (WATERTIGHT | OPEN)[name]()
     grid_shape = (20, 20, 20)
     enclosed = beyond = 0
-    for k in range(6):
+    for k in range(count):
         voxel = (0.1, 0.2, 0.25)[k % 3] if name != "ring" else 0.2
         quat = rng.normal(size=4) if k else np.array([1.0, 0, 0, 0])
         origin = rng.uniform(-5, 5, 3)
@@ -657,12 +665,13 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str) -> 
         hull = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)).convex_hull
         convex = reference.judge_mesh(np.asarray(hull.triangles), grid_shape, voxel, origin, filled=True)
         beyond += len(disagreements(answer, convex))
-    assert (enclosed > 50) == closed
-    assert beyond > 60
+    assert (enclosed > 8 * count) == closed
+    assert beyond > 10 * count
 
 
 @pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
-def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name: str) -> None:
+@quarter(150)
+def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name: str, count: int) -> None:
     """Small maps anywhere in and around it: what is inside does not depend on how much the map shows."""
     rng = np.random.default_rng(26)
     closed = name in WATERTIGHT
@@ -672,7 +681,7 @@ def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name: str) -> Non
     solids = solids_of(mesh_model(mesh, pos, quat))
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     solid_maps = 0
-    for _ in range(150):
+    for _ in range(count):
         voxel = float(rng.choice([0.025, 0.1, 0.2]))
         grid_shape = (int(rng.integers(1, 7)), int(rng.integers(1, 7)), int(rng.integers(1, 7)))
         origin = rng.uniform(low, high) - np.array(grid_shape) * voxel / 2
@@ -713,7 +722,8 @@ def test_a_watertight_mesh_is_filled_however_its_faces_are_listed(faults: str) -
     assert not len(disagreements(answer, truth))
 
 
-def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields() -> None:
+@quarter(100)
+def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count: int) -> None:
     """As for the primitives: the farthest vertex along -n lies a known gap from a cube with a normal n there.
 
     MuJoCo keeps mesh vertices as float32 numbers relative to the mesh's own centre, which moves them by up to
@@ -722,7 +732,7 @@ def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields() -> None:
     rng = np.random.default_rng(27)
     grid_shape = (3, 2, 4)
     cubes = 0
-    for k in range(100):
+    for k in range(count):
         name = (*WATERTIGHT, *OPEN, "hfield")[k % 8]
         quat = rng.normal(size=4)
         if name == "hfield":
@@ -743,7 +753,7 @@ def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields() -> None:
             answer = rasterize(solids, grid_of(grid_shape, voxel), origin)
             assert answer[tuple(index)] == (gap < 1e-6), (name, quat, voxel, origin, index, gap)
             cubes += 1
-    assert cubes == 700
+    assert cubes == 7 * count
 
 
 def test_a_cavity_stays_free() -> None:
@@ -758,11 +768,12 @@ def test_a_cavity_stays_free() -> None:
     np.testing.assert_array_equal(answer, expected)
 
 
-def test_a_triangle_occupies_the_cubes_it_grazes() -> None:
+@quarter(150)
+def test_a_triangle_occupies_the_cubes_it_grazes(count: int) -> None:
     """Open meshes of one sliver or large triangle at random, each voxel; thin ones slip past every centre."""
     rng = np.random.default_rng(23)
     boundary = 0
-    for _ in range(150):
+    for _ in range(count):
         corners = rng.uniform(0, 2, (4, 3)).astype(np.float32)
         if rng.random() < 0.5:
             corners[1] = corners[0] + rng.normal(scale=0.05, size=3)
@@ -773,7 +784,7 @@ def test_a_triangle_occupies_the_cubes_it_grazes() -> None:
         assert truth.undecided == 0
         assert not len(disagreements(answer, truth)), (mesh, disagreements(answer, truth)[0])
         boundary += int(truth.boundary.sum())
-    assert boundary > 20_000
+    assert boundary > 133 * count
 
 
 # ---------------------------------------------------------------------------------------------------------
