@@ -46,7 +46,8 @@ def look(folder: Path, tasks: Sequence[tuple[ShardSpec, Entry | None]]) -> list[
         if report is None or (listed and any(getattr(report, each) != getattr(listed, each) for each in SUMS)):
             report = read_report(spec, listed, verify=True)
             if report is None:
-                spec.file.unlink(missing_ok=True)
+                for path in _paths(spec):  # the samples, which commit it, first
+                    path.unlink(missing_ok=True)
             else:
                 _note(spec, report, now)
         return report

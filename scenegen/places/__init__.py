@@ -94,9 +94,8 @@ def folder_of(name: str) -> Path:
     otherwise. Raises DatasetError for a name that cannot be."""
     if not is_remote(name):
         return Path(name)
-    found = PlacePath(name)
-    _ = found.place
-    return found
+    place_of(name)
+    return PlacePath(name)
 
 
 def place_of(name: str) -> Place:

@@ -16,7 +16,7 @@ from scenegen.places import ConflictError, Object, Place, Version
 Result = TypeVar("Result")
 
 NAME = re.compile(r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(/(?P<prefix>.*[^/]))?/?", re.ASCII)
-ATTEMPTS = 10
+ATTEMPTS = 11
 """How often a request is sent whose answer is lost or says that the server has trouble: for about half a minute."""
 CUTS = 4
 """How often an object is asked for whose answer is cut off."""
