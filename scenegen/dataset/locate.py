@@ -13,7 +13,6 @@ from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.places import folder_of, is_remote
-from scenegen.places.cache import fetch_all, keep, note
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # read when the Hub's client is imported, which is later
 
@@ -50,6 +49,8 @@ def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Pat
         return Path(name)
     if str(name).startswith(SCHEME):
         return download(str(name), shown=shown)
+    from scenegen.places.cache import fetch_all, keep, note
+
     place = folder_of(str(name))
     try:
         content = read_bounded(place / manifest.NAME, MOST_MANIFEST_BYTES)

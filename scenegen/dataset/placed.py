@@ -3,7 +3,6 @@
 import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -51,6 +50,8 @@ def look(folder: Path, tasks: Sequence[tuple[ShardSpec, Entry | None]]) -> list[
             else:
                 _note(spec, report, now)
         return report
+
+    from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         return [report for report in pool.map(one, tasks) if report is not None]

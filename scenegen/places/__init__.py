@@ -9,6 +9,7 @@ import os
 import re
 import tempfile
 from collections.abc import Generator, Iterator
+from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, NamedTuple, Protocol
@@ -150,6 +151,10 @@ class PlacePath(_Path):
     def iterdir(self) -> Generator["PlacePath", None, None]:
         """The objects in it."""
         return (self / item.name for item in self.place.list())
+
+    def glob(self, pattern: str) -> Generator["PlacePath", None, None]:
+        """The objects in it whose names are like `pattern`."""
+        return (item for item in self.iterdir() if fnmatchcase(item.name, pattern))
 
     def is_dir(self) -> bool:
         """Whether there is an object in it."""

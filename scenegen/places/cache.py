@@ -11,7 +11,6 @@ import os
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -113,6 +112,8 @@ def fetch_all(folder: Path, names: Iterable[str]) -> None:
         if not (folder / name).is_file() and not fetch(folder / name):
             about = note_of(folder)
             raise PlaceError(f"{about.place if about else folder}/{name}: is missing, though the manifest lists it")
+
+    from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         list(pool.map(one, names))

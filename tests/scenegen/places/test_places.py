@@ -184,6 +184,14 @@ def test_two_drivers_of_different_datasets_never_mix(store: Path, made: Path) ->
     assert objects(store) == {"dataset.json": theirs}
 
 
+def test_it_grows_and_is_made_in_parts(store: Path, made: Path) -> None:
+    """A smaller dataset goes on, and jobs with a part of the shards complete it, whichever comes last."""
+    build(plan(folder_of(NAME), train=5))
+    for part in ((2, 5), (5, 7), (0, 2)):
+        write(shard_range=part)
+    assert objects(store) == files(made)
+
+
 def test_force_replaces_another_dataset(store: Path, made: Path) -> None:
     build(plan(folder_of(NAME), seed=4, train=20))
     write(force=True)
