@@ -39,7 +39,7 @@ def keep(place: str, name: str, manifest: bytes) -> Path:
 
     Raises DatasetError.
     """
-    folder = cache_root() / "scenegen" / "places" / _digest(place.encode())[:16] / _digest(manifest)[:16]
+    folder = _root() / _digest(place.encode())[:16] / _digest(manifest)[:16]
     with _told(place):
         if not (folder / name).is_file():
             folder.mkdir(parents=True, exist_ok=True)
@@ -120,8 +120,10 @@ def fetch_all(folder: Path, names: Iterable[str]) -> None:
 
 
 def note_of(folder: Path) -> Note | None:
-    """What a folder of copies is of; None for any other folder."""
-    return _noted(folder, os.getpid()) if note_file(folder).is_file() else None
+    """What a folder of copies is of; None for any other, whatever lies beside it: a stranger's has no say in what is
+    asked of the network."""
+    folder = folder.resolve()
+    return _noted(folder) if folder.parent.parent == _root() and note_file(folder).is_file() else None
 
 
 def bytes_in(folder: Path) -> int:
@@ -132,8 +134,12 @@ def bytes_in(folder: Path) -> int:
     return sum(there.values())
 
 
+def _root() -> Path:
+    return cache_root() / "scenegen" / "places"
+
+
 @lru_cache(maxsize=8)
-def _noted(folder: Path, process: int) -> Note:
+def _noted(folder: Path) -> Note:
     return Note(**json.loads(note_file(folder).read_bytes()))
 
 

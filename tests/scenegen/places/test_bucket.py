@@ -214,6 +214,21 @@ def test_two_drivers_at_once_and_a_killed_one_end_with_equal_bits(bucket: str, h
     assert objects(bucket) == files(here)
 
 
+@pytest.mark.parametrize("on", ["rank", "ray"])
+def test_other_executors_write_the_same_there(on: str, bucket: str, here: Path, tmp_path: Path) -> None:
+    """Without a folder that they share: each has the bucket alone."""
+    if on == "ray":
+        pytest.importorskip("ray")
+        Run(tmp_path, f"s3://{bucket}/d", "--on", on).ends(0)
+    else:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("SCENEGEN_WORLD_SIZE", "2")
+            for rank in range(2):
+                patch.setenv("SCENEGEN_RANK", str(rank))
+                Run(tmp_path, f"s3://{bucket}/d", "--on", on).ends(0)
+    assert objects(bucket) == files(here)
+
+
 def test_commands_read_it(bucket: str, here: Path, cache: Path, tmp_path: Path) -> None:
     Run(tmp_path, f"s3://{bucket}/d").ends(0)
     train = ("train", f"s3://{bucket}/d", "--epochs", "1", "--width", "1", "--out", "run", "--device", "cpu", "--quiet")

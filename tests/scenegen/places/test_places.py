@@ -1,13 +1,17 @@
 """Laws of datasets at places: the same bytes as in a folder, whoever else writes and wherever it ends."""
 
+import dataclasses
+import io
 import json
 import os
 import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from lidarsim import BeamTable
 from scenegen import load, places
 from scenegen.dataset.build import Summary, build, plan_dataset
 from scenegen.dataset.locate import locate
@@ -192,6 +196,17 @@ def test_it_grows_and_is_made_in_parts(store: Path, made: Path) -> None:
     assert objects(store) == files(made)
 
 
+def test_a_table_of_rays_lies_there_too(store: Path, tmp_path: Path) -> None:
+    raster = small_recipe()
+    recipe = dataclasses.replace(raster, lidar=BeamTable.of(raster.lidar))
+    for folder in (tmp_path / "d", folder_of(NAME)):
+        for _ in range(2):
+            build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=6))
+    assert "rays.npy" in objects(store)
+    assert objects(store) == files(tmp_path / "d")
+    assert np.array_equal(load(NAME).dataset.lidar.rays, recipe.lidar.rays)
+
+
 def test_force_replaces_another_dataset(store: Path, made: Path) -> None:
     build(plan(folder_of(NAME), seed=4, train=20))
     write(force=True)
@@ -213,6 +228,16 @@ def test_reading_copies_what_is_opened_once_and_verifies_it(store: Path, made: P
     assert load(str(folder), split="train")[3].sha256() == here[3].sha256()  # nothing is asked for twice
     with pytest.raises(DatasetError, match=r"train-00000.h5: is missing"):
         split[0]
+
+
+def test_a_strangers_folder_has_no_say_in_what_is_asked_of_a_place(store: Path, made: Path, tmp_path: Path) -> None:
+    shutil.copytree(made, store / "lab" / "pillar")
+    forget()
+    folder = locate(NAME)
+    shutil.copytree(folder, tmp_path / "theirs")
+    shutil.copy(f"{folder}.place", tmp_path / "theirs.place")
+    with pytest.raises(DatasetError, match=r"theirs/train-00000.h5: is missing"):
+        load(tmp_path / "theirs")[0]
 
 
 def test_other_bytes_than_the_manifests_are_refused_and_not_kept(store: Path, made: Path) -> None:
@@ -303,6 +328,33 @@ def test_without_boto3_one_line_says_what_to_install(monkeypatch: pytest.MonkeyP
         DatasetError, match=r"s3://lab/x: needs boto3; in scenegen's checkout: pip install -e '.\[s3\]'"
     ):
         folder_of("s3://lab/x")
+
+
+def test_an_answer_that_is_cut_off_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    botocore = pytest.importorskip("botocore")
+    from scenegen.places import bucket as module
+
+    class Cut(io.BytesIO):
+        left = 2
+
+        def read(self, size: int | None = -1) -> bytes:
+            if self.tell() and Cut.left:
+                Cut.left -= 1
+                raise botocore.exceptions.IncompleteReadError(actual_bytes=1, expected_bytes=2)
+            return super().read(1)
+
+    monkeypatch.setattr(module.time, "sleep", lambda seconds: None)
+    bucket = module.Bucket("s3://lab/x")
+    answer = {"ContentLength": 4, "ETag": "e"}
+    monkeypatch.setattr(bucket._client, "get_object", lambda **asked: {**answer, "Body": Cut(b"abcd")})
+    file = io.BytesIO()
+    assert bucket.read("y", file, 4) == "e"
+    assert file.getvalue() == b"abcd"
+    Cut.left = 100
+    with pytest.raises(PlaceError, match="s3://lab/x/y: the store does not answer"):
+        bucket.read("y", file, 4)
+    with pytest.raises(DatasetError, match="4 bytes, expected 3 at most"):
+        bucket.read("y", file, 3)
 
 
 @pytest.mark.parametrize(
