@@ -183,11 +183,27 @@ class PlacePath(_Path):
 
     def open_bounded(self, most_bytes: int) -> io.BufferedReader:
         """A copy of the object on this disk, that nobody else sees. Raises as `Place.read`."""
-        with tempfile.TemporaryFile() as file:
-            _seen[str(self)] = self._home().read(self.name, file, most_bytes)
-            file.flush()
-            file.seek(0)
-            return open(os.dup(file.fileno()), "rb")
+        try:
+            copy = tempfile.TemporaryFile()  # noqa: SIM115 (closed below)
+        except OSError as error:  # FileNotFoundError, too, where a full disk takes none
+            raise self._no_room(error) from None
+        with copy:
+            try:
+                _seen[str(self)] = self._home().read(self.name, copy, most_bytes)
+                copy.flush()
+            except FileNotFoundError:
+                raise
+            except OSError as error:
+                raise self._no_room(error) from None
+            copy.seek(0)
+            return open(os.dup(copy.fileno()), "rb")
+
+    def _no_room(self, error: OSError) -> PlaceError:
+        """What to say of this machine's disk, which says nothing of the object."""
+        told = error.strerror or type(error).__name__
+        return PlaceError(
+            f"{self}: cannot be copied to this machine's temporary folder ({told}); free some space there"
+        )
 
     def read_bytes(self) -> bytes:
         """Its content."""

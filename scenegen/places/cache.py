@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from lidarsim.jit import cache_root
-from scenegen.errors import DatasetError, PlaceError, printable
+from scenegen.errors import PlaceError, printable
 from scenegen.places import note_file, place_of
 
 AT_A_TIME = 8
@@ -37,7 +37,7 @@ class Note:
 def keep(place: str, name: str, manifest: bytes) -> Path:
     """The folder of copies of what a manifest of this name and content lists at `place`, with the manifest in it.
 
-    Raises DatasetError.
+    Raises PlaceError.
     """
     folder = _root() / _digest(place.encode())[:16] / _digest(manifest)[:16]
     with _told(place):
@@ -54,7 +54,7 @@ def keep(place: str, name: str, manifest: bytes) -> Path:
 def note(folder: Path, place: str, files: Mapping[str, str]) -> None:
     """Note what a folder of copies is of: from now on its `files`, names with their SHA-256, can be fetched.
 
-    What another manifest of the same place lists by the same name and digest is shared. Raises DatasetError.
+    What another manifest of the same place lists by the same name and digest is shared. Raises PlaceError.
     """
     path = note_file(folder)
     if path.is_file():
@@ -70,7 +70,7 @@ def _told(place: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise DatasetError(
+        raise PlaceError(
             f"{printable(error)}: copies of {place} go there; free some space, or name another folder by SCENEGEN_CACHE"
         ) from None
 

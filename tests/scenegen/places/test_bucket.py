@@ -90,7 +90,8 @@ class Run:
         assert self.process.returncode == code, said
         assert SECRET not in said
         assert KEY not in said
-        assert len(said.splitlines()) == (1 if code else 0), said
+        assert sum("scenegen: " in line for line in said.splitlines()) == (1 if code else 0), said
+        assert "Traceback" not in said
         return said
 
 

@@ -1,6 +1,7 @@
 """Laws of datasets at places: the same bytes as in a folder, whoever else writes and wherever it ends."""
 
 import dataclasses
+import errno
 import io
 import json
 import os
@@ -26,7 +27,7 @@ from tests.command_line import run
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
 from tests.scenegen.places.conftest import forget
-from tests.scenegen.places.kept import ROOM
+from tests.scenegen.places.kept import ROOM, Kept
 
 NAME = "s3://lab/pillar"
 
@@ -150,6 +151,23 @@ def test_what_is_damaged_is_made_again(damage: bytes | None, store: Path, made: 
         else:
             (home / name).write_bytes(damage or there[:-1])
     write()
+    assert objects(store) == files(made)
+
+
+def test_a_disk_without_room_for_a_copy_is_no_damage(store: Path, made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is removed because this machine could not look at it."""
+    write()
+    (store / "lab" / "pillar" / f"train-00002{SUFFIX}").unlink()
+    plain = Kept.read
+
+    def full(self: Kept, name: str, file: Any, most_bytes: int) -> Any:
+        if name.endswith(".h5"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return plain(self, name, file, most_bytes)
+
+    monkeypatch.setattr(Kept, "read", full)
+    with pytest.raises(PlaceError, match=r"train-00002.h5: cannot be copied to .*\(No space left on device\)"):
+        write()
     assert objects(store) == files(made)
 
 
