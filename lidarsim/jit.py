@@ -88,7 +88,7 @@ def cache_folder(package: str) -> Path:
         content = path.read_bytes()
         if b"lidarsim.jit" in content:
             digest.update(content)
-    return _root() / "scenegen" / "kernels" / f"{package}-{digest.hexdigest()[:16]}"
+    return cache_root() / "scenegen" / "kernels" / f"{package}-{digest.hexdigest()[:16]}"
 
 
 @cache
@@ -98,7 +98,7 @@ def cache_trouble(package: str) -> str:
     The cache's root and every folder from there on must be this user's or root's. Nobody else may write to them, but
     to a root such as /tmp, where each may move only what is his.
     """
-    folder, root, ours = cache_folder(package), _root(), (os.geteuid(), ROOT)
+    folder, root, ours = cache_folder(package), cache_root(), (os.geteuid(), ROOT)
     try:
         for level in reversed([folder, *folder.parents]):
             if not level.exists():
@@ -120,7 +120,8 @@ def cache_trouble(package: str) -> str:
         return f"{error.filename}: {error.strerror}"
 
 
-def _root() -> Path:
+def cache_root() -> Path:
+    """Where all that may be made again is kept: $SCENEGEN_CACHE, or the user's cache."""
     own, users = os.environ.get("SCENEGEN_CACHE"), os.environ.get("XDG_CACHE_HOME", "")
     if own:
         return Path(own).resolve()

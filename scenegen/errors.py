@@ -30,6 +30,10 @@ class BrokenError(DatasetError):
     """A file of a dataset is not as the format says, and cannot be looked at any further; the message is the fault."""
 
 
+class PlaceError(ScenegenError):
+    """A store refuses, is full, or does not answer; nothing follows from it about what it holds."""
+
+
 class PublishError(ScenegenError):
     """A dataset cannot be published as asked, or not to that place."""
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from scenegen.errors import DatasetError
+from scenegen.places import PlacePath, note_file
 from scenegen.stopping import undone_if_stopped
 
 STALE_S = 24 * 3600.0
@@ -31,15 +32,22 @@ DRAFT = re.compile(
 
 def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     """`path` opened for reading, if it is a regular file of at most `most_bytes` bytes: no pipe or device, whose
-    reading might never end.
+    reading might never end. An object of a place is copied first, unless it was before.
 
-    Raises DatasetError for anything else, FileNotFoundError where there is nothing.
+    Raises DatasetError for anything else, FileNotFoundError where there is nothing, and PlaceError.
     """
+    if isinstance(path, PlacePath):
+        return path.open_bounded(most_bytes)
     try:
         handle = os.open(
             path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
         )  # opening a pipe does not wait for its writer
     except (FileNotFoundError, NotADirectoryError):
+        if note_file(path.parent).is_file():
+            from scenegen.places.cache import fetch
+
+            if fetch(path):
+                return open_bounded(path, most_bytes)
         raise FileNotFoundError(errno.ENOENT, "no such file", str(path)) from None
     except OSError as error:
         raise DatasetError(f"{path}: cannot be opened ({error.strerror}); give a file that can be read") from None
@@ -85,7 +93,10 @@ def make_parent(path: Path) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Put `content` at `path`: complete and on disk, or not at all. Raises as `whole`."""
+    """Put `content` at `path`: complete and on disk, or not at all. Raises as `whole`, and as `PlacePath.put`."""
+    if isinstance(path, PlacePath):
+        path.put(content)
+        return
     with _draft(path) as (_, file):
         file.write(content)
 
@@ -154,9 +165,20 @@ def draft_of(path: Path) -> Path:
     return path.with_name(f".scenegen-{said}-{_digest(said)}.tmp")
 
 
+def names_in(folder: Path) -> set[str]:
+    """Names of what lies directly in a folder."""
+    if isinstance(folder, PlacePath):
+        return {item.name for item in folder.place.list()}
+    with os.scandir(folder) as found:
+        return {item.name for item in found}
+
+
 def remove_drafts(folder: Path, target: str | None = None) -> None:
     """Delete drafts in `folder` that this user's scenegen made, of `target` alone if that is given, and whose writer
-    is gone: an ended process of this machine, or one of another machine that wrote nothing for `STALE_S`."""
+    is gone: an ended process of this machine, or one of another machine that wrote nothing for `STALE_S`. A place has
+    none: its objects are complete or absent."""
+    if isinstance(folder, PlacePath):
+        return
     for draft in folder.glob(".scenegen-*.tmp"):
         said = DRAFT.fullmatch(draft.name)
         if not said or said["digest"] != _digest(said["said"]) or (target and said["target"] != _digest(target)):

@@ -11,6 +11,7 @@ from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import load
 from scenegen.errors import DatasetError, printable
+from scenegen.places.cache import bytes_in
 from scenegen.sample import Sample
 
 SHAPES = ("planes", "height fields", "spheres", "capsules", "ellipsoids", "cylinders", "boxes", "meshes")
@@ -38,7 +39,7 @@ def inspect(folder: Path, *, most: int = 200, values: bool = False) -> dict[str,
         split = dataset.split(name)
         if len(split):
             splits[name] = _describe(dataset, name, most, values)
-    size = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
+    size = bytes_in(folder)
     samples = sum(split["samples"] for split in splits.values())
     return {**found, "samples": samples, "bytes": size, "bytes_per_sample": size / max(samples, 1), "splits": splits}
 

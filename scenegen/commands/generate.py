@@ -57,7 +57,7 @@ NETWORK_EDGE = 8
 @click.option("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")
 @click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth of --n]")
 @seed_option("The same seed, the same dataset.")
-@out_option("Folder of the dataset.  [default: data/<kind>]")
+@out_option("Folder of the dataset, or s3://bucket/folder.  [default: data/<kind>]", places=True)
 @workers_option
 @on_option
 @click.option(

@@ -53,7 +53,7 @@ def publish(
     from scenegen.publish.stage import Request
 
     request = Request(
-        dataset=locate(dataset, shown=talk),
+        dataset=locate(dataset, shown=talk, whole=True),
         repository=repo,
         out=out or Path("publish") / repo.rpartition("/")[2],
         tag=options["tag"],

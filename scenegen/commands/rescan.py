@@ -30,13 +30,13 @@ from scenegen.terminal.types import Named
 @noise_option
 @mapping_options
 @click.option("--engine", type=Named(ENGINES), help="What casts the rays.  [default: what cast the dataset's]")
-@out_option("Folder of the new dataset.")
+@out_option("Folder of the new dataset, or s3://bucket/folder.", places=True)
 @workers_option
 @click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
 @json_option
 @quiet_option
 def rescan(
-    dataset: Path,
+    dataset: Path | str,
     lidar: str | None,
     noise: str | None,
     engine: str | None,
@@ -59,11 +59,12 @@ def rescan(
     if talk:
         announce_compilation()
     from scenegen.dataset.build import build
+    from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
     from scenegen.dataset.rescan import plan_rescan
     from scenegen.lidar import named_lidar, named_noise
 
-    source = Dataset(dataset)
+    source = Dataset(locate(dataset, shown=talk))
     sensor = None if lidar is None else named_lidar(lidar)
     chain = named_noise(noise, sensor or source.lidar)
     plan = plan_rescan(source, out, lidar=sensor, chain=chain, engine=engine, mapping=mapping_given(options))

@@ -41,7 +41,7 @@ def verify(
     from scenegen.dataset.locate import locate
     from scenegen.verify import verify as prove
 
-    folder = locate(dataset, shown=talk)
+    folder = locate(dataset, shown=talk, whole=True)
     begin = time.perf_counter()
     with Progress("verify", shown=talk) as progress:
         report = prove(

@@ -14,6 +14,7 @@ from typing import Any
 from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError, short
@@ -21,6 +22,7 @@ from scenegen.executors import Executor
 from scenegen.executors.local import Local
 from scenegen.files import remove_drafts
 from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
+from scenegen.places import PlacePath
 from scenegen.recipe import Recipe
 from scenegen.source import Source
 from scenegen.stopping import undone_if_stopped
@@ -157,10 +159,11 @@ def build(
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
+    write = write_placed if isinstance(plan.folder, PlacePath) else write_shard
     written, noted = 0, time.monotonic()
     with undone_if_stopped(lambda: remove_drafts(plan.folder)):
         try:
-            with closing(execute(write_shard, missing, on_start)) as results:
+            with closing(execute(write, missing, on_start)) as results:
                 for report in results:
                     state.reports[plan.folder / report.file] = report
                     written += report.samples
@@ -183,8 +186,8 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
 
 
 def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
-    """Raise DatasetError where the disk clearly cannot hold what is to be written."""
-    if not missing:
+    """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells nobody beforehand."""
+    if not missing or isinstance(plan.folder, PlacePath):
         return
     needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
     there = next(place for place in (plan.folder, *plan.folder.absolute().parents) if place.exists())

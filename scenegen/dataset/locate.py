@@ -1,4 +1,5 @@
-"""Where a dataset is: a folder as it stands, or ``hf://user/name[@revision]`` downloaded from the Hugging Face Hub."""
+"""Where a dataset is: a folder as it stands, ``hf://user/name[@revision]``, downloaded from the Hugging Face Hub, or a
+place, ``s3://bucket/folder``, of which files are copied when they are read."""
 
 import contextlib
 import hashlib
@@ -9,7 +10,9 @@ from pathlib import Path
 
 from scenegen.dataset import manifest, trust
 from scenegen.errors import DatasetError, needs, printable
+from scenegen.files import read_bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
+from scenegen.places import folder_of, is_remote
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # read when the Hub's client is imported, which is later
 
@@ -22,9 +25,9 @@ TIMEOUT_S = 20.0
 """After which a silent Hub counts as out of reach, seconds."""
 
 
-def is_remote(name: object) -> bool:
-    """Whether `name` stands for a dataset on the Hub. A path never does, whatever it looks like."""
-    return isinstance(name, str) and name.startswith(SCHEME)
+def check_name(name: str) -> None:
+    """Raise DatasetError for a name of a place, or of a dataset on the Hub, that cannot be."""
+    _ = parse(name) if name.startswith(SCHEME) else folder_of(name)
 
 
 def parse(name: str) -> tuple[str, str | None]:
@@ -35,36 +38,62 @@ def parse(name: str) -> tuple[str, str | None]:
     return repository, revision or None
 
 
-def locate(name: str | Path, *, shown: bool = False) -> Path:
-    """The folder of a dataset. A path comes back as it is; only ``hf://…`` is looked for on the Hub.
+def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Path:
+    """The folder of a dataset on this machine. A path comes back as it is; only a name with a scheme is looked for.
+
+    ``hf://…`` is downloaded: see `download`. Of any other place the manifest is, into a folder of copies (see
+    `scenegen.places.cache`), where every other file comes to lie when it is first opened, or all of them now, with
+    `whole`. Raises DatasetError and PlaceError.
+    """
+    if not is_remote(name):
+        return Path(name)
+    if str(name).startswith(SCHEME):
+        return download(str(name), shown=shown)
+    from scenegen.places.cache import fetch_all, keep, note
+
+    place = folder_of(str(name))
+    try:
+        content = read_bounded(place / manifest.NAME, MOST_MANIFEST_BYTES)
+    except FileNotFoundError:
+        raise DatasetError(
+            f"{name}: not a dataset, it has no {manifest.NAME}; make one with `scenegen generate --out {name}`"
+        ) from None
+    folder = keep(str(place), manifest.NAME, content)
+    listed = trust.load(folder, str(name)).files  # checked before they are used as names
+    note(folder, str(place), listed)
+    if whole:
+        fetch_all(folder, listed)
+    return folder
+
+
+def download(name: str, *, shown: bool = False) -> Path:
+    """The folder of a dataset on the Hub.
 
     What the Hub has is downloaded into the client's usual cache by revision, no file but those that the manifest
     lists, and held against the manifest's SHA-256s at every call; with `shown`, the client shows how far it has come.
     Raises DatasetError.
     """
-    if not is_remote(name):
-        return Path(name)
-    repository, revision = parse(str(name))
+    repository, revision = parse(name)
     try:
         from huggingface_hub import snapshot_download
     except ImportError:
         raise DatasetError(f"{name}: {needs('huggingface_hub', 'publish')}") from None
 
-    def download(revision: str | None, *files: str) -> Path:
+    def fetch(revision: str | None, *files: str) -> Path:
         return Path(snapshot_download(repository, repo_type="dataset", revision=revision, allow_patterns=list(files)))
 
     try:
         with client_output(shown):
             _check_listing(repository, revision)
-            folder = download(revision, manifest.NAME)
-            listed = trust.load(folder, str(name)).files  # checked before they are used as names
+            folder = fetch(revision, manifest.NAME)
+            listed = trust.load(folder, name).files  # checked before they are used as names
             # by commit, whose name the folder bears: should the branch move on, nothing is mixed
-            folder = download(folder.name, manifest.NAME, *listed)
+            folder = fetch(folder.name, manifest.NAME, *listed)
     except DatasetError:
         raise
     except Exception as error:  # whatever the Hub's client or the network beneath it raises
         raise DatasetError(f"{name}: {reason(error)}; check the name, the revision and the network") from None
-    check_files(folder, listed, str(name))
+    check_files(folder, listed, name)
     return folder
 
 

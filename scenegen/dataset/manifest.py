@@ -13,10 +13,11 @@ from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset import noise
 from scenegen.dataset.sensor import entry_of
-from scenegen.errors import MOST_TOLD, DatasetError, printable, short
+from scenegen.errors import MOST_TOLD, DatasetError, PlaceError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.mapping import Mapper
+from scenegen.places import TRIES, ConflictError
 from scenegen.sample import stored_fields
 
 if TYPE_CHECKING:  # these draw worlds, and import what that takes
@@ -154,8 +155,25 @@ def assemble(given: Mapping[str, Any], reports: Sequence["ShardReport"], *, comp
 
 
 def write(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Replace the manifest of `folder`."""
-    write_whole(folder / NAME, (json.dumps(manifest, indent=1) + "\n").encode())
+    """Replace the manifest of `folder`; at a place, the one that was read last.
+
+    If another run has put one there meanwhile, a complete one stays, and this one takes the place of any other; they
+    may list other shards, but none differently. Raises PlaceError where it is of another dataset.
+    """
+    content = (json.dumps(manifest, indent=1) + "\n").encode()
+    for _ in range(TRIES):
+        try:
+            write_whole(folder / NAME, content)
+            return
+        except ConflictError:
+            there = read(folder)
+        if parameters_of(there) != parameters_of(manifest):
+            raise PlaceError(f"{folder}: another run has begun another dataset there; choose another --out for one")
+        if there["complete"] and manifest["complete"]:
+            raise PlaceError(f"{folder}: another run has completed it with other bytes; give the same command again")
+        if there["complete"]:
+            return
+    raise PlaceError(f"{folder}: other runs put manifests all the time; give the same command again to go on")
 
 
 def read(folder: Path) -> dict[str, Any]:

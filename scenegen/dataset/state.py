@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-import os
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -11,11 +11,12 @@ from typing import Any
 
 from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
-from scenegen.dataset import manifest, trust
+from scenegen.dataset import manifest, placed, trust
 from scenegen.dataset.sensor import write_rays
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import disk_error, remove_drafts
+from scenegen.files import disk_error, names_in, remove_drafts
+from scenegen.places import PlacePath
 from scenegen.workers import run
 
 MANY = 8
@@ -132,9 +133,12 @@ class State:
         """
         if self._listed is None:
             return
-        there = {entry.name for entry in os.scandir(self.plan.folder)}
+        there = names_in(self.plan.folder)
         unknown = [shard for shard in shards if shard.file not in self.reports and shard.file.name in there]
         tasks = [(shard, self._listed.get(shard.file.name)) for shard in unknown]
+        if isinstance(self.plan.folder, PlacePath):
+            self.reports |= {self.plan.folder / report.file: report for report in placed.look(self.plan.folder, tasks)}
+            return
         with closing(run(_report, tasks, workers if len(tasks) >= MANY else 1)) as reports:
             self.reports |= {self.plan.folder / report.file: report for report in reports if report is not None}
 
@@ -183,7 +187,7 @@ class State:
 
     def absent(self) -> list[ShardSpec]:
         """Shards that are neither known nor on disk."""
-        there = {entry.name for entry in os.scandir(self.plan.folder)}
+        there = names_in(self.plan.folder)
         return [shard for shard in self.plan.shards if shard.file not in self.reports and shard.file.name not in there]
 
     def _known(self) -> list[ShardReport]:
@@ -206,5 +210,5 @@ def _report(task: tuple[ShardSpec, trust.Entry | None]) -> ShardReport | None:
 
 def _shard_files(folder: Path) -> list[Path]:
     """Files in `folder` that are named like a dataset's."""
-    patterns = (f"{split}-{'[0-9]' * 5}{suffix}" for split in SPLITS for suffix in (".h5", ".worlds.zip"))
-    return [file for pattern in patterns for file in folder.glob(pattern)]
+    named = re.compile(rf"({'|'.join(SPLITS)})-[0-9]{{5}}(\.h5|\.worlds\.zip)", re.ASCII)
+    return [folder / name for name in names_in(folder) if named.fullmatch(name)]

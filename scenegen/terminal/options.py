@@ -16,7 +16,7 @@ from scenegen import SPLITS
 from scenegen.executors import EXECUTORS, LOCAL
 from scenegen.limits import MOST_WORKERS
 from scenegen.mapping import Mapper
-from scenegen.terminal.types import DatasetPath, Named, Number, Numbers, OutputFile, Place
+from scenegen.terminal.types import DatasetPath, Named, Number, Numbers, OutputFile, OutputFolder, Place
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -65,9 +65,11 @@ def seed_option(help: str) -> Callable[[Function], Function]:
     return click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help=help)
 
 
-def out_option(help: str, default: Path | None = None, *, file: bool = False) -> Callable[[Function], Function]:
-    """-o: the folder, or, with `file`, the file to write; the parameter is `out`."""
-    kind = OutputFile() if file else click.Path(path_type=Path)
+def out_option(
+    help: str, default: Path | None = None, *, file: bool = False, places: bool = False
+) -> Callable[[Function], Function]:
+    """-o: the folder, with `places` also a place, or, with `file`, the file to write; the parameter is `out`."""
+    kind = OutputFile() if file else OutputFolder(places=places)
     names = ("--output", "--out") if file else ("--out", "--output")
     return click.option("-o", *names, "out", type=kind, default=default, show_default=True, help=help)
 

@@ -39,22 +39,49 @@ class Place(Named):
 
 
 class DatasetPath(click.ParamType):
-    """A dataset: a folder, or hf://user/name[@revision], which the command fetches, and not the parsing."""
+    """A dataset: a folder, hf://user/name[@revision], or a place, s3://bucket/folder; the command fetches, and not the
+    parsing."""
 
     name = "dataset"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path | str:
-        """A path as it is, or the Hub's name, if it is one."""
-        from scenegen.dataset.locate import is_remote, parse
+        """A path as it is, or a name with a scheme, if it can be one."""
+        from scenegen.dataset.locate import check_name
+        from scenegen.places import is_remote
 
         if not is_remote(value):
             return Path(value)
-        parse(value)
+        check_name(value)
         return str(value)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Folders."""
         return [CompletionItem(incomplete, type="dir")]
+
+
+class OutputFolder(click.Path):
+    """A folder to write; with `places`, also a place, s3://bucket/folder."""
+
+    def __init__(self, *, places: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self.places = places
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Path:
+        """The folder."""
+        from scenegen.places import folder_of
+
+        _refuse(self, value, param, ctx, places=self.places)
+        return folder_of(value) if self.places and isinstance(value, str) else Path(value)
+
+
+def _refuse(kind: click.ParamType, value: Any, param: Any, ctx: Any, *, places: bool = False) -> None:
+    """Fail where a name with a scheme is given to write to, and no such thing is written there."""
+    from scenegen.places import PLACES, is_remote
+
+    scheme = str(value).partition("://")[0]
+    if is_remote(value) and not (places and scheme in PLACES.known):
+        told = " or a place, s3://bucket/folder" if places else "; only `generate` and `rescan` write to s3://"
+        kind.fail(f"{scheme}://… is not written to; give a folder{told}", param, ctx)
 
 
 class OutputFile(click.Path):
@@ -69,6 +96,7 @@ class OutputFile(click.Path):
         from scenegen.errors import DatasetError
         from scenegen.files import check_target
 
+        _refuse(self, value, param, ctx)
         path = Path(value)
         if self.folders and path.is_dir():
             return path

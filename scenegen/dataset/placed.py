@@ -1,0 +1,98 @@
+"""Shards at a place: what a resumed run must know of each lies beside it, so that it reads no samples again."""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
+from scenegen.dataset.trust import Entry
+from scenegen.draw import Rejections
+from scenegen.errors import DatasetError
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_SAMPLES_IN_SHARD
+from scenegen.places import Object, PlacePath
+
+SUFFIX = ".report.json"
+AT_A_TIME = 16
+"""Reports that are fetched at the same time."""
+MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
+"""A report is no larger."""
+
+
+def write_placed(spec: ShardSpec) -> ShardReport:
+    """`write_shard` at a place, and the shard's report beside it. Raises PlaceError as well."""
+    report = write_shard(spec)
+    _note(spec, report, [path.version for path in _paths(spec)])
+    return report
+
+
+def look(folder: Path, tasks: Sequence[tuple[ShardSpec, Entry | None]]) -> list[ShardReport]:
+    """Reports of those shards, each with what the manifest lists of it, that are at the place `folder` as they should.
+
+    Objects that are those which a report beside them was written for are taken as they are: stores keep what they
+    took. Any other shard is read, and removed where it is damaged. Raises PlaceError.
+    """
+    assert isinstance(folder, PlacePath)
+    there = {item.name: item for item in folder.place.list()} if tasks else {}
+
+    def one(task: tuple[ShardSpec, Entry | None]) -> ShardReport | None:
+        spec, listed = task
+        now = [there[path.name].version if path.name in there else None for path in _paths(spec)]
+        report = _noted(spec, now, there) if None not in now else None
+        if report is None or (listed and any(getattr(report, each) != getattr(listed, each) for each in SUMS)):
+            report = read_report(spec, listed, verify=True)
+            if report is None:
+                for path in _paths(spec):  # the samples, which commit it, first
+                    path.unlink(missing_ok=True)
+            else:
+                _note(spec, report, now)
+        return report
+
+    from concurrent.futures import ThreadPoolExecutor  # importing it takes time
+
+    with ThreadPoolExecutor(AT_A_TIME) as pool:
+        return [report for report in pool.map(one, tasks) if report is not None]
+
+
+SUMS = ("sha256", "worlds_sha256")
+
+
+def _paths(spec: ShardSpec) -> tuple[Any, Any]:
+    return spec.file, spec.worlds_file
+
+
+def _note(spec: ShardSpec, report: ShardReport, versions: Iterable[str | None]) -> None:
+    said = {
+        "parameters": spec.parameters,
+        "versions": list(versions),
+        **{item.name: getattr(report, item.name) for item in fields(Entry)},
+        "size": report.size,
+        "rejected": vars(report.rejected),
+        "digests": report.digests.hex(),
+    }
+    assert isinstance(spec.folder, PlacePath)
+    spec.folder.place.put_whole(spec.file.with_suffix(SUFFIX).name, json.dumps(said).encode())
+
+
+def _rejections(said: dict[str, dict[str, int]]) -> Rejections:
+    return Rejections(**{what: Counter(counts) for what, counts in said.items()})
+
+
+def _noted(spec: ShardSpec, now: Sequence[str | None], there: dict[str, Object]) -> ShardReport | None:
+    """What the report beside a shard says, if it is of just these objects."""
+    path = spec.file.with_suffix(SUFFIX)
+    if path.name not in there:
+        return None
+    try:
+        said = json.loads(read_bounded(path, MOST_BYTES))
+        known = {item.name: said[item.name] for item in fields(Entry)}
+        report = ShardReport(
+            **known, size=said["size"], rejected=_rejections(said["rejected"]), digests=bytes.fromhex(said["digests"])
+        )
+        fits = (said["parameters"], said["versions"], report.samples) == (spec.parameters, list(now), spec.samples)
+        return report if fits and len(report.digests) == 32 * spec.samples else None
+    except (FileNotFoundError, DatasetError, ValueError, KeyError, TypeError, AttributeError):
+        return None
