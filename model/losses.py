@@ -44,9 +44,7 @@ def objective(
         parts["regression"] = regression_loss(
             output.tudf, tudf, near_m=config.near_m, near_weight=config.near_weight, beta_m=config.beta_m
         )
-        parts["eikonal"] = eikonal_loss(
-            output.tudf, tudf, voxel_m=voxel_m, truncation_m=truncation_m, divisor=divisor
-        )
+        parts["eikonal"] = eikonal_loss(output.tudf, tudf, voxel_m=voxel_m, truncation_m=truncation_m, divisor=divisor)
         total = total + config.tudf * (parts["regression"] + config.eikonal * parts["eikonal"])
     return {"loss": total, **parts}
 

@@ -7,6 +7,7 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -65,6 +66,9 @@ class Completer:
             raise CheckpointError(f"{name}: {error}") from None
         self._forward = forward
         self._batch = batch
+        self.path: Path | None = None
+        """The file that `from_pretrained` opened."""
+        self._opened: tuple[str, str, int] | None = None
 
     @classmethod
     def from_pretrained(
@@ -81,7 +85,15 @@ class Completer:
         title = called(name, path)
         if path.suffix == ".onnx":
             run, found = load_onnx(path, threads=threads)
-            return cls(run, found.grid, name=title, inputs=found.config.inputs, about=found.about, batch=batch)
+            made = cls(run, found.grid, name=title, inputs=found.config.inputs, about=found.about, batch=batch)
+        else:
+            made = cls._of_torch(path, torch.device(device), title, batch)
+        everywhere = str(name).startswith(HUB) or str(name) in bundled()
+        made.path, made._opened = path, (str(name if everywhere else path.absolute()), str(device), batch)
+        return made
+
+    @classmethod
+    def _of_torch(cls, path: Path, device: torch.device, title: str, batch: int) -> "Completer":
         network, grid, about = load_network(path)
         network.placed(device)
 
@@ -89,6 +101,10 @@ class Completer:
             return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
         return cls(forward, grid, name=title, inputs=network.config.inputs, about=about, batch=batch)
+
+    def __reduce__(self) -> Any:
+        """One that `from_pretrained` opened travels by its name, and each process that it comes to opens it once."""
+        return super().__reduce__() if self._opened is None else (_opened, self._opened)
 
     def __call__(self, maps: Sample | Maps | Mapping[str, Maps]) -> Prediction:
         """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
@@ -176,6 +192,11 @@ class Completer:
         probability = None if output.logits is None else output.logits.sigmoid()
         tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
         return probability, tudf
+
+
+@cache
+def _opened(name: str, device: str, batch: int) -> Completer:
+    return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 
 def unlike(name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None = None, noise: str = "") -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 from scenegen.errors import GenerationError, needs
 from scenegen.executors import Executor
-from scenegen.executors.remote import Outcome, attempt, named
+from scenegen.executors.remote import GO_ON, Outcome, attempt, named
 
 SILENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
 """What Ray's environment says wherever we begin it."""
@@ -24,7 +24,7 @@ class Ray(Executor):
     """See `Executor`. With an address, ``ray://host:port`` or ``ray://auto`` for the cluster that this machine is of,
     a cluster that is there; else one that is begun on this machine, of `workers` cores, and ended afterwards.
 
-    Every node needs scenegen, of this version, and the dataset's folder by the same path.
+    Every node needs scenegen, of this version, and the files that a command names by the same paths.
     """
 
     def __init__(self, address: str, workers: int):
@@ -67,10 +67,10 @@ class Ray(Executor):
     def _run(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
     ) -> Generator[Any, None, None]:
-        ray = self.ray
+        ray, here = self.ray, os.getcwd()  # noqa: PTH109 (a string travels)
 
         def there(task: Any) -> Outcome:
-            return attempt(function, task)
+            return attempt(function, task, here)
 
         remote = ray.remote(num_cpus=1, max_retries=MOST_TRIES)(there)
         waiting = collections.deque(tasks)
@@ -90,8 +90,7 @@ class Ray(Executor):
                     except ray.exceptions.RayError as error:
                         reason = str(error).splitlines()[0]
                         raise GenerationError(
-                            f"{named(task)}: lost {MOST_TRIES + 1} times with its process or node ({reason}); "
-                            "finished shards are kept: give the same command again to go on"
+                            f"{named(task)}: lost {MOST_TRIES + 1} times with its process or node ({reason}); {GO_ON}"
                         ) from None
                     yield outcome.taken()
         finally:

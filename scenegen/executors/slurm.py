@@ -5,6 +5,7 @@ one takes seconds.
 """
 
 import math
+import os
 import shutil
 import subprocess
 import tempfile
@@ -17,7 +18,7 @@ from urllib.parse import parse_qsl
 
 from scenegen.errors import DatasetError, GenerationError, needs, printable
 from scenegen.executors import Executor
-from scenegen.executors.remote import Outcome, attempt
+from scenegen.executors.remote import GO_ON, Outcome, attempt
 
 MINUTES = 240
 """How long a job may take unless the address says otherwise."""
@@ -33,7 +34,8 @@ class Slurm(Executor):
     """See `Executor`. `workers` jobs run at a time, one core each. The address, ``slurm://PARTITION?time=60&mem=4G``,
     may name the partition, and options of sbatch.
 
-    Every node needs this Python, scenegen, the dataset's folder and the working folder by the same paths.
+    Every node needs this Python, scenegen, the files that a command names and the working folder by the
+    same paths.
     """
 
     def __init__(self, address: str, workers: int):
@@ -89,7 +91,7 @@ class Slurm(Executor):
                 **{name: self.options[name] for name in ("partition", "mem") if name in self.options},
                 additional_parameters=own,
             )
-            return list(executor.map_array(partial(_several, function), parts))
+            return list(executor.map_array(partial(_several, function, os.getcwd()), parts))
         except (RuntimeError, self.submitit.core.utils.FailedJobError) as error:
             reason = printable(str(error).strip().splitlines()[-1])
             raise GenerationError(f"--on slurm: nothing could be submitted ({reason})") from None
@@ -120,9 +122,7 @@ class Slurm(Executor):
 
 
 def _lost(job: str, reason: str, folder: Path) -> GenerationError:
-    return GenerationError(
-        f"--on slurm: job {job}: {reason}; see {folder}; finished shards are kept: give the same command again to go on"
-    )
+    return GenerationError(f"--on slurm: job {job}: {reason}; see {folder}; {GO_ON}")
 
 
 def _queued(array: str) -> set[str]:
@@ -132,11 +132,11 @@ def _queued(array: str) -> set[str]:
     return set(found.stdout.split())
 
 
-def _several(function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Outcome]:
+def _several(function: Callable[[Any], Any], here: str, tasks: Sequence[Any]) -> list[Outcome]:
     """What came of `tasks`, up to the first that failed."""
     found = []
     for task in tasks:
-        found.append(attempt(function, task))
+        found.append(attempt(function, task, here))
         if found[-1].node:
             break
     return found

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, ScenegenError
 from scenegen.executors import EXECUTORS, executor
 from scenegen.executors.rank import rank_of
 from scenegen.source import DrawnWorlds
@@ -74,6 +74,8 @@ def test_places_without_an_address_take_none(name: str) -> None:
 
 
 def test_what_is_no_executor_is_refused() -> None:
-    with pytest.raises(ValueError, match="unknown executor 'clouds'"):
+    with pytest.raises(ScenegenError, match="--on: unknown executor 'clouds'"):
         executor("clouds", 1)
+    with pytest.raises(ScenegenError, match="--on: executor nowhere:Thing: there is no module nowhere"):
+        executor("nowhere:Thing://there", 1)
     assert set(EXECUTORS.known) == {"local", "rank", "ray", "slurm"}
