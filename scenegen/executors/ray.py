@@ -6,6 +6,7 @@ Ray's own tasks, and not Ray Data: their order and memory are ours. Its reportin
 import collections
 import os
 from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
 from typing import Any
 
 from scenegen.errors import GenerationError, needs
@@ -67,7 +68,7 @@ class Ray(Executor):
     def _run(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
     ) -> Generator[Any, None, None]:
-        ray, here = self.ray, os.getcwd()  # noqa: PTH109 (a string travels)
+        ray, here = self.ray, Path.cwd()
 
         def there(task: Any) -> Outcome:
             return attempt(function, task, here)

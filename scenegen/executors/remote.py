@@ -4,6 +4,7 @@ import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from scenegen.errors import told
@@ -28,7 +29,7 @@ class Outcome(NamedTuple):
         return self.value
 
 
-def attempt(function: Callable[[Any], Any], task: Any, folder: str) -> Outcome:
+def attempt(function: Callable[[Any], Any], task: Any, folder: Path) -> Outcome:
     """`function` of `task`, in the `folder` where the command was given if it is there; whatever comes of it."""
     try:
         with suppress(OSError):

@@ -5,7 +5,6 @@ one takes seconds.
 """
 
 import math
-import os
 import shutil
 import subprocess
 import tempfile
@@ -91,7 +90,7 @@ class Slurm(Executor):
                 **{name: self.options[name] for name in ("partition", "mem") if name in self.options},
                 additional_parameters=own,
             )
-            return list(executor.map_array(partial(_several, function, os.getcwd()), parts))
+            return list(executor.map_array(partial(_several, function, Path.cwd()), parts))
         except (RuntimeError, self.submitit.core.utils.FailedJobError) as error:
             reason = printable(str(error).strip().splitlines()[-1])
             raise GenerationError(f"--on slurm: nothing could be submitted ({reason})") from None
@@ -132,7 +131,7 @@ def _queued(array: str) -> set[str]:
     return set(found.stdout.split())
 
 
-def _several(function: Callable[[Any], Any], here: str, tasks: Sequence[Any]) -> list[Outcome]:
+def _several(function: Callable[[Any], Any], here: Path, tasks: Sequence[Any]) -> list[Outcome]:
     """What came of `tasks`, up to the first that failed."""
     found = []
     for task in tasks:

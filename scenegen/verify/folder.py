@@ -36,11 +36,12 @@ def verify(
     """Check the dataset in `folder`; `quick` makes the cheap checks alone. `scenegen.verify.checks` has them all.
 
     `workers` processes of this machine examine a shard each, or whatever `execute` has do it, in processes of their
-    own; none can take this one down. Where others see to a part of the shards, what compares all shards is skipped. `seed` chooses the samples that are cast and
-    made anew. `kind` names a user's own kind, by which worlds may be drawn again: no module is imported because a
-    manifest names it. `on_start` is called with the number of samples once the processes run, `on_done` with that of
-    every shard done. A fault fails a check of the report, whatever it is; only a folder that holds no dataset at all,
-    or one of another `kind`, raises: DatasetError; and a shard that `execute` loses for good.
+    own; none can take this one down. Where others see to a part of the shards, what compares all of them is skipped.
+    `seed` chooses the samples that are cast and made anew. `kind` names a user's own kind, by which worlds may be drawn
+    again: no module is imported because a manifest names it. `on_start` is called with the number of samples once the
+    processes run, `on_done` with that of every shard done. A fault fails a check of the report, whatever it is; only a
+    folder that holds no dataset at all, or one of another `kind`, raises: DatasetError; and a shard that `execute`
+    loses for good: GenerationError.
     """
     execute = execute or Local("", workers)
     ledger = Ledger()

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import json
-import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -146,12 +145,12 @@ def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
     content = json.dumps(about, indent=1).encode()
     state = out / STATE
     # listed first: what another rank begins meanwhile, it begins with the state
-    others = [name for name in os.listdir(out) if not name.endswith(".tmp")] if out.is_dir() else [out] * out.exists()
+    there = list(out.iterdir()) if out.is_dir() else [out] if out.exists() else []
     if state.exists():
         if state.read_bytes() != content:
             raise DatasetError(f"{out}: holds another dataset or another conversion; choose another folder")
         return
-    if others:
+    if any(path.suffix != ".tmp" for path in there):
         raise DatasetError(f"{out}: is there, and no conversion of ours; choose another folder")
     make_parent(state)
     write_whole(state, content)

@@ -3,6 +3,7 @@
 import os
 import pickle
 from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
 from typing import Any
 
 from scenegen.errors import GenerationError
@@ -27,7 +28,7 @@ class Backwards(Executor):
             if number == self.most:
                 raise GenerationError(f"{task}: lost with its node")
             given = pickle.loads(pickle.dumps(task))
-            yield pickle.loads(pickle.dumps(attempt(there, given, "."))).taken()
+            yield pickle.loads(pickle.dumps(attempt(there, given, Path.cwd()))).taken()
 
 
 def die_of_one(task: Any) -> Any:

@@ -16,7 +16,9 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.executors import executor
 from scenegen.source import DrawnWorlds
+from scenegen.terminal.progress import Progress
 from tests.conftest import small_recipe
+from tests.scenegen.executors import everywhere
 
 ray = pytest.importorskip("ray")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
@@ -56,6 +58,32 @@ def test_a_cluster_makes_the_same_dataset_though_a_node_dies(cluster: Any, tmp_p
     for path in (tmp_path / "here").iterdir():
         assert (tmp_path / "there" / path.name).read_bytes() == path.read_bytes()
     assert ray.is_initialized(), "what was there before is left"
+
+
+def test_commands_give_the_same_there_though_a_node_dies(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """verify, convert, complete and bench, each cut down to small tasks, each with a node that is killed on the way and
+    another that takes its place."""
+    everywhere.make(tmp_path)
+    everywhere.stand(tmp_path, monkeypatch)
+    count = Progress.count
+
+    def kill_one(self: Any, samples: int) -> None:
+        count(self, samples)
+        if nodes and samples:
+            cluster.remove_node(nodes.pop(), allow_graceful=False)
+            cluster.nodes.append(cluster.add_node(num_cpus=1))
+
+    for words in everywhere.COMMANDS:
+        nodes: list[Any] = []
+        here = everywhere.outcome(capsys, tmp_path, words, "here", "--workers", 1)
+        nodes = [cluster.nodes.pop(0)]
+        monkeypatch.setattr(Progress, "count", kill_one)
+        there = everywhere.outcome(capsys, tmp_path, words, "there", "--on", "ray")
+        monkeypatch.setattr(Progress, "count", count)
+        assert not nodes, "one was killed"
+        assert there == here
 
 
 def test_an_error_is_raised_here_and_names_the_node(cluster: Any, tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ python -m pytest -m slow tests/scenegen/executors/test_slurm.py
 
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import time
@@ -22,6 +21,7 @@ from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.executors import executor
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
+from tests.scenegen.executors import slurm_here
 
 pytest.importorskip("submitit")
 pytestmark = [
@@ -29,79 +29,13 @@ pytestmark = [
     pytest.mark.skipif(shutil.which("slurmctld") is None or os.getuid() != 0, reason="needs slurm-wlm, and to be root"),
 ]
 COUNTS = {"train": 24, "val": 3, "test": 3}
-CONFIG = """
-ClusterName=scenegen
-SlurmctldHost={host}
-AuthType=auth/munge
-AuthInfo=socket={folder}/munge.socket
-CredType=cred/munge
-SlurmUser=root
-SlurmctldPort={ports[0]}
-SlurmdPort={ports[1]}
-StateSaveLocation={folder}/state
-SlurmdSpoolDir={folder}/spool
-SlurmctldPidFile={folder}/slurmctld.pid
-SlurmdPidFile={folder}/slurmd.pid
-SlurmctldLogFile={folder}/slurmctld.log
-SlurmdLogFile={folder}/slurmd.log
-ProctrackType=proctrack/pgid
-TaskPlugin=task/none
-SelectType=select/cons_tres
-SelectTypeParameters=CR_CPU
-AccountingStorageType=accounting_storage/none
-JobAcctGatherType=jobacct_gather/none
-JobCompType=jobcomp/none
-ReturnToService=2
-MpiDefault=none
-SchedulerParameters=sched_interval=1
-NodeName={host} CPUs={cpus} State=UNKNOWN
-PartitionName=all Nodes={host} Default=YES MaxTime=INFINITE State=UP
-"""
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
-def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cluster of this machine; its folder."""
-    folder = tmp_path_factory.mktemp("slurm")
-    for above in (folder, *folder.parents):  # munge refuses sockets in folders that others cannot reach
-        if above.stat().st_uid == 0 and above != Path("/"):
-            above.chmod(above.stat().st_mode | 0o755)
-    (folder / "state").mkdir()
-    (folder / "spool").mkdir()
-    host = socket.gethostname().split(".")[0]
-    text = CONFIG.format(host=host, folder=folder, ports=(free_port(), free_port()), cpus=os.cpu_count())
-    (folder / "slurm.conf").write_text(text)
-    (folder / "key").write_bytes(os.urandom(1024))
-    (folder / "key").chmod(0o400)
-    before = os.environ.get("SLURM_CONF")
-    os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
-    names = {"key-file": "key", "socket": "munge.socket", "log-file": "log", "pid-file": "pid", "seed-file": "seed"}
-    files = [f"--{flag}={folder}/{name}" for flag, name in names.items()]
-    daemons = [subprocess.Popen(words) for words in (["munged", "-F", "-f", *files],)]
-    time.sleep(1)
-    daemons += [subprocess.Popen(words) for words in (["slurmctld", "-D"], ["slurmd", "-D"])]
-    try:
-        for _ in range(60):
-            told = subprocess.run(["sinfo", "-h", "-o", "%T"], capture_output=True, text=True, check=False)
-            if told.stdout.strip() in ("idle", "mixed"):
-                break
-            time.sleep(1)
-        else:
-            pytest.fail(f"no node is up: {told.stdout}{told.stderr}\n{(folder / 'slurmctld.log').read_text()[-2000:]}")
-        yield folder
-    finally:
-        for daemon in reversed(daemons):
-            daemon.send_signal(signal.SIGTERM)
-            daemon.wait(20)
-        os.environ.pop("SLURM_CONF")
-        if before is not None:
-            os.environ["SLURM_CONF"] = before
+def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, int]]:
+    """A cluster of two nodes, both this machine."""
+    with slurm_here.slurm(tmp_path_factory.mktemp("slurm"), nodes=2) as nodes:
+        yield nodes
 
 
 def plan(folder: Path) -> Any:
@@ -110,7 +44,7 @@ def plan(folder: Path) -> Any:
 
 
 @pytest.fixture
-def here(slurm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(slurm: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
