@@ -5,7 +5,8 @@ Ray's own tasks, and not Ray Data: their order and memory are ours. Its reportin
 
 import collections
 import os
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,8 @@ class Ray(Executor):
         """See `Executor`."""
         begun = self._connect()
         try:
-            yield from self._run(function, tasks, on_start)
+            with _silence() if begun else nullcontext():
+                yield from self._run(function, tasks, on_start)
         finally:
             if begun:
                 self.ray.shutdown()
@@ -97,3 +99,17 @@ class Ray(Executor):
         finally:
             for one in given:
                 ray.cancel(one, force=True)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep Ray from printing the log of a node that it lost: on standard output, where a command's result goes. What
+    that costs the run, its tasks tell. No setting of Ray's does this."""
+    from ray._private import worker
+
+    said = getattr(worker, "print_to_stdstream", None)
+    worker.print_to_stdstream = lambda *given, **named: None
+    try:
+        yield
+    finally:
+        worker.print_to_stdstream = said

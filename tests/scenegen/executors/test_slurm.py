@@ -6,8 +6,10 @@ python -m pytest -m slow tests/scenegen/executors/test_slurm.py
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,8 +22,9 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.executors import executor
 from scenegen.source import DrawnWorlds
+from tests.command_line import ROOT
 from tests.conftest import small_recipe
-from tests.scenegen.executors import slurm_here
+from tests.scenegen.executors import everywhere, slurm_here
 
 pytest.importorskip("submitit")
 pytestmark = [
@@ -46,6 +49,7 @@ def plan(folder: Path) -> Any:
 @pytest.fixture
 def here(slurm: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))  # where jobs find functions of this file
     return tmp_path
 
 
@@ -57,6 +61,17 @@ def test_a_job_array_makes_the_same_dataset(here: Path) -> None:
     for path in (here / "here").iterdir():
         assert (here / "there" / path.name).read_bytes() == path.read_bytes()
     assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
+
+
+def test_commands_give_the_same_there(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """verify, convert, complete and bench: equal reports, and files byte by byte."""
+    everywhere.make(here)
+    everywhere.stand(here, monkeypatch)
+    for words in everywhere.COMMANDS:
+        there = everywhere.outcome(capsys, here, words, "there", "--on", "slurm", "--workers", 2)
+        assert there == everywhere.outcome(capsys, here, words, "here", "--workers", 1)
 
 
 def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here: Path) -> None:
@@ -84,3 +99,36 @@ def test_what_slurm_refuses_is_one_line(here: Path) -> None:
     assert "\n" not in str(caught.value)
     with pytest.raises(ScenegenError, match=r"expected slurm://PARTITION\?time=60&mem=4G"):
         executor("slurm://all?time", 1)
+
+
+def twice(task: Path) -> str:
+    """Done by the second who tries, and tells its node; the first one's is lost meanwhile."""
+    node = os.environ["SLURMD_NODENAME"]
+    if list(task.glob("node*")):
+        return node
+    (task / f"{node} {os.getpid()}").touch()
+    time.sleep(120)
+    return "was not lost"
+
+
+def test_a_task_whose_node_is_lost_begins_again_on_another(slurm: dict[str, int], here: Path) -> None:
+    """The last test, for a node is lost. Slurm waits two minutes before a task begins again."""
+
+    def lose() -> None:
+        """Once the task has begun, its node is told to be down, and all processes there are killed."""
+        deadline = time.monotonic() + 60
+        while not (there := [path.name.split() for path in here.glob("node*")]) and time.monotonic() < deadline:
+            time.sleep(0.2)
+        for name, task in there:
+            os.kill(slurm[name], signal.SIGKILL)
+            subprocess.run(["scontrol", "update", f"nodename={name}", "state=down", "reason=test"], check=True)
+            os.kill(int(task), signal.SIGKILL)
+            lost.append(name)
+
+    lost: list[str] = []
+    losing = threading.Thread(target=lose)
+    try:
+        (found,) = executor("slurm", 1)(twice, [here], losing.start)
+    finally:
+        losing.join()
+    assert {found, *lost} == slurm.keys()
