@@ -66,7 +66,7 @@ def complete(
     """Complete a dataset's split, or a scan, or all scans in a folder and below it, such as a sequence of KITTI's.
 
     Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the origin. One process
-    completes; with --on, as many as there are --workers, each on one thread of a processor unless --device says more.
+    completes; with --on or --workers, so many do, each on one thread of a processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME

@@ -1,5 +1,6 @@
 """Tasks whose worker dies, hangs, raises or eats memory cost themselves, and nothing else."""
 
+import gc
 import multiprocessing
 import os
 import time
@@ -52,3 +53,32 @@ def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch: pytest.Monk
     assert len(results) == 5
     assert "crashed" in results[1]
     assert "was not examined" in results[-1]
+
+
+def process(task: str) -> int:
+    if task == "die":
+        os.kill(os.getpid(), 9)
+    return os.getpid()
+
+
+def test_called_by_itself_a_limited_function_keeps_its_process_while_it_lives() -> None:
+    """As executors on other machines call it."""
+    limited: Limited[str, int] = Limited(process, lambda task: 60.0, 1 << 30, lambda task, why: -1)
+    first = limited("a")
+    assert first != os.getpid()
+    assert limited("b") == first
+    assert limited("die") == -1
+    again = limited("c")
+    assert again not in (first, os.getpid())
+    del limited
+    gc.collect()
+    assert ended_soon(again), "it ends with the function"
+
+
+def ended_soon(pid: int) -> bool:
+    """Whether a process of this one's ends within seconds."""
+    for _ in range(100):
+        if all(child.pid != pid for child in multiprocessing.active_children()):
+            return True
+        time.sleep(0.05)
+    return False

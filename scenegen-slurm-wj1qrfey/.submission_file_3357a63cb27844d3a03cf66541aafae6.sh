@@ -1,0 +1,1 @@
+/tmp/wt/reach/scenegen-slurm-wj1qrfey/1_submission.sh
