@@ -51,7 +51,7 @@ class Meter:
 
     @property
     def cpu_s(self) -> float:
-        """Of all that were seen."""
+        """All of them together, as far as they were seen."""
         return sum(self._spent.values())
 
     def _look(self) -> None:

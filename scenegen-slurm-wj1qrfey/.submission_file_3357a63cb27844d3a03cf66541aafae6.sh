@@ -1,1 +1,0 @@
-/tmp/wt/reach/scenegen-slurm-wj1qrfey/1_submission.sh
