@@ -68,7 +68,8 @@ class Completer:
         self._batch = batch
         self.path: Path | None = None
         """The file that `from_pretrained` opened."""
-        self._opened: tuple[str, str, int] | None = None
+        self.opened: tuple[str, str, int] | None = None
+        """Name, device and batch, by which `opened_once` has it in other processes, if it came by its name."""
 
     @classmethod
     def from_pretrained(
@@ -89,7 +90,7 @@ class Completer:
         else:
             made = cls._of_torch(path, torch.device(device), title, batch)
         everywhere = str(name).startswith(HUB) or str(name) in bundled()
-        made.path, made._opened = path, (str(name if everywhere else path.absolute()), str(device), batch)
+        made.path, made.opened = path, (str(name if everywhere else path.absolute()), str(device), batch)
         return made
 
     @classmethod
@@ -101,10 +102,6 @@ class Completer:
             return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
         return cls(forward, grid, name=title, inputs=network.config.inputs, about=about, batch=batch)
-
-    def __reduce__(self) -> Any:
-        """One that `from_pretrained` opened travels by its name, and each process that it comes to opens it once."""
-        return super().__reduce__() if self._opened is None else (_opened, self._opened)
 
     def __call__(self, maps: Sample | Maps | Mapping[str, Maps]) -> Prediction:
         """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
@@ -195,7 +192,9 @@ class Completer:
 
 
 @cache
-def _opened(name: str, device: str, batch: int) -> Completer:
+def opened_once(name: str, device: str, batch: int) -> Completer:
+    """A network for a task of many, on one thread of a processor: each process opens it once, and by itself."""
+    torch.set_num_threads(1)
     return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
@@ -22,7 +21,7 @@ from scenegen.errors import DatasetError, GuardError, empty_split
 from scenegen.executors import Executor
 from scenegen.files import make_parent, open_bounded, whole, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_SCAN_BYTES, MOST_VOXELS
-from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.parts import Chunks, Kept, write_predictions
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
@@ -74,12 +73,13 @@ def predict_split(
         made = ((rows, _completed(completer, samples, batch, rows)) for rows in every)
         write_predictions(out, samples, completer, (_counted(on_done, *one) for one in made))
         return 0
+    assert completer.opened is not None
     kept = Kept.beside(out, samples, completer, batch)
     mine = execute.mine(every)
     missing = [rows for rows in mine if not kept.path(rows).exists()]
     on_done(_count(mine) - _count(missing))
     make_parent(kept.path(every[0]))
-    work = partial(_keep, completer, samples, batch, kept)
+    work = partial(_keep, completer.opened, samples, batch, kept)
     with closing(execute(work, missing, lambda: on_start(_count(mine)))) as results:
         for count in results:
             on_done(count)
@@ -87,10 +87,10 @@ def predict_split(
         return _count(absent)
     try:
         write_predictions(out, samples, completer, map(kept.read, every))
-    except DatasetError:
+    except DatasetError:  # unless another rank, which ended at the same time, has joined them
         if kept.folder.exists() or not out.exists():
             raise
-    else:  # otherwise another rank, which ended at the same time, has joined them
+    else:
         shutil.rmtree(kept.folder, ignore_errors=True)
     return 0
 
@@ -118,10 +118,9 @@ def _counted(on_done: Callable[[int], None], rows: Rows, chunks: Chunks) -> Chun
     return chunks
 
 
-def _keep(completer: Completer, samples: Split, batch: int, kept: Kept, rows: Rows) -> int:
-    """Complete a part into its file, on one thread: tasks are many, and each has a core. How many samples it has."""
-    torch.set_num_threads(1)
-    kept.write(rows, _completed(completer, samples, batch, rows), samples.dataset.grid.shape)
+def _keep(opened: tuple[str, str, int], samples: Split, batch: int, kept: Kept, rows: Rows) -> int:
+    """Complete a part into its file. How many samples it has."""
+    kept.write(rows, _completed(opened_once(*opened), samples, batch, rows), samples.dataset.grid.shape)
     return len(rows.numbers)
 
 

@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from urllib.parse import parse_qsl
 from scenegen.errors import DatasetError, GenerationError, needs, printable
 from scenegen.executors import Executor
 from scenegen.executors.remote import GO_ON, Outcome, attempt
+from scenegen.stopping import undone_if_stopped
 
 MINUTES = 240
 """How long a job may take unless the address says otherwise."""
@@ -62,19 +64,19 @@ class Slurm(Executor):
             return
         each = math.ceil(len(tasks) / (JOBS * self.workers))
         folder = Path(tempfile.mkdtemp(prefix="scenegen-slurm-", dir=Path.cwd()))
-        jobs: list[Any] = []
-        try:
-            jobs += self._submit(folder, function, [tasks[n : n + each] for n in range(0, len(tasks), each)])
-            on_start()
-            for job in self._ended(list(jobs), folder):
-                outcomes = self._outcomes(job, folder)
-                jobs.remove(job)
-                for outcome in outcomes:
-                    yield outcome.taken()
-            shutil.rmtree(folder)
-        finally:
-            for job in jobs:
-                job.cancel()
+        cancel = ["scancel", f"--name={folder.name}"]  # this run's jobs, and no others
+        with undone_if_stopped(lambda: subprocess.Popen(cancel, start_new_session=True)):
+            try:
+                jobs = self._submit(folder, function, [tasks[n : n + each] for n in range(0, len(tasks), each)])
+                on_start()
+                for job in self._ended(jobs, folder):
+                    for outcome in self._outcomes(job, folder):
+                        yield outcome.taken()
+                shutil.rmtree(folder)
+            except BaseException:
+                with suppress(FileNotFoundError):  # no Slurm here, as the error says
+                    subprocess.run(cancel, check=False)
+                raise
 
     def _submit(self, folder: Path, function: Callable[[Any], Any], parts: Sequence[Sequence[Any]]) -> list[Any]:
         """One job of the array for each of `parts`."""
@@ -82,7 +84,7 @@ class Slurm(Executor):
             executor = self.submitit.SlurmExecutor(folder=folder, max_num_timeout=3)
             own = {name: value for name, value in self.options.items() if name not in ("partition", "time", "mem")}
             executor.update_parameters(
-                job_name="scenegen",
+                job_name=folder.name,
                 cpus_per_task=1,
                 array_parallelism=self.workers,
                 stderr_to_stdout=True,

@@ -4,8 +4,10 @@ python -m pytest -m slow tests/scenegen/executors/test_ray.py        needs the e
 """
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from scenegen.errors import DatasetError, ScenegenError
 from scenegen.executors import executor
 from scenegen.source import DrawnWorlds
 from scenegen.terminal.progress import Progress
+from tests.command_line import ROOT
 from tests.conftest import small_recipe
 from tests.scenegen.executors import everywhere
 
@@ -102,6 +105,38 @@ def test_an_error_is_raised_here_and_names_the_node(connected: Any, tmp_path: Pa
     with pytest.raises(ScenegenError, match=r"3: disk is full \(on \S+\)"):
         list(executor("ray", 1)(spoil, [3], lambda: None))
     assert asked.samples == 66
+
+
+def beat(path: Path) -> None:
+    """Write for a minute what time it is."""
+    for _ in range(300):
+        path.write_text(str(time.time()))
+        time.sleep(0.2)
+
+
+def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_path: Path) -> None:
+    ours, others = tmp_path / "ours", tmp_path / "others"
+    task = ray.remote(beat).remote(others)
+    code = (
+        "from pathlib import Path\n"
+        "from scenegen.executors import executor\n"
+        "from scenegen.terminal import stops\n"
+        "from tests.scenegen.executors.test_ray import beat\n"
+        "stops.answer()\n"
+        f"list(executor('ray://auto', 1)(beat, [Path({str(ours)!r})], lambda: None))\n"
+    )
+    environment = os.environ | {"RAY_ADDRESS": connected.address, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, "-c", code], env=environment) as running:
+        deadline = time.monotonic() + 60
+        while not (ours.exists() and others.exists()) and time.monotonic() < deadline:
+            time.sleep(0.2)
+        running.send_signal(signal.SIGINT)
+        assert running.wait(20) == 130
+    time.sleep(10)
+    now = time.time()
+    assert float(ours.read_text()) < now - 5
+    assert float(others.read_text()) > now - 2
+    ray.cancel(task, force=True)
 
 
 def test_usage_is_never_reported() -> None:

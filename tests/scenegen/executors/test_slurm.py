@@ -9,6 +9,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -87,10 +88,37 @@ def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here: Path) ->
 
 def test_a_job_that_somebody_cancels_is_told_of(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scenegen.executors.slurm.LOOKS", 2)
-    words = ["scancel", "--name=scenegen"]
+
+    def cancel() -> None:
+        (folder,) = here.glob("scenegen-slurm-*")
+        subprocess.run(["scancel", f"--name={folder.name}"], check=True)
+
     with pytest.raises(GenerationError, match=r"job \d+_0: left the queue without a result") as caught:
-        list(executor("slurm", 1)(time.sleep, [60, 60], lambda: subprocess.run(words, check=True)))
+        list(executor("slurm", 1)(time.sleep, [60, 60], cancel))
     assert "\n" not in str(caught.value)
+
+
+def test_a_stop_cancels_the_jobs_of_this_run_and_no_others(here: Path) -> None:
+    other = subprocess.run(["sbatch", "--parsable", "--wrap", "sleep 60"], capture_output=True, text=True, check=True)
+    code = (
+        "import time\n"
+        "from scenegen.executors import executor\n"
+        "from scenegen.terminal import stops\n"
+        "stops.answer()\n"
+        "list(executor('slurm', 2)(time.sleep, [60] * 3, lambda: print('begun', flush=True)))\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline() == "begun\n"
+        running.send_signal(signal.SIGINT)
+        assert running.wait(20) == 130
+    for _ in range(30):
+        left = subprocess.run(["squeue", "-h", "-o", "%i"], capture_output=True, text=True, check=True).stdout
+        if left.split() == other.stdout.split():
+            break
+        time.sleep(1)
+    subprocess.run(["scancel", other.stdout.strip()], check=True)
+    assert left.split() == other.stdout.split()
 
 
 def test_what_slurm_refuses_is_one_line(here: Path) -> None:
