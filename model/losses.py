@@ -3,6 +3,8 @@
 All losses take (B, X, Y, Z) tensors and are computed in float32, whatever the network computed in.
 """
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor
@@ -14,10 +16,25 @@ ROOT_EPSILON = 1e-8
 """Under the root of the gradient's length, so that a flat field has a finite derivative."""
 
 
+def at_least_one(count: Tensor) -> Tensor:
+    """What a sum over `count` voxels is divided by for its mean."""
+    return count.clamp(min=1)
+
+
 def objective(
-    output: Output, occupancy: Tensor, tudf: Tensor, config: LossConfig, *, voxel_m: float, truncation_m: float
+    output: Output,
+    occupancy: Tensor,
+    tudf: Tensor,
+    config: LossConfig,
+    *,
+    voxel_m: float,
+    truncation_m: float,
+    divisor: Callable[[Tensor], Tensor] = at_least_one,
 ) -> dict[str, Tensor]:
-    """Eq. 7 and 11: the parts that the output has, and their weighted sum under ``loss``. Scalars."""
+    """Eq. 7 and 11: the parts that the output has, and their weighted sum under ``loss``. Scalars.
+
+    `divisor` is for batches of which several processes have a part each; see `eikonal_loss`.
+    """
     parts = {}
     total = torch.zeros((), device=occupancy.device)
     if output.logits is not None:
@@ -27,7 +44,7 @@ def objective(
         parts["regression"] = regression_loss(
             output.tudf, tudf, near_m=config.near_m, near_weight=config.near_weight, beta_m=config.beta_m
         )
-        parts["eikonal"] = eikonal_loss(output.tudf, tudf, voxel_m=voxel_m, truncation_m=truncation_m)
+        parts["eikonal"] = eikonal_loss(output.tudf, tudf, voxel_m=voxel_m, truncation_m=truncation_m, divisor=divisor)
         total = total + config.tudf * (parts["regression"] + config.eikonal * parts["eikonal"])
     return {"loss": total, **parts}
 
@@ -48,9 +65,19 @@ def regression_loss(predicted: Tensor, tudf: Tensor, *, near_m: float, near_weig
     return torch.where(tudf <= near_m, near_weight * loss, loss).mean()
 
 
-def eikonal_loss(predicted: Tensor, tudf: Tensor, *, voxel_m: float, truncation_m: float) -> Tensor:
+def eikonal_loss(
+    predicted: Tensor,
+    tudf: Tensor,
+    *,
+    voxel_m: float,
+    truncation_m: float,
+    divisor: Callable[[Tensor], Tensor] = at_least_one,
+) -> Tensor:
     """Eq. 10: how far the predicted field's slope is from 1, over voxels whose true distance lies strictly between 0
     and the truncation; by forward differences, so the last voxel of every line has none. 0 over no voxel.
+
+    How many such voxels there are differs from map to map. `divisor` makes of their number, a scalar, what their sum
+    is divided by: `Group.divisor` makes the mean of several processes' losses that of all their maps.
     """
     d = predicted.float()
     here = d[:, :-1, :-1, :-1]
@@ -60,4 +87,4 @@ def eikonal_loss(predicted: Tensor, tudf: Tensor, *, voxel_m: float, truncation_
     slope = (squares / voxel_m**2 + ROOT_EPSILON).sqrt()
     mask = (tudf > 0) & (tudf < truncation_m)
     mask = mask[:, :-1, :-1, :-1]
-    return torch.where(mask, (slope - 1).abs(), 0).sum() / mask.sum().clamp(min=1)
+    return torch.where(mask, (slope - 1).abs(), 0).sum() / divisor(mask.sum())

@@ -18,7 +18,7 @@ from scenegen.labels import By, class_names
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
 from scenegen.scene import Reading, Scene, named, read_file
-from scenegen.workers import Limits, run
+from scenegen.workers import Limited, run
 from scenegen.world import World, compile_world, write_world
 
 SHARES = {"train": 10, "val": 1, "test": 2}
@@ -172,11 +172,10 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
     Files are read one after the other in a process of their own, which a file that never ends, or takes all memory,
     cannot outlive; it costs about a second, in which kernels are loaded that this process loads again.
     """
-    limits: Limits[Path, Reading] = Limits(lambda _: SCENE_SECONDS, SCENE_BYTES, _given_up)
-    readings = sorted(
-        run(functools.partial(read_file, materials=materials), files, 1, limits=limits),
-        key=lambda reading: reading.path,
+    read: Limited[Path, Reading] = Limited(
+        functools.partial(read_file, materials=materials), lambda _: SCENE_SECONDS, SCENE_BYTES, _given_up
     )
+    readings = sorted(run(read, files, 1), key=lambda reading: reading.path)
     included = {path for reading in readings for path in reading.includes}
     scenes, parts = dict[Path, Scene](), list[str]()
     for reading in readings:

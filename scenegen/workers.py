@@ -50,9 +50,11 @@ def keep_memory() -> None:
 
 
 @dataclass(frozen=True)
-class Limits(Generic[Task, Result]):
-    """For tasks whose input nobody vouches for: they never run in this process, and may crash or hang in theirs."""
+class Limited(Generic[Task, Result]):
+    """A function of tasks whose input nobody vouches for: it never runs in this process, and may crash or hang in its
+    own. `run` sees to that; where it is called, it runs in a process that is kept for the next call."""
 
+    function: Callable[[Task], Result]
     seconds: Callable[[Task], float]
     """How long a task may take."""
     memory_bytes: int
@@ -60,23 +62,36 @@ class Limits(Generic[Task, Result]):
     given_up: Callable[[Task, str], Result]
     """The result of a task whose worker died, or was ended for taking too long: made of the task and what happened."""
 
+    def __call__(self, task: Task) -> Result:
+        """The result, for executors that call functions in processes of their own, which may run threads."""
+        worker: Worker | None = vars(self).pop("_kept", None)
+        if worker is None or not worker.process.is_alive():
+            worker = Worker(self, "spawn")
+        worker.give(task)
+        _ready([worker])
+        result: Result = worker.take(1)
+        if worker.alive:
+            vars(self)["_kept"] = worker
+        else:
+            worker.end()
+        return result
+
 
 def run(
     function: Callable[[Task], Result],
     tasks: Iterable[Task],
     workers: int,
     on_start: Callable[[], None] = lambda: None,
-    *,
-    limits: Limits[Task, Result] | None = None,
 ) -> Generator[Result, None, None]:
-    """Results of `function` over `tasks`, as they come; without `limits`, in this process where one worker is enough.
+    """Results of `function` over `tasks`, as they come; in this process where one worker is enough and `function` is
+    not `Limited`.
 
     `on_start` is called when all workers have been started: from then on, this process may run threads. Raises
-    GenerationError where a worker is killed, unless there are `limits`, and whatever `function` raises. No process is
-    left behind.
+    GenerationError where a worker is killed, unless `function` is `Limited`, and whatever `function` raises. No process
+    is left behind.
     """
     tasks = list(tasks)
-    if limits is None and (workers == 1 or len(tasks) <= 1):
+    if not isinstance(function, Limited) and (workers == 1 or len(tasks) <= 1):
         on_start()
         yield from map(function, tasks)
         return
@@ -88,7 +103,7 @@ def run(
     with undone_if_stopped(lambda: _kill(busy)):
         try:
             for task in itertools.islice(waiting, workers):
-                busy.append(Worker(function, start, limits))
+                busy.append(Worker(function, start))
                 busy[-1].give(task)
             on_start()
             while busy:
@@ -100,14 +115,14 @@ def run(
                         worker.end()
                     if following is not None:
                         if not worker.alive:  # by now there may be threads, so this one is not forked
-                            worker = Worker(function, "spawn", limits)
+                            worker = Worker(function, "spawn")
                             busy.append(worker)
                             replaced += 1
                         worker.give(following)
                     yield result
             for task in waiting:
-                assert limits is not None
-                yield limits.given_up(task, "was not examined: too many before it failed")
+                assert isinstance(function, Limited)
+                yield function.given_up(task, "was not examined: too many before it failed")
         finally:
             for worker in busy:
                 worker.end()
@@ -120,8 +135,10 @@ def guarded(function: Callable[[Task], Result], task: Task, *, seconds: float, m
     only the result, which must be picklable, comes back. Costs some 10 ms. Raises the ScenegenError that `function`
     raises, and GuardError where the process ends in any other way.
     """
-    limits: Limits[Task, Any] = Limits(lambda _: seconds, memory_bytes, lambda _, reason: GuardError(reason))
-    (outcome,) = run(_Guarded(function), [task], 1, limits=limits)
+    alone: Limited[Task, Any] = Limited(
+        _Guarded(function), lambda _: seconds, memory_bytes, lambda _, reason: GuardError(reason)
+    )
+    (outcome,) = run(alone, [task], 1)
     if isinstance(outcome, ScenegenError):
         raise outcome
     return outcome[0]
@@ -143,14 +160,14 @@ class _Guarded(Generic[Task, Result]):
 class Worker:
     """One process, the task that it has, and how long it may still take."""
 
-    def __init__(self, function: Callable[[Any], Any], start: str, limits: Limits[Any, Any] | None):
+    def __init__(self, function: Callable[[Any], Any], start: str):
         context: Any = multiprocessing.get_context(start)
         self.pipe, theirs = context.Pipe()
-        memory = limits.memory_bytes if limits else None
-        self.process = context.Process(target=_serve, args=(function, theirs, os.getpid(), memory), daemon=True)
+        self._limits = limits = function if isinstance(function, Limited) else None
+        given = (function, None) if limits is None else (limits.function, limits.memory_bytes)
+        self.process = context.Process(target=_serve, args=(*given, theirs, os.getpid()), daemon=True)
         self.process.start()
         theirs.close()
-        self._limits = limits
         self.alive = True
 
     def give(self, task: Any) -> None:
@@ -225,7 +242,7 @@ def _limit_memory(more_bytes: int) -> None:
         return
 
 
-def _serve(function: Callable[[Any], Any], parent: Any, parent_id: int, memory_bytes: int | None) -> None:
+def _serve(function: Callable[[Any], Any], memory_bytes: int | None, parent: Any, parent_id: int) -> None:
     """Work off the tasks that come through the pipe `parent` until that process ends."""
     if memory_bytes is not None:
         _limit_memory(memory_bytes)

@@ -14,11 +14,13 @@ import rich_click as click
 from lidarsim.registry import Registry
 from scenegen.commands.datasets import find_datasets
 from scenegen.errors import DatasetError, ScenegenError, needs
+from scenegen.executors import LOCAL, executor
 from scenegen.model.commands.weights import Weights
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.terminal.options import (
     datasets_argument,
     json_option,
+    on_option,
     options_of,
     out_option,
     quiet_option,
@@ -72,10 +74,11 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
     seed="Decides the goals and the intervals.",
 )
 @workers_option
+@on_option
 @json_option
 @quiet_option
 def bench(
-    datasets: tuple[Path | str, ...], out: Path, workers: int, as_json: bool, quiet: bool, **options: Any
+    datasets: tuple[Path | str, ...], out: Path, workers: int, on: str, as_json: bool, quiet: bool, **options: Any
 ) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
     talk = not (quiet or as_json)
@@ -85,6 +88,7 @@ def bench(
         find_datasets(datasets, shown=talk),
         out=out,
         workers=workers,
+        on=on,
         command=shlex.join(["scenegen", *sys.argv[1:]]),
         progress=lambda label: Progress(label, shown=talk),
         warn=note if talk else lambda line: None,
@@ -108,6 +112,7 @@ def run_bench(
     out: Path,
     quick: bool,
     workers: int,
+    on: str = LOCAL,
     command: str,
     progress: Callable[[str], Progress],
     warn: Callable[[str], None] = lambda line: None,
@@ -127,6 +132,7 @@ def run_bench(
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
 
+    execute = executor(on, workers)
     methods = [*choose_methods(names), *map(network_row, weights)]
     predicted = None if predictions is None else Predicted(predictions)
     one_name_each((*methods, *filter(None, (predicted,))))
@@ -150,7 +156,7 @@ def run_bench(
     for dataset in datasets:
         with progress(dataset.manifest.kind) as shown:
             results.append(
-                measure(dataset, methods, config, workers=workers, on_start=shown.start, on_done=shown.count)
+                measure(dataset, methods, config, execute=execute, on_start=shown.start, on_done=shown.count)
             )
     report = build_report(
         results, seed=config.seed, about={"command": command, "commit": commit(), "split": config.split}

@@ -9,7 +9,14 @@ import rich_click as click
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
-from scenegen.terminal.options import device_option, quiet_option, split_option
+from scenegen.terminal.options import (
+    device_option,
+    on_option,
+    quiet_option,
+    split_option,
+    was_given,
+    workers_option,
+)
 from scenegen.terminal.progress import Progress, note
 from scenegen.terminal.show import say
 from scenegen.terminal.types import DatasetPath, Number, OutputFile
@@ -41,6 +48,8 @@ if TYPE_CHECKING:
 )
 @device_option
 @click.option("--batch", type=click.IntRange(1, MOST_BATCH), default=8, show_default=True, help="Maps at once.")
+@workers_option
+@on_option
 @quiet_option
 def complete(
     source: Path | str,
@@ -50,15 +59,20 @@ def complete(
     sensor: tuple[float, float, float],
     device: str,
     batch: int,
+    workers: int,
+    on: str,
     quiet: bool,
 ) -> None:
     """Complete a dataset's split, or a scan, or all scans in a folder and below it, such as a sequence of KITTI's.
 
-    Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the origin.
+    Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the origin. One process
+    completes; with --on or --workers, so many do, each on one thread of a processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
+    from scenegen.errors import DatasetError
+    from scenegen.executors import executor
     from scenegen.files import check_target, make_parent
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.points import scans_in
@@ -66,18 +80,33 @@ def complete(
     from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device
 
-    completer = Completer.from_pretrained(weights, device=choose_device(device), batch=batch)
+    elsewhere = was_given("on") or was_given("workers")
+    chosen = choose_device("cpu" if elsewhere and device == "auto" else device)
+    execute = executor(on, workers if chosen.type == "cpu" else 1) if elsewhere else None
+    completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
     found = locate(source, shown=not quiet)
+    if execute is not None and found.exists() and not (found / NAME).exists():
+        raise DatasetError(f"{found}: --on and --workers complete a dataset's split; leave them out for scans")
     if found.is_dir() and not (found / NAME).exists() and (scans := scans_in(found)):
         _complete_all(completer, found, scans, out or Path(f"{found.resolve().name}.completed"), sensor, quiet)
         return
     out = out or (Path("predictions.h5") if found.is_dir() else found.with_suffix(".completed.h5"))
     check_target(out)
     make_parent(out)
+    missing = 0
     there = out.exists()
     if found.is_dir():
         with Progress("complete", shown=not quiet) as progress:
-            predict_split(completer, found, split, out, batch=batch, on_start=progress.start, on_done=progress.count)
+            missing = predict_split(
+                completer,
+                found,
+                split,
+                out,
+                batch=batch,
+                execute=execute,
+                on_start=progress.start,
+                on_done=progress.count,
+            )
         about = Dataset(found).manifest
         if not quiet and (warning := completer.unlike(about.lidar, about.mapping, about.noise_stages)):
             note(f"note: {warning}")
@@ -85,7 +114,9 @@ def complete(
         used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())
         if not quiet:
             say(f"{found}: {used}")
-    if not quiet:
+    if not quiet and missing:
+        say(f"{missing} samples are for the other ranks to complete; the last one writes {out}")
+    elif not quiet:
         say(f"{'replaced' if there else 'written'}: {out}")
 
 

@@ -7,6 +7,7 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -65,6 +66,10 @@ class Completer:
             raise CheckpointError(f"{name}: {error}") from None
         self._forward = forward
         self._batch = batch
+        self.path: Path | None = None
+        """The file that `from_pretrained` opened."""
+        self.opened: tuple[str, str, int] | None = None
+        """Name, device and batch, by which `opened_once` has it in other processes, if it came by its name."""
 
     @classmethod
     def from_pretrained(
@@ -81,7 +86,15 @@ class Completer:
         title = called(name, path)
         if path.suffix == ".onnx":
             run, found = load_onnx(path, threads=threads)
-            return cls(run, found.grid, name=title, inputs=found.config.inputs, about=found.about, batch=batch)
+            made = cls(run, found.grid, name=title, inputs=found.config.inputs, about=found.about, batch=batch)
+        else:
+            made = cls._of_torch(path, torch.device(device), title, batch)
+        everywhere = str(name).startswith(HUB) or str(name) in bundled()
+        made.path, made.opened = path, (str(name if everywhere else path.absolute()), str(device), batch)
+        return made
+
+    @classmethod
+    def _of_torch(cls, path: Path, device: torch.device, title: str, batch: int) -> "Completer":
         network, grid, about = load_network(path)
         network.placed(device)
 
@@ -176,6 +189,13 @@ class Completer:
         probability = None if output.logits is None else output.logits.sigmoid()
         tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
         return probability, tudf
+
+
+@cache
+def opened_once(name: str, device: str, batch: int) -> Completer:
+    """A network for a task of many, on one thread of a processor: each process opens it once, and by itself."""
+    torch.set_num_threads(1)
+    return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 
 def unlike(name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None = None, noise: str = "") -> str:

@@ -1,7 +1,10 @@
 """Completions on disk: a whole split of a dataset, or one scan that somebody recorded."""
 
 import math
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +15,14 @@ from numpy.typing import ArrayLike
 from lidarsim import GridSpec
 from lidarsim.limits import MOST_LENGTH_M
 from scenegen.dataset.foreign import read_guarded
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, GuardError, empty_split
-from scenegen.files import open_bounded, whole, write_whole
+from scenegen.executors import Executor
+from scenegen.files import make_parent, open_bounded, whole, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_SCAN_BYTES, MOST_VOXELS
-from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.completer import Completer, opened_once
+from scenegen.model.completion.parts import Chunks, Kept, write_predictions
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
@@ -28,6 +33,8 @@ from scenegen.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
 """How the point clouds begin that are written here."""
+PART = 40
+"""Samples of a part, about, where an executor has a split completed."""
 
 
 def predict_split(
@@ -37,13 +44,16 @@ def predict_split(
     out: Path,
     *,
     batch: int = 8,
+    execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
-) -> None:
-    """Complete every sample of a split and write what docs/bench.md calls a predictions file to `out`, whole or not.
+) -> int:
+    """Complete every sample of a split and write what docs/bench.md calls a predictions file to `out`, whole or not;
+    how many samples are missing yet.
 
-    Raises DatasetError for another grid, an empty split, a disk that refuses, or where `out` is something else
-    already.
+    This process does it, `batch` maps at once; or `execute` has parts of it done, on one thread each, which are kept in
+    a folder beside `out` until all are there: none is missing for the run that finds them so, and joins them. Raises
+    DatasetError for another grid, an empty split, a disk that refuses, or where `out` is something else already.
     """
     check_output(out)
     dataset = Dataset(folder)
@@ -55,19 +65,63 @@ def predict_split(
     samples = dataset.split(split)
     if not len(samples):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
-    names = samples.names
 
-    on_start(len(samples))
-    with whole(out) as draft, h5py.File(draft, "w") as file:
-        file.attrs.update({"dataset": dataset.manifest.digest, "split": split, "method": completer.name})
-        file["world"] = np.array([world for _, world, _ in names], dtype=np.int64)
-        file["viewpoint"] = np.array([viewpoint for _, _, viewpoint in names], dtype=np.int64)
-        for first in range(0, len(samples), batch):
-            rows = range(first, min(first + batch, len(samples)))
-            read = [of_sample(completer.inputs, samples[row], dataset.grid, dataset.lidar) for row in rows]
-            stacked = {name: np.stack([one[name] for one in read]) for name in completer.inputs}
-            _write(file, completer(stacked), first, len(samples))
-            on_done(len(read))
+    each = batch if execute is None else batch * math.ceil(PART / batch)
+    every = [Rows(split, range(first, min(first + each, len(samples)))) for first in range(0, len(samples), each)]
+    if execute is None:
+        on_start(len(samples))
+        made = ((rows, _completed(completer, samples, batch, rows)) for rows in every)
+        write_predictions(out, samples, completer, (_counted(on_done, *one) for one in made))
+        return 0
+    assert completer.opened is not None
+    kept = Kept.beside(out, samples, completer, batch)
+    mine = execute.mine(every)
+    missing = [rows for rows in mine if not kept.path(rows).exists()]
+    on_done(_count(mine) - _count(missing))
+    make_parent(kept.path(every[0]))
+    work = partial(_keep, completer.opened, samples, batch, kept)
+    with closing(execute(work, missing, lambda: on_start(_count(mine)))) as results:
+        for count in results:
+            on_done(count)
+    if absent := [rows for rows in every if not kept.path(rows).exists()]:
+        return _count(absent)
+    try:
+        write_predictions(out, samples, completer, map(kept.read, every))
+    except DatasetError:  # unless another rank, which ended at the same time, has joined them
+        if kept.folder.exists() or not out.exists():
+            raise
+    else:
+        shutil.rmtree(kept.folder, ignore_errors=True)
+    return 0
+
+
+def _count(parts: Iterable[Rows]) -> int:
+    return sum(len(rows.numbers) for rows in parts)
+
+
+def _completed(completer: Completer, samples: Split, batch: int, rows: Rows) -> Chunks:
+    """The maps of `rows`, completed `batch` at once."""
+    found: Chunks = {}
+    dataset = samples.dataset
+    for first in range(0, len(rows.numbers), batch):
+        numbers = rows.numbers[first : first + batch]
+        read = [of_sample(completer.inputs, samples[number], dataset.grid, dataset.lidar) for number in numbers]
+        said = completer({name: np.stack([one[name] for one in read]) for name in completer.inputs})
+        for name in PARTS | SURE:
+            if (maps := getattr(said, name)) is not None:
+                found.setdefault(name, []).extend(compress(values) for values in maps)
+    return found
+
+
+def _counted(on_done: Callable[[int], None], rows: Rows, chunks: Chunks) -> Chunks:
+    on_done(len(rows.numbers))
+    return chunks
+
+
+def _keep(opened: tuple[str, str, int], samples: Split, batch: int, kept: Kept, rows: Rows) -> int:
+    """Complete a part into its file. How many samples it has."""
+    kept.write(rows, _completed(opened_once(*opened), samples, batch, rows), samples.dataset.grid.shape)
+    return len(rows.numbers)
 
 
 def predict_scan(
@@ -167,19 +221,3 @@ def _names_a_method(path: Path) -> bool:
             return "method" in file.attrs and ("origin" in file.attrs or "split" in file.attrs)
     except (OSError, RuntimeError):
         return False
-
-
-def _write(file: h5py.File, prediction: Prediction, row: int, total: int) -> None:
-    if prediction.uncertainty is not None:
-        file.attrs["risk"] = RISK
-    for name in PARTS | SURE:
-        values: Any = getattr(prediction, name)
-        if values is None:
-            continue
-        if name not in file:
-            shape = values.shape[1:]
-            file.create_dataset(
-                name, (total, *shape), np.float32, chunks=(1, *shape), compression="gzip", compression_opts=1
-            )
-        for n, value in enumerate(values):
-            file[name].id.write_direct_chunk((row + n, 0, 0, 0), compress(value))

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.errors import DatasetError, empty_split
+from scenegen.executors import Executor
+from scenegen.executors.local import Local
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.difficulty import describe
@@ -24,7 +27,6 @@ from scenegen.model.evaluation.study.maps import Study, stack, study_map
 from scenegen.model.evaluation.tuning import spread, tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify
 from scenegen.sample import Sample
-from scenegen.workers import run as run_workers
 
 CHUNK = 10
 """Samples a task of a worker."""
@@ -104,26 +106,35 @@ def bench(
     config: BenchConfig,
     *,
     workers: int = 1,
+    execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> DatasetResult:
     """Measure `methods` on `dataset`, with the same goals for every method.
 
-    `on_start` is told how many samples there are, `on_done` of every few that are finished. Raises DatasetError for an
-    empty split.
+    `workers` processes of this machine measure a few samples each, or whatever `execute` has do it. `on_start` is told
+    how many samples there are, `on_done` of every few that are finished. Raises DatasetError for an empty split, and
+    where `execute` leaves samples to others: a report is of all of them.
     """
+    execute = execute or Local("", workers)
     split = dataset.split(config.split)
     if not len(split):
         raise DatasetError(f"{dataset.folder}: {empty_split(config.split)}, or give another --split")
     check_middle(dataset)
     indices = spread(len(split), config.samples or len(split))
+    tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
+    if len(execute.mine(tasks)) < len(tasks):
+        raise DatasetError(
+            "--on: a report takes the figures of all samples, and jobs that know their rank alone bring none together; "
+            "give --on ray or --on slurm, or each job a dataset of its own with --on local"
+        )
     tuned = [tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods]
     work = partial(_work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config)
-    tasks = [indices[n : n + CHUNK] for n in range(0, len(indices), CHUNK)]
     found: list[_Found] = []
-    for several in run_workers(work, tasks, workers, lambda: on_start(len(indices))):
-        found += several
-        on_done(len(several))
+    with closing(execute(work, tasks, lambda: on_start(len(indices)))) as results:
+        for several in results:
+            found += several
+            on_done(len(several))
     found.sort(key=lambda one: one.index)
     # of the trials, the first of every sample first, cut to the number asked for
     turns = sorted((turn, n) for n, one in enumerate(found) for turn in range(len(one.trials[0])))[: config.trials]
@@ -158,12 +169,12 @@ def _work(
     tuned: Sequence[Thresholds],
     trials_each: int,
     config: BenchConfig,
-    indices: Sequence[int],
+    rows: Rows,
 ) -> list[_Found]:
     dataset = Dataset(folder)
-    split, grid, usual = dataset.split(config.split), dataset.grid, config.thresholds
+    split, grid, usual = dataset.split(rows.split), dataset.grid, config.thresholds
     found = []
-    for index in indices:
+    for index in rows.numbers:
         sample = split[index]
         truth = sample.occupancy, sample.tudf
         classes = classify(sample, lidar=dataset.lidar, grid=grid)

@@ -10,11 +10,12 @@ from typing import Any
 
 import torch
 import torch.distributed as dist
-from torch import nn
+from torch import Tensor, nn
 
 from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
 from scenegen.model.config import LEVELS
+from scenegen.model.losses import at_least_one
 
 FEWEST_CELLS = 32
 """Cells of the coarsest level from which bfloat16 is sound on a CPU: 8 are not, 18 are."""
@@ -132,6 +133,14 @@ class Group:
         tensor = torch.tensor(list(mine.values()), dtype=torch.float64, device=self._device)
         dist.all_reduce(tensor)
         return dict(zip(mine, (tensor / self.size).tolist(), strict=True))
+
+    def divisor(self, count: Tensor) -> Tensor:
+        """What each process divides a sum over its `count` things by, so that the mean of all processes' quotients is
+        the mean over all things: 1 at least, shared among the processes."""
+        if self.size == 1:
+            return at_least_one(count)
+        dist.all_reduce(total := count.clone())
+        return at_least_one(total) / self.size
 
     def gather(self, mine: Any) -> list[Any]:
         """What every process gives, in order."""

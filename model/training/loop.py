@@ -209,6 +209,7 @@ class Step:
             self._config.loss,
             voxel_m=self._grid.voxel_m,
             truncation_m=self._grid.truncation_m,
+            divisor=self._group.divisor,
         )
         losses["loss"].backward()
         norm = nn.utils.clip_grad_norm_(self._parameters, self._config.clip)

@@ -6,7 +6,15 @@ from typing import Any
 import rich_click as click
 
 from scenegen import SPLITS
-from scenegen.terminal.options import dataset_argument, options_of, out_option, quiet_option, taken
+from scenegen.terminal.options import (
+    dataset_argument,
+    on_option,
+    options_of,
+    out_option,
+    quiet_option,
+    taken,
+    workers_option,
+)
 from scenegen.terminal.types import Named
 from scenegen.view.exchange import FORMATS
 from scenegen.view.exchange.choices import Choices
@@ -23,14 +31,24 @@ from scenegen.view.exchange.choices import Choices
     label="SemanticKITTI: the label of occupied voxels.",
     frame="Frame of points.",
 )
+@workers_option
+@on_option
 @quiet_option
 def convert(
-    dataset: Path | str, to: str, out: Path | None, splits: tuple[str, ...], quiet: bool, **options: Any
+    dataset: Path | str,
+    to: str,
+    out: Path | None,
+    splits: tuple[str, ...],
+    workers: int,
+    on: str,
+    quiet: bool,
+    **options: Any,
 ) -> None:
     """Write a dataset in another program's format; the same command again goes on where it was stopped."""
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
+    from scenegen.executors import executor
     from scenegen.terminal.progress import Progress, note
     from scenegen.terminal.show import say
     from scenegen.view.exchange.convert import convert as write
@@ -50,6 +68,7 @@ def convert(
             form=form,
             choices=choices,
             splits=chosen,
+            execute=executor(on, workers),
             on_start=progress.start,
             on_sample=progress.count,
         )
@@ -58,4 +77,5 @@ def convert(
     if done.broken:
         raise DatasetError(f"{found.folder}: {len(done.broken)} samples could not be read; the others are in {target}")
     if not quiet:
-        say(f"{target}: {done.written} samples written, {done.there} were there")
+        others = f"; {done.others} are for the other ranks to write there" if done.others else ""
+        say(f"{target}: {done.written} samples written, {done.there} were there{others}")

@@ -12,6 +12,7 @@ from scenegen.terminal.options import (
     dataset_argument,
     json_option,
     kind_option,
+    on_option,
     quiet_option,
     seed_option,
     workers_option,
@@ -29,16 +30,18 @@ if TYPE_CHECKING:
 @seed_option("Chooses what is audited at random.")
 @kind_option
 @workers_option
+@on_option
 @json_option
 @quiet_option
 def verify(
-    dataset: Path | str, quick: bool, seed: int, kind: str | None, workers: int, as_json: bool, quiet: bool
+    dataset: Path | str, quick: bool, seed: int, kind: str | None, workers: int, on: str, as_json: bool, quiet: bool
 ) -> None:
     """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a check fails."""
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
+    from scenegen.executors import executor
     from scenegen.verify import verify as prove
 
     folder = locate(dataset, shown=talk, whole=True)
@@ -49,7 +52,7 @@ def verify(
             quick=quick,
             seed=seed,
             kind=kind,
-            workers=workers,
+            execute=executor(on, workers),
             on_start=progress.start,
             on_done=progress.count,
         )

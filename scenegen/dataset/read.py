@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 
@@ -20,6 +20,16 @@ from scenegen.sample import LazySample, Sample, derive_free, derive_tudf, descri
 
 MOST_OPEN = 64
 """Shards that a reader keeps open in one process; a large dataset has more than a process may open."""
+
+
+class Rows(NamedTuple):
+    """Samples of a split by their numbers: a task for a worker."""
+
+    split: str
+    numbers: Sequence[int]
+
+    def __str__(self) -> str:
+        return f"{self.split} samples {self.numbers[0]} to {self.numbers[-1]}"
 
 
 class Dataset:

@@ -1,12 +1,13 @@
 """Executors: where tasks run. One file an executor; each fills `Executor`.
 
-What one task gives depends on the task alone, so a dataset has the same bits wherever its shards are written.
+What one task gives depends on the task alone, so what a command makes of them has the same bits wherever they run.
 """
 
 from collections.abc import Callable, Generator, Sequence
 from typing import Any, Protocol
 
 from lidarsim.registry import Registry
+from scenegen.errors import ScenegenError
 
 
 class Executor(Protocol):
@@ -51,8 +52,12 @@ LOCAL = "local"
 def executor(place: str, workers: int) -> Executor:
     """The executor called `place`, a name with an address or without: ``ray://10.0.0.1:10001``.
 
-    Raises ValueError, in one line, for a name that leads to none.
+    Raises ScenegenError for a name that leads to none, and what making it raises.
     """
     name, _, address = place.partition("://")
-    made: Executor = EXECUTORS.find(name)(address, workers)
+    try:
+        found = EXECUTORS.find(name)
+    except ValueError as error:
+        raise ScenegenError(f"--on: {error}") from None
+    made: Executor = found(address, workers)
     return made

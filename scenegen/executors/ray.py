@@ -5,12 +5,14 @@ Ray's own tasks, and not Ray Data: their order and memory are ours. Its reportin
 
 import collections
 import os
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
 from typing import Any
 
 from scenegen.errors import GenerationError, needs
 from scenegen.executors import Executor
-from scenegen.executors.remote import Outcome, attempt, named
+from scenegen.executors.remote import GO_ON, Outcome, attempt, named
 
 SILENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
 """What Ray's environment says wherever we begin it."""
@@ -24,7 +26,7 @@ class Ray(Executor):
     """See `Executor`. With an address, ``ray://host:port`` or ``ray://auto`` for the cluster that this machine is of,
     a cluster that is there; else one that is begun on this machine, of `workers` cores, and ended afterwards.
 
-    Every node needs scenegen, of this version, and the dataset's folder by the same path.
+    Every node needs scenegen, of this version, and the files that a command names by the same paths.
     """
 
     def __init__(self, address: str, workers: int):
@@ -42,7 +44,8 @@ class Ray(Executor):
         """See `Executor`."""
         begun = self._connect()
         try:
-            yield from self._run(function, tasks, on_start)
+            with _silence() if begun else nullcontext():
+                yield from self._run(function, tasks, on_start)
         finally:
             if begun:
                 self.ray.shutdown()
@@ -67,10 +70,10 @@ class Ray(Executor):
     def _run(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
     ) -> Generator[Any, None, None]:
-        ray = self.ray
+        ray, here = self.ray, Path.cwd()
 
         def there(task: Any) -> Outcome:
-            return attempt(function, task)
+            return attempt(function, task, here)
 
         remote = ray.remote(num_cpus=1, max_retries=MOST_TRIES)(there)
         waiting = collections.deque(tasks)
@@ -90,10 +93,23 @@ class Ray(Executor):
                     except ray.exceptions.RayError as error:
                         reason = str(error).splitlines()[0]
                         raise GenerationError(
-                            f"{named(task)}: lost {MOST_TRIES + 1} times with its process or node ({reason}); "
-                            "finished shards are kept: give the same command again to go on"
+                            f"{named(task)}: lost {MOST_TRIES + 1} times with its process or node ({reason}); {GO_ON}"
                         ) from None
                     yield outcome.taken()
         finally:
             for one in given:
                 ray.cancel(one, force=True)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep Ray from printing the log of a node that it lost: on standard output, where a command's result goes. What
+    that costs the run, its tasks tell. No setting of Ray's does this."""
+    from ray._private import worker
+
+    said = getattr(worker, "print_to_stdstream", None)
+    worker.print_to_stdstream = lambda *given, **named: None
+    try:
+        yield
+    finally:
+        worker.print_to_stdstream = said

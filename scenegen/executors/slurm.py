@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from urllib.parse import parse_qsl
 
 from scenegen.errors import DatasetError, GenerationError, needs, printable
 from scenegen.executors import Executor
-from scenegen.executors.remote import Outcome, attempt
+from scenegen.executors.remote import GO_ON, Outcome, attempt
+from scenegen.stopping import undone_if_stopped
 
 MINUTES = 240
 """How long a job may take unless the address says otherwise."""
@@ -33,7 +35,8 @@ class Slurm(Executor):
     """See `Executor`. `workers` jobs run at a time, one core each. The address, ``slurm://PARTITION?time=60&mem=4G``,
     may name the partition, and options of sbatch.
 
-    Every node needs this Python, scenegen, the dataset's folder and the working folder by the same paths.
+    Every node needs this Python, scenegen, the files that a command names and the working folder by the
+    same paths.
     """
 
     def __init__(self, address: str, workers: int):
@@ -61,19 +64,19 @@ class Slurm(Executor):
             return
         each = math.ceil(len(tasks) / (JOBS * self.workers))
         folder = Path(tempfile.mkdtemp(prefix="scenegen-slurm-", dir=Path.cwd()))
-        jobs: list[Any] = []
-        try:
-            jobs += self._submit(folder, function, [tasks[n : n + each] for n in range(0, len(tasks), each)])
-            on_start()
-            for job in self._ended(list(jobs), folder):
-                outcomes = self._outcomes(job, folder)
-                jobs.remove(job)
-                for outcome in outcomes:
-                    yield outcome.taken()
-            shutil.rmtree(folder)
-        finally:
-            for job in jobs:
-                job.cancel()
+        cancel = ["scancel", f"--name={folder.name}"]  # this run's jobs, and no others
+        with undone_if_stopped(lambda: subprocess.Popen(cancel, start_new_session=True)):
+            try:
+                jobs = self._submit(folder, function, [tasks[n : n + each] for n in range(0, len(tasks), each)])
+                on_start()
+                for job in self._ended(jobs, folder):
+                    for outcome in self._outcomes(job, folder):
+                        yield outcome.taken()
+                shutil.rmtree(folder)
+            except BaseException:
+                with suppress(FileNotFoundError):  # no Slurm here, as the error says
+                    subprocess.run(cancel, check=False)
+                raise
 
     def _submit(self, folder: Path, function: Callable[[Any], Any], parts: Sequence[Sequence[Any]]) -> list[Any]:
         """One job of the array for each of `parts`."""
@@ -81,7 +84,7 @@ class Slurm(Executor):
             executor = self.submitit.SlurmExecutor(folder=folder, max_num_timeout=3)
             own = {name: value for name, value in self.options.items() if name not in ("partition", "time", "mem")}
             executor.update_parameters(
-                job_name="scenegen",
+                job_name=folder.name,
                 cpus_per_task=1,
                 array_parallelism=self.workers,
                 stderr_to_stdout=True,
@@ -89,7 +92,7 @@ class Slurm(Executor):
                 **{name: self.options[name] for name in ("partition", "mem") if name in self.options},
                 additional_parameters=own,
             )
-            return list(executor.map_array(partial(_several, function), parts))
+            return list(executor.map_array(partial(_several, function, Path.cwd()), parts))
         except (RuntimeError, self.submitit.core.utils.FailedJobError) as error:
             reason = printable(str(error).strip().splitlines()[-1])
             raise GenerationError(f"--on slurm: nothing could be submitted ({reason})") from None
@@ -120,9 +123,7 @@ class Slurm(Executor):
 
 
 def _lost(job: str, reason: str, folder: Path) -> GenerationError:
-    return GenerationError(
-        f"--on slurm: job {job}: {reason}; see {folder}; finished shards are kept: give the same command again to go on"
-    )
+    return GenerationError(f"--on slurm: job {job}: {reason}; see {folder}; {GO_ON}")
 
 
 def _queued(array: str) -> set[str]:
@@ -132,11 +133,11 @@ def _queued(array: str) -> set[str]:
     return set(found.stdout.split())
 
 
-def _several(function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Outcome]:
+def _several(function: Callable[[Any], Any], here: Path, tasks: Sequence[Any]) -> list[Outcome]:
     """What came of `tasks`, up to the first that failed."""
     found = []
     for task in tasks:
-        found.append(attempt(function, task))
+        found.append(attempt(function, task, here))
         if found[-1].node:
             break
     return found

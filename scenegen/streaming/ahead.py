@@ -18,7 +18,7 @@ class Ahead(Generic[Task, Result]):
     def __init__(self, function: Callable[[Task], Result], workers: int):
         self._function, self._count, self._died = function, workers, 0
         self._start = "fork" if sys.platform == "linux" else "spawn"
-        self._workers = [Worker(function, self._start, None) for _ in range(workers)]
+        self._workers = [Worker(function, self._start) for _ in range(workers)]
         self._given: list[deque[Task]] = [deque() for _ in range(workers)]
         self._done: dict[Task, tuple[bool, Any]] = {}
         self._process = os.getpid()
@@ -77,7 +77,7 @@ class Ahead(Generic[Task, Result]):
                 f"{self._count}"
             )
         self._workers[number].end()
-        self._workers[number] = Worker(self._function, self._start, None)
+        self._workers[number] = Worker(self._function, self._start)
         for task in self._given[number]:
             self._workers[number].pipe.send(task)
 

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+from scenegen.executors import Executor
+from scenegen.executors.local import Local
 from scenegen.verify.checks import CHECKS
 from scenegen.verify.checks.files import EXAMINED
 from scenegen.verify.contract import read_contract
@@ -12,7 +14,7 @@ from scenegen.verify.report import Ledger, Report
 from scenegen.verify.shard import Findings, examine
 from scenegen.verify.stages import Task
 from scenegen.verify.warm import warm_up
-from scenegen.workers import Limits, run
+from scenegen.workers import Limited
 
 SECONDS, SECONDS_A_SAMPLE, MOST_SECONDS = 120.0, 0.5, 24 * 3600.0
 """A shard whose examination takes longer than this and as much for every sample, or than a day, is given up."""
@@ -27,17 +29,21 @@ def verify(
     seed: int = 0,
     kind: str | None = None,
     workers: int = 1,
+    execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Report:
     """Check the dataset in `folder`; `quick` makes the cheap checks alone. `scenegen.verify.checks` has them all.
 
-    `workers` processes examine a shard each; none can take this one down. `seed` chooses the samples that are cast and
-    made anew. `kind` names a user's own kind, by which worlds may be drawn again: no module is imported because a
-    manifest names it. `on_start` is called with the number of samples once the processes run, `on_done` with that of
-    every shard done. A fault fails a check of the report, whatever it is; only a folder that holds no dataset at all,
-    or one of another `kind`, raises: DatasetError.
+    `workers` processes of this machine examine a shard each, or whatever `execute` has do it, in processes of their
+    own; none can take this one down. Where others see to a part of the shards, what compares all of them is skipped.
+    `seed` chooses the samples that are cast and made anew. `kind` names a user's own kind, by which worlds may be drawn
+    again: no module is imported because a manifest names it. `on_start` is called with the number of samples once the
+    processes run, `on_done` with that of every shard done. A fault fails a check of the report, whatever it is; only a
+    folder that holds no dataset at all, or one of another `kind`, raises: DatasetError; and a shard that `execute`
+    loses for good: GenerationError.
     """
+    execute = execute or Local("", workers)
     ledger = Ledger()
     contract = read_contract(folder, ledger, kind)
     if contract is None:
@@ -45,25 +51,29 @@ def verify(
         return Report(folder=str(folder), quick=quick, seed=seed, samples=0, checks=outcomes)
     checks = [check for check in CHECKS if check.applies(contract, quick=quick)]
     reasons = {"not_comparable": why_not_comparable(contract), "not_scanned": why_not_scanned(contract)}
-    tasks = [
+    whole = [
         Task(contract=contract, number=number, start=start, quick=quick, seed=seed, **reasons)
         for number, start in enumerate(contract.starts)
     ]
-    samples = sum(entry.samples for entry in contract.shards)
-    limits = Limits(_seconds, MEMORY_BYTES, _given_up)
+    tasks = execute.mine(whole)
+    samples = sum(task.entry.samples for task in tasks)
     findings: list[Findings] = []
     if tasks and not quick:
         warm_up()
-    with closing(run(examine, tasks, workers, lambda: on_start(samples), limits=limits)) as results:
+    guarded = Limited(examine, _seconds, MEMORY_BYTES, _given_up)
+    with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
         for found in results:
             findings.append(found)
             on_done(found.samples)
     for found in sorted(findings, key=lambda found: found.number):
         ledger.add(found.ledger)
+        ledger.page(EXAMINED.name).count(shards=1)
     for check in checks:
         with ledger.checking(check.name) as page:
-            if check.folder is not None:
+            if check.folder is not None and len(tasks) == len(whole):
                 check.folder(contract, page)
+            elif check.folder is not None:
+                page.skipped = f"compares all {len(whole)} shards, and {len(tasks)} are examined here"
             if not page.touched:
                 page.skipped = "nothing that could be examined: see what failed"
     outcomes = ledger.outcomes(check.name for check in checks)

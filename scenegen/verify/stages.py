@@ -46,6 +46,11 @@ class Task:
         """The shard's entry in the manifest."""
         return self.contract.shards[self.number]
 
+    @property
+    def file(self) -> str:
+        """The shard's, by which executors call the task."""
+        return self.entry.file
+
 
 @dataclass(frozen=True, eq=False)
 class SignedFile:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.executors import EXECUTORS, executor
 from scenegen.executors.rank import rank_of
 from scenegen.source import DrawnWorlds
@@ -74,6 +74,17 @@ def test_places_without_an_address_take_none(name: str) -> None:
 
 
 def test_what_is_no_executor_is_refused() -> None:
-    with pytest.raises(ValueError, match="unknown executor 'clouds'"):
+    with pytest.raises(ScenegenError, match="--on: unknown executor 'clouds'"):
         executor("clouds", 1)
+    with pytest.raises(ScenegenError, match="--on: executor nowhere:Thing: there is no module nowhere"):
+        executor("nowhere:Thing://there", 1)
     assert set(EXECUTORS.known) == {"local", "rank", "ray", "slurm"}
+
+
+def test_where_there_is_no_slurm_one_line_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("submitit")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(GenerationError, match="--on slurm: nothing could be submitted") as caught:
+        list(executor("slurm", 1)(abs, [1], lambda: None))
+    assert "\n" not in str(caught.value)

@@ -4,8 +4,10 @@ python -m pytest -m slow tests/scenegen/executors/test_ray.py        needs the e
 """
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,10 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.executors import executor
 from scenegen.source import DrawnWorlds
+from scenegen.terminal.progress import Progress
+from tests.command_line import ROOT
 from tests.conftest import small_recipe
+from tests.scenegen.executors import everywhere
 
 ray = pytest.importorskip("ray")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
@@ -30,10 +35,16 @@ def cluster() -> Iterator[Any]:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     found = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     found.nodes = [found.add_node(num_cpus=1) for _ in range(2)]
-    ray.init(address=found.address, log_to_driver=False, configure_logging=False)
     yield found
-    ray.shutdown()
     found.shutdown()
+
+
+@pytest.fixture
+def connected(cluster: Any) -> Iterator[Any]:
+    """The cluster, to which this process is connected."""
+    ray.init(address=cluster.address, log_to_driver=False, configure_logging=False)
+    yield cluster
+    ray.shutdown()
 
 
 def plan(folder: Path) -> Any:
@@ -41,14 +52,14 @@ def plan(folder: Path) -> Any:
     return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
 
 
-def test_a_cluster_makes_the_same_dataset_though_a_node_dies(cluster: Any, tmp_path: Path) -> None:
+def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected: Any, tmp_path: Path) -> None:
     here = build(plan(tmp_path / "here"))
     killed = []
 
     def kill_one(report: Any, fresh: bool) -> None:
         if fresh and not killed:
-            killed.append(cluster.nodes.pop())
-            cluster.remove_node(killed[0], allow_graceful=False)
+            killed.append(connected.nodes.pop())
+            connected.remove_node(killed[0], allow_graceful=False)
 
     there = build(plan(tmp_path / "there"), execute=executor("ray", 1), on_shard=kill_one)
     assert killed
@@ -58,7 +69,33 @@ def test_a_cluster_makes_the_same_dataset_though_a_node_dies(cluster: Any, tmp_p
     assert ray.is_initialized(), "what was there before is left"
 
 
-def test_an_error_is_raised_here_and_names_the_node(cluster: Any, tmp_path: Path) -> None:
+def test_commands_give_the_same_there_though_a_node_dies(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """verify, convert, complete and bench, each with a node that is killed on the way. Nothing of Ray's is printed."""
+    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+    everywhere.make(tmp_path)
+    everywhere.stand(tmp_path, monkeypatch)
+    count = Progress.count
+
+    def kill_one(self: Any, samples: int) -> None:
+        count(self, samples)
+        if nodes and samples:
+            cluster.remove_node(nodes.pop(), allow_graceful=False)
+            cluster.nodes.append(cluster.add_node(num_cpus=1))
+
+    for words in everywhere.COMMANDS:
+        nodes: list[Any] = []
+        here = everywhere.outcome(capsys, tmp_path, words, "here", "--workers", 1)
+        nodes = [cluster.nodes.pop(0)]
+        monkeypatch.setattr(Progress, "count", kill_one)
+        there = everywhere.outcome(capsys, tmp_path, words, "there", "--on", "ray://auto")
+        monkeypatch.setattr(Progress, "count", count)
+        assert not nodes, "one was killed"
+        assert there == here
+
+
+def test_an_error_is_raised_here_and_names_the_node(connected: Any, tmp_path: Path) -> None:
     """A disk that only the nodes find full, say; here a folder that became a file."""
     asked = plan(tmp_path / "there")
 
@@ -68,6 +105,38 @@ def test_an_error_is_raised_here_and_names_the_node(cluster: Any, tmp_path: Path
     with pytest.raises(ScenegenError, match=r"3: disk is full \(on \S+\)"):
         list(executor("ray", 1)(spoil, [3], lambda: None))
     assert asked.samples == 66
+
+
+def beat(path: Path) -> None:
+    """Write for a minute what time it is."""
+    for _ in range(300):
+        path.write_text(str(time.time()))
+        time.sleep(0.2)
+
+
+def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_path: Path) -> None:
+    ours, others = tmp_path / "ours", tmp_path / "others"
+    task = ray.remote(beat).remote(others)
+    code = (
+        "from pathlib import Path\n"
+        "from scenegen.executors import executor\n"
+        "from scenegen.terminal import stops\n"
+        "from tests.scenegen.executors.test_ray import beat\n"
+        "stops.answer()\n"
+        f"list(executor('ray://auto', 1)(beat, [Path({str(ours)!r})], lambda: None))\n"
+    )
+    environment = os.environ | {"RAY_ADDRESS": connected.address, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, "-c", code], env=environment) as running:
+        deadline = time.monotonic() + 60
+        while not (ours.exists() and others.exists()) and time.monotonic() < deadline:
+            time.sleep(0.2)
+        running.send_signal(signal.SIGINT)
+        assert running.wait(20) == 130
+    time.sleep(10)
+    now = time.time()
+    assert float(ours.read_text()) < now - 5
+    assert float(others.read_text()) > now - 2
+    ray.cancel(task, force=True)
 
 
 def test_usage_is_never_reported() -> None:

@@ -9,6 +9,8 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +23,9 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.executors import executor
 from scenegen.source import DrawnWorlds
+from tests.command_line import ROOT
 from tests.conftest import small_recipe
+from tests.scenegen.executors import everywhere, slurm_here
 
 pytest.importorskip("submitit")
 pytestmark = [
@@ -29,79 +33,13 @@ pytestmark = [
     pytest.mark.skipif(shutil.which("slurmctld") is None or os.getuid() != 0, reason="needs slurm-wlm, and to be root"),
 ]
 COUNTS = {"train": 24, "val": 3, "test": 3}
-CONFIG = """
-ClusterName=scenegen
-SlurmctldHost={host}
-AuthType=auth/munge
-AuthInfo=socket={folder}/munge.socket
-CredType=cred/munge
-SlurmUser=root
-SlurmctldPort={ports[0]}
-SlurmdPort={ports[1]}
-StateSaveLocation={folder}/state
-SlurmdSpoolDir={folder}/spool
-SlurmctldPidFile={folder}/slurmctld.pid
-SlurmdPidFile={folder}/slurmd.pid
-SlurmctldLogFile={folder}/slurmctld.log
-SlurmdLogFile={folder}/slurmd.log
-ProctrackType=proctrack/pgid
-TaskPlugin=task/none
-SelectType=select/cons_tres
-SelectTypeParameters=CR_CPU
-AccountingStorageType=accounting_storage/none
-JobAcctGatherType=jobacct_gather/none
-JobCompType=jobcomp/none
-ReturnToService=2
-MpiDefault=none
-SchedulerParameters=sched_interval=1
-NodeName={host} CPUs={cpus} State=UNKNOWN
-PartitionName=all Nodes={host} Default=YES MaxTime=INFINITE State=UP
-"""
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
-def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cluster of this machine; its folder."""
-    folder = tmp_path_factory.mktemp("slurm")
-    for above in (folder, *folder.parents):  # munge refuses sockets in folders that others cannot reach
-        if above.stat().st_uid == 0 and above != Path("/"):
-            above.chmod(above.stat().st_mode | 0o755)
-    (folder / "state").mkdir()
-    (folder / "spool").mkdir()
-    host = socket.gethostname().split(".")[0]
-    text = CONFIG.format(host=host, folder=folder, ports=(free_port(), free_port()), cpus=os.cpu_count())
-    (folder / "slurm.conf").write_text(text)
-    (folder / "key").write_bytes(os.urandom(1024))
-    (folder / "key").chmod(0o400)
-    before = os.environ.get("SLURM_CONF")
-    os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
-    names = {"key-file": "key", "socket": "munge.socket", "log-file": "log", "pid-file": "pid", "seed-file": "seed"}
-    files = [f"--{flag}={folder}/{name}" for flag, name in names.items()]
-    daemons = [subprocess.Popen(words) for words in (["munged", "-F", "-f", *files],)]
-    time.sleep(1)
-    daemons += [subprocess.Popen(words) for words in (["slurmctld", "-D"], ["slurmd", "-D"])]
-    try:
-        for _ in range(60):
-            told = subprocess.run(["sinfo", "-h", "-o", "%T"], capture_output=True, text=True, check=False)
-            if told.stdout.strip() in ("idle", "mixed"):
-                break
-            time.sleep(1)
-        else:
-            pytest.fail(f"no node is up: {told.stdout}{told.stderr}\n{(folder / 'slurmctld.log').read_text()[-2000:]}")
-        yield folder
-    finally:
-        for daemon in reversed(daemons):
-            daemon.send_signal(signal.SIGTERM)
-            daemon.wait(20)
-        os.environ.pop("SLURM_CONF")
-        if before is not None:
-            os.environ["SLURM_CONF"] = before
+def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, int]]:
+    """A cluster of two nodes, both this machine."""
+    with slurm_here.slurm(tmp_path_factory.mktemp("slurm"), nodes=2) as nodes:
+        yield nodes
 
 
 def plan(folder: Path) -> Any:
@@ -110,8 +48,9 @@ def plan(folder: Path) -> Any:
 
 
 @pytest.fixture
-def here(slurm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(slurm: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))  # where jobs find functions of this file
     return tmp_path
 
 
@@ -123,6 +62,17 @@ def test_a_job_array_makes_the_same_dataset(here: Path) -> None:
     for path in (here / "here").iterdir():
         assert (here / "there" / path.name).read_bytes() == path.read_bytes()
     assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
+
+
+def test_commands_give_the_same_there(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """verify, convert, complete and bench: equal reports, and files byte by byte."""
+    everywhere.make(here)
+    everywhere.stand(here, monkeypatch)
+    for words in everywhere.COMMANDS:
+        there = everywhere.outcome(capsys, here, words, "there", "--on", "slurm", "--workers", 2)
+        assert there == everywhere.outcome(capsys, here, words, "here", "--workers", 1)
 
 
 def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here: Path) -> None:
@@ -138,10 +88,37 @@ def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here: Path) ->
 
 def test_a_job_that_somebody_cancels_is_told_of(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scenegen.executors.slurm.LOOKS", 2)
-    words = ["scancel", "--name=scenegen"]
+
+    def cancel() -> None:
+        (folder,) = here.glob("scenegen-slurm-*")
+        subprocess.run(["scancel", f"--name={folder.name}"], check=True)
+
     with pytest.raises(GenerationError, match=r"job \d+_0: left the queue without a result") as caught:
-        list(executor("slurm", 1)(time.sleep, [60, 60], lambda: subprocess.run(words, check=True)))
+        list(executor("slurm", 1)(time.sleep, [60, 60], cancel))
     assert "\n" not in str(caught.value)
+
+
+def test_a_stop_cancels_the_jobs_of_this_run_and_no_others(here: Path) -> None:
+    other = subprocess.run(["sbatch", "--parsable", "--wrap", "sleep 60"], capture_output=True, text=True, check=True)
+    code = (
+        "import time\n"
+        "from scenegen.executors import executor\n"
+        "from scenegen.terminal import stops\n"
+        "stops.answer()\n"
+        "list(executor('slurm', 2)(time.sleep, [60] * 3, lambda: print('begun', flush=True)))\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline() == "begun\n"
+        running.send_signal(signal.SIGINT)
+        assert running.wait(20) == 130
+    for _ in range(30):
+        left = subprocess.run(["squeue", "-h", "-o", "%i"], capture_output=True, text=True, check=True).stdout
+        if left.split() == other.stdout.split():
+            break
+        time.sleep(1)
+    subprocess.run(["scancel", other.stdout.strip()], check=True)
+    assert left.split() == other.stdout.split()
 
 
 def test_what_slurm_refuses_is_one_line(here: Path) -> None:
@@ -150,3 +127,36 @@ def test_what_slurm_refuses_is_one_line(here: Path) -> None:
     assert "\n" not in str(caught.value)
     with pytest.raises(ScenegenError, match=r"expected slurm://PARTITION\?time=60&mem=4G"):
         executor("slurm://all?time", 1)
+
+
+def twice(task: Path) -> str:
+    """Done by the second who tries, and tells its node; the first one's is lost meanwhile."""
+    node = os.environ["SLURMD_NODENAME"]
+    if list(task.glob("node*")):
+        return node
+    (task / f"{node} {os.getpid()}").touch()
+    time.sleep(120)
+    return "was not lost"
+
+
+def test_a_task_whose_node_is_lost_begins_again_on_another(slurm: dict[str, int], here: Path) -> None:
+    """The last test, for a node is lost. Slurm waits two minutes before a task begins again."""
+
+    def lose() -> None:
+        """Once the task has begun, its node is told to be down, and all processes there are killed."""
+        deadline = time.monotonic() + 60
+        while not (there := [path.name.split() for path in here.glob("node*")]) and time.monotonic() < deadline:
+            time.sleep(0.2)
+        for name, task in there:
+            os.kill(slurm[name], signal.SIGKILL)
+            subprocess.run(["scontrol", "update", f"nodename={name}", "state=down", "reason=test"], check=True)
+            os.kill(int(task), signal.SIGKILL)
+            lost.append(name)
+
+    lost: list[str] = []
+    losing = threading.Thread(target=lose)
+    try:
+        (found,) = executor("slurm", 1)(twice, [here], losing.start)
+    finally:
+        losing.join()
+    assert {found, *lost} == slurm.keys()

@@ -157,7 +157,8 @@ def read_octomap(path: Path) -> tuple[float, int, dict[tuple[float, ...], bool],
     return resolution, int(said["size"]), leaves, nodes
 
 
-def test_a_stopped_conversion_goes_on(made: Path, tmp_path: Path) -> None:
+def test_a_stopped_conversion_goes_on(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scenegen.view.exchange.convert.CHUNK", 1)
     whole, out, choices = converted(made, tmp_path / "whole", "semantickitti"), tmp_path / "out", Choices()
     form, seen = FORMATS.find("semantickitti")(choices), 0
 

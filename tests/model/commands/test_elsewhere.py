@@ -1,0 +1,125 @@
+"""What works shard by shard gives the same wherever it is done: `--on` for verify, convert, bench and complete."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import run
+from tests.conftest import Once
+from tests.scenegen.executors import everywhere
+from tests.scenegen.executors.backwards import die_of_one
+from tests.scenegen.executors.everywhere import SAMPLES, checks, contents
+
+AWAY = ("--on", "tests.scenegen.executors.backwards:Backwards")
+CUT_OFF = (*AWAY[:1], f"{AWAY[1]}://1")
+"""The second task is lost."""
+RANKS = 3
+Shell = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to stand in, with a dataset and a network."""
+    made = once("everywhere", everywhere.make)
+    for name in ("d", "n.safetensors"):
+        (tmp_path / name).symlink_to(made / name)
+    everywhere.stand(tmp_path, monkeypatch)
+    return tmp_path
+
+
+@pytest.mark.parametrize("words", everywhere.COMMANDS, ids=lambda words: "-".join(map(str, words[:1] + words[3:4])))
+def test_a_command_gives_the_same_elsewhere(here: Path, capsys: Shell, words: tuple[object, ...]) -> None:
+    """Reports are equal, and files byte by byte."""
+    local = everywhere.outcome(capsys, here, words, "out", "--workers", 1)
+    assert everywhere.outcome(capsys, here, words, "out", *AWAY) == local
+
+
+def as_ranks(capsys: Shell, monkeypatch: pytest.MonkeyPatch, *words: object) -> list[tuple[int, str, str]]:
+    """What each of several ranks says, the last one first."""
+    monkeypatch.setenv("SCENEGEN_WORLD_SIZE", str(RANKS))
+    found = []
+    for rank in reversed(range(RANKS)):
+        monkeypatch.setenv("SCENEGEN_RANK", str(rank))
+        found.append(run(capsys, *words, "--on", "rank", "--workers", 1))
+    return found
+
+
+def test_verify(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ranks examine every sample once, together, and skip what compares all shards."""
+    words = ("verify", "d", "--json")
+    code, said, _ = run(capsys, *words, "--workers", 1)
+    assert code == 0
+    whole = checks(said)
+    parts = [checks(said) for code, said, _ in as_ranks(capsys, monkeypatch, *words) if code == 0]
+    assert len(parts) == RANKS
+    for name, check in whole.items():
+        for what, count in check["counts"].items():
+            if what != "compared" and not (name == "manifest" and what == "files"):
+                assert sum(part[name]["counts"].get(what, 0) for part in parts) in (count, 0), (name, what)
+        if parts[0][name]["skipped"]:
+            assert "compares all 7 shards" in parts[0][name]["detail"]
+    assert parts[0]["splits"]["skipped"]
+    assert not parts[0]["checksums"]["skipped"]
+
+
+def test_verify_names_the_file_that_crashes_its_process(
+    here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where an executor calls the function in a process of its own: that lives on, and so does the next task."""
+    monkeypatch.setattr("scenegen.verify.folder.examine", die_of_one)
+    code, said, _ = run(capsys, "verify", "d", "--json", "--quick", *AWAY)
+    examined = checks(said)["examined"]
+    assert (code, examined["faults"], examined["counts"]) == (1, 1, {"shards": 7})
+    assert "val-00001.h5" in examined["detail"]
+    assert "ended its process: it crashed" in examined["detail"]
+
+
+@pytest.mark.parametrize("to", ["npz", "webdataset"])
+def test_convert(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch, to: str) -> None:
+    """Ranks fill one folder; a run that lost a task goes on."""
+    words = ("convert", "d", "--to", to)
+    for out, more in (("whole", ("--workers", 1)), ("two", ("--workers", 2))):
+        code, said, _ = run(capsys, *words, "-o", out, *more)
+        assert (code, said) == (0, f"{out}: {SAMPLES} samples written, 0 were there\n")
+    said = [said for _, said, _ in as_ranks(capsys, monkeypatch, *words, "-o", "ranks")]
+    assert all("are for the other ranks to write there" in one for one in said)
+    code, _, complaint = run(capsys, *words, "-o", "again", "--quiet", *CUT_OFF)
+    assert (code, complaint.count("\n")) == (1, 1)
+    assert "samples" in complaint
+    assert "lost with its node" in complaint
+    code, said, _ = run(capsys, *words, "-o", "again")
+    assert (code, ", 0 were there" in said) == (0, False)
+    whole = contents(here / "whole")
+    for out in ("two", "ranks", "again"):
+        assert contents(here / out) == whole
+
+
+def test_complete(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same file, on one thread; whichever rank finds all parts joins them; parts of a lost run are kept."""
+    words = everywhere.COMPLETE
+    assert run(capsys, *words, "-o", "whole.h5")[:2] == (0, "written: whole.h5\n")
+    said = [said for _, said, _ in as_ranks(capsys, monkeypatch, *words, "-o", "ranks.h5")]
+    assert [one.partition(" ")[0] for one in said] == ["5", "3", "written:"]
+    code, _, complaint = run(capsys, *words, "-o", "again.h5", "--quiet", *CUT_OFF)
+    assert (code, complaint.count("\n")) == (1, 1)
+    (kept,) = (path for path in here.glob("again.h5.*/*") if path.suffix == ".h5")
+    before = kept.stat().st_mtime_ns
+    code, _, _ = run(capsys, *words, "-o", "again.h5", "--quiet", *CUT_OFF)
+    assert (code, kept.stat().st_mtime_ns) == (1, before)
+    assert run(capsys, *words, "-o", "again.h5", *AWAY)[0] == 0
+    whole = (here / "whole.h5").read_bytes()
+    for out in ("ranks.h5", "again.h5"):
+        assert (here / out).read_bytes() == whole
+        assert not list(here.glob(f"{out}.*")), "parts are removed once they are joined"
+    (here / "scan.xyz").write_text("1 1 1\n")
+    code, _, complaint = run(capsys, "complete", "scan.xyz", "--weights", "n.safetensors", *AWAY)
+    assert (code, complaint.count("\n")) == (1, 1)
+    assert "complete a dataset's split" in complaint
+
+
+def test_a_bench_of_ranks_is_refused(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They cannot bring a report together, and say so before any work."""
+    for code, _, complaint in as_ranks(capsys, monkeypatch, *everywhere.BENCH, "-o", "ranks", "--quiet"):
+        assert (code, complaint.count("\n")) == (1, 1)
+        assert "give --on ray or --on slurm" in complaint
+    assert not (here / "ranks").exists()
