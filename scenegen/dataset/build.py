@@ -11,10 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine, write_shard
+from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError, short
 from scenegen.executors import Executor
@@ -173,8 +176,8 @@ def build(
     return _summarise(state, state.sign(workers=workers), written)
 
 
-def _first_unit(shard: ShardSpec) -> None:
-    shard.draw(shard.first_unit)
+def _first_unit(shard: ShardTask) -> None:
+    shard.prepare()
 
 
 def check_folder(plan: Plan, *, force: bool = False) -> None:
@@ -182,7 +185,7 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
     State(plan, force=force)
 
 
-def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
+def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
     """Raise DatasetError where the disk clearly cannot hold what is to be written."""
     if not missing:
         return
@@ -201,17 +204,16 @@ def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
 def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = Counter(dict.fromkeys(SPLITS, 0))
-    worlds: dict[str, set[int]] = {split: set() for split in SPLITS}
+    worlds: dict[str, list[NDArray[np.int64]]] = {split: [np.empty(0, np.int64)] for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples
-            units = range(shard.first_unit, shard.first_unit + shard.units)
-            worlds[shard.split].update(shard.source.number(shard.split, unit)[0] for unit in units)
+            worlds[shard.split].append(np.unique(shard.numbers))
     return Summary(
         folder=plan.folder,
         complete=final["complete"],
         samples=dict(samples),
-        worlds={split: len(worlds[split]) for split in SPLITS},
+        worlds={split: len(np.unique(np.concatenate(worlds[split]))) for split in SPLITS},
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),

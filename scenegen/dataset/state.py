@@ -13,7 +13,7 @@ from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.sensor import write_rays
-from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, relabel
+from scenegen.dataset.shard import ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, remove_drafts
 from scenegen.workers import run
@@ -30,7 +30,7 @@ class Plan:
 
     folder: Path
     parameters: dict[str, Any]
-    shards: tuple[ShardSpec, ...]
+    shards: tuple[ShardTask, ...]
     lidar: Sensor
 
     @property
@@ -125,7 +125,7 @@ class State:
         self.note()
         self._smaller = None
 
-    def look(self, shards: Sequence[ShardSpec], *, workers: int = 1) -> None:
+    def look(self, shards: Sequence[ShardTask], *, workers: int = 1) -> None:
         """Take in those of `shards` that are on disk, are not known yet, and are as the manifest says.
 
         The samples of those that it does not list are held against their own digests. Each worker reads its part.
@@ -181,7 +181,7 @@ class State:
             if whole or self.absent():
                 return final
 
-    def absent(self) -> list[ShardSpec]:
+    def absent(self) -> list[ShardTask]:
         """Shards that are neither known nor on disk."""
         there = {entry.name for entry in os.scandir(self.plan.folder)}
         return [shard for shard in self.plan.shards if shard.file not in self.reports and shard.file.name not in there]
@@ -200,7 +200,7 @@ def _grows(there: Mapping[str, Any], asked: Mapping[str, Any], differing: Sequen
     )
 
 
-def _report(task: tuple[ShardSpec, trust.Entry | None]) -> ShardReport | None:
+def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
     return read_report(*task, verify=True)
 
 
