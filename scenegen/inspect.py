@@ -33,6 +33,11 @@ def inspect(folder: Path, *, most: int = 200, values: bool = False) -> dict[str,
         **{"kind": it.kind, "seed": it.seed, "complete": it.complete, "digest": it.digest, "fields": list(it.fields)},
         **{"grid": it.parameters["grid"], "rejected": it.rejected, "mapping": it.parameters.get("mapping")},
     }
+    if it.sources:
+        found["sources"] = [
+            {"kind": one.kind, "seed": one.seed, "digest": one.digest, "taken": entry["taken"]}
+            for one, entry in zip(it.sources, it.parameters["sources"], strict=True)
+        ]
     splits: dict[str, Any] = {}
     for name in SPLITS:
         split = dataset.split(name)

@@ -224,6 +224,6 @@ def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
 def trials_of(sample: Sample, index: int, dataset: Dataset, config: BenchConfig, count: int) -> Trials:
     """The first `count` trials of `sample`, which is number `index` of its split."""
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
-    world = dataset.manifest.tables.get("world")  # worlds from MJCF files have no box
+    world = dataset.split(config.split).home(index).tables.get("world")  # worlds from MJCF files have no box
     bounds = None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - sample.origin
     return draw_trials(sample.occupancy, dataset.grid, config.plan, count=count, rng=rng, bounds=bounds)

@@ -80,6 +80,12 @@ def _plain(value: Any) -> Any:
     return ", ".join(str(_plain(one)) for one in value) or "none" if isinstance(value, list) else value
 
 
+def _said(source: dict[str, Any]) -> str:
+    """A dataset that samples were taken from."""
+    how = f", {' or '.join(ways)}" if (ways := [way for way in source["taken"] if way]) else ""
+    return f"{source['kind']}, seed {source['seed']}, digest {source['digest'][:8]}{how}"
+
+
 def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         print(json.dumps(rows))
@@ -92,11 +98,14 @@ def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
 
 
 def _show(dataset: Path | str, found: dict[str, Any]) -> None:
+    from scenegen.dataset.manifest import SEVERAL
+
     show_table(
         {
             "dataset": dataset,
             "kind": found["kind"],
-            "seed": found["seed"],
+            "seed": SEVERAL if found["seed"] is None else found["seed"],
+            **{f"from {n}": _said(source) for n, source in enumerate(found.get("sources", ()))},
             "complete": "yes" if found["complete"] else "no",
             "digest": found["digest"] or "none yet",
             "grid": f"{found['grid']['shape']} voxels of {found['grid']['voxel']} m",

@@ -208,7 +208,7 @@ def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples
-            worlds[shard.split].append(np.unique(shard.numbers))
+            worlds[shard.split].append(np.unique(shard.numbers) + (shard.more.get("source", 0) << 32))
     return Summary(
         folder=plan.folder,
         complete=final["complete"],

@@ -45,8 +45,14 @@ def _whole_digest(contract: Contract, page: Page) -> None:
 def _numbered(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     task, found = sample.shard.task, (sample.world, int(sample.fields["viewpoint"]))
-    expected = sample.contract.name(task.entry.split, task.start + sample.row)
+    places, row = sample.shard.places, sample.row
+    expected = sample.contract.numbering(task.entry.split).name(places[row])
     page.expect(found == expected, f"{sample.where}: is world {found[0]}, viewpoint {found[1]}, expected {expected}")
+    least = places[row - 1] + 1 if row else task.start
+    page.expect(
+        least <= places[row] < task.stop,
+        f"{sample.where}: stood at {places[row]} in its split, expected {least} to {task.stop - 1}",
+    )
 
 
 def _centred(sample: Sample, page: Page) -> None:
