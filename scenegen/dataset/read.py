@@ -196,6 +196,16 @@ class Split(Sequence[Sample]):
                     return places
         return np.arange(start, start + entry.samples)
 
+    def count_worlds(self) -> int:
+        """Of how many worlds its samples are; files are opened only where samples were left out between others. Raises
+        DatasetError."""
+        found = [np.empty(0, np.int64)]
+        for number, entry in enumerate(self.shards):
+            with self.dataset._advice():
+                numbering = self.dataset.manifest.home(entry).numbering(self.name)
+            found.append(np.unique(numbering.name(self.places(number))[0]) + self.first_worlds[number])
+        return len(np.unique(np.concatenate(found)))
+
     def home(self, index: int) -> trust.Manifest:
         """What sample `index` was made for: this dataset, or one that it was taken from."""
         return self.dataset.manifest.home(self.shards[self._place(index)[0]])
