@@ -30,6 +30,8 @@ from scenegen.stopping import undone_if_stopped
 
 NOTE_S = 30.0
 """Seconds after which a run writes down what is finished."""
+NOTE_SHARE = 50
+"""And no sooner than after so many times what writing it down took."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +162,7 @@ def build(
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
-    written, noted = 0, time.monotonic()
+    written, noted, wait = 0, time.monotonic(), NOTE_S
     with undone_if_stopped(lambda: remove_drafts(plan.folder)):
         try:
             with closing(execute(write_shard, missing, on_start)) as results:
@@ -168,11 +170,15 @@ def build(
                     state.reports[plan.folder / report.file] = report
                     written += report.samples
                     on_shard(report, True)
-                    if len(mine) == len(plan.shards) and time.monotonic() - noted > NOTE_S:
-                        state.note()
+                    if time.monotonic() - noted > wait:
+                        begin = time.monotonic()
+                        state.note(mine)
                         noted = time.monotonic()
+                        wait = max(NOTE_S, NOTE_SHARE * (noted - begin))
         finally:
             remove_drafts(plan.folder)
+    if written and len(mine) < len(plan.shards):
+        state.note(mine)
     return _summarise(state, state.sign(workers=workers), written)
 
 
@@ -217,7 +223,7 @@ def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
-        shards_missing=len(state.absent()) or len(plan.shards) - len(reports),
+        shards_missing=0 if final["complete"] else len(state.absent()) or len(plan.shards) - len(reports),
         samples_written=written,
         digest=final["digest"],
     )

@@ -6,7 +6,7 @@ import json
 import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -158,7 +158,7 @@ class ShardReport(Entry):
     rejected: Rejections
     digests: bytes
     """The samples' own SHA-256s, 32 bytes each, in order."""
-    more: Mapping[str, int]
+    more: Mapping[str, int] = field(default_factory=dict)
     """See `ShardTask.more`."""
 
     def entry(self) -> dict[str, Any]:
