@@ -39,6 +39,8 @@ class Task:
     """Place of its first sample within the split of the dataset that it was made for."""
     quick: bool
     seed: int
+    twins_of: int
+    """Of so many samples, one is compared with those of other splits."""
     not_comparable: str
     """Why samples made here need not have the dataset's bits; empty where they must."""
     not_scanned: str = ""
