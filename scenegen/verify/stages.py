@@ -131,8 +131,11 @@ class Shard:
             return range(task.start, task.stop)
         numbering = task.contract.numbering(task.entry.split)
         found: list[int] = numbering.place(self.file.column("world"), self.file.column("viewpoint")).tolist()
-        if min(found) < task.start or max(found) >= task.stop:
-            raise BrokenError(f"{task.entry.file}: has samples that are none of {task.start} to {task.stop - 1}")
+        if (min(found), max(found)) != (task.start, task.stop - 1):
+            raise BrokenError(
+                f"{task.entry.file}: its samples stood from {min(found)} to {max(found)} in their split, the manifest "
+                f"says {task.start} to {task.stop - 1}"
+            )
         return found
 
     @functools.cached_property
