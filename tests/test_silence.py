@@ -129,7 +129,20 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = {"small.toml", "scan.xyz", "n.onnx", "d", "w.xml", "run", "p.h5", "s.h5", "o.h5", "bench", "publish", "e.onnx"}
-ASKED |= {"p.png", "s.ply", "c.safetensors", "v.html", "r.png", "k", "again", "i.html", "t", "taken", "others", "merged"}
+ASKED |= {
+    "p.png",
+    "s.ply",
+    "c.safetensors",
+    "v.html",
+    "r.png",
+    "k",
+    "again",
+    "i.html",
+    "t",
+    "taken",
+    "others",
+    "merged",
+}
 FONTS = ".cache/matplotlib/"
 """Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a user's home besides the
 kernels."""

@@ -62,7 +62,11 @@ class Weighted(click.ParamType):
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[Any]:
         """As the name's type does."""
-        return super().shell_complete(ctx, param, incomplete) if self.of is None else self.of.shell_complete(ctx, param, incomplete)
+        return (
+            super().shell_complete(ctx, param, incomplete)
+            if self.of is None
+            else self.of.shell_complete(ctx, param, incomplete)
+        )
 
     def _named(self, name: str, param: Any, ctx: Any) -> Any:
         return name if self.of is None else self.of.convert(name, param, ctx)

@@ -88,9 +88,7 @@ def merge(datasets: tuple[Path | str, ...], **options: Any) -> None:
         raise click.UsageError("give two datasets or more, and the folder of the new one with -o")
     shown = not options["quiet"]
     _make(
-        lambda out, workers: plan_merge(
-            [Dataset(locate(one, shown=shown)) for one in datasets], out, workers=workers
-        ),
+        lambda out, workers: plan_merge([Dataset(locate(one, shown=shown)) for one in datasets], out, workers=workers),
         **options,
     )
 

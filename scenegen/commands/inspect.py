@@ -34,8 +34,8 @@ def show(
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
-    from scenegen.inspect import inspect as examine
     from scenegen.inspect import MOST_MEASURED, inspect_all, inspect_world, misfits
+    from scenegen.inspect import inspect as examine
     from scenegen.terminal.progress import Progress, note
 
     path = Path(dataset)

@@ -18,7 +18,6 @@ from scenegen.limits import (
     MOST_MEMBERS,
 )
 
-
 DOCUMENT = re.compile(r"([0-9]{6}|[1-9][0-9]{6,8})\.xml")
 """What a world's document is called."""
 

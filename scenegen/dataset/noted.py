@@ -1,6 +1,6 @@
-"""What a job that sees to a part of the shards writes down of them, so that the one which completes the dataset need not
-read their samples again. Such a file is trusted as far as the manifest is: whoever reads it holds the shards' files
-against the digests in it."""
+"""What a job that sees to a part of the shards writes down of them: the one that completes the dataset then need not
+read their samples. Such a file is trusted as far as the manifest is: whoever reads it holds the shards' files against
+the digests in it."""
 
 import hashlib
 import json

@@ -121,7 +121,9 @@ class ShardSpec(ShardTask):
     def layout(self) -> Layout:
         """See `ShardTask`."""
         it, scans = self.recipe, self.recipe.mapping.scans
-        return layout_of(stored_fields(self.compact, labels=it.labels is not None, scans=scans), it.grid, it.lidar, scans)
+        return layout_of(
+            stored_fields(self.compact, labels=it.labels is not None, scans=scans), it.grid, it.lidar, scans
+        )
 
     @property
     def numbers(self) -> Sequence[int]:

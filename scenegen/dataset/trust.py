@@ -15,8 +15,8 @@ from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
-from scenegen.dataset.numbering import Numbering
 from scenegen.dataset.noise import check_noise, is_ours, noise_of
+from scenegen.dataset.numbering import Numbering
 from scenegen.dataset.rules import (
     DIGEST,
     FLAG,
@@ -76,7 +76,9 @@ _LABELS = {
 }
 _GIVEN = Rule(lambda value: True, "a value")
 _ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
-_LIST_OF_SOURCES = Rule(lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES, "datasets, one at least")
+_LIST_OF_SOURCES = Rule(
+    lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES, "datasets, one at least"
+)
 _SOURCE = {"digest": DIGEST, "parameters": TABLE, "taken": LIST}
 ALIKE = ("format", "generator", "fields", "grid", "lidar", "noise", "labels", "mapping")
 """Parameters in which all datasets agree whose samples are in one."""
@@ -141,8 +143,8 @@ class Manifest:
     generator: int = ruled(whole(1, MOST_SEED))
     """The generator that made the dataset, see `scenegen.GENERATOR`."""
     kind: str = ruled(text(rf"(?=.{{1,{MOST_KIND_NAME}}}$)\w[\w.-]*(:\w+)?", "the name of a kind of worlds"))
-    seed: Any = ruled(optional(whole(0, MOST_SEED)))
-    """A whole number; None where its `sources` have different ones."""
+    seed: int = ruled(optional(whole(0, MOST_SEED)))
+    """None where its `sources` have different ones; of a dataset without `sources`, and of a source, always there."""
     counts: Mapping[str, int] = ruled(TABLE)
     """Samples that each split is to hold."""
     tables: Mapping[str, Any]
@@ -344,7 +346,7 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
         whole_of = {"complete": True, "shards": [], "rejected": {"worlds": {}, "viewpoints": {}}}
         try:
             source = parse({**entry["parameters"], **whole_of, "digest": entry["digest"]}, folder)
-            source.numbering("train")  # noqa: B018 (looked at now, so that what is wrong with it is found here)
+            source.numbering("train")
         except (BrokenError, KeyError) as error:
             raise BrokenError(f"{at}.parameters: {printable(error)}") from None
         sources.append(source)

@@ -50,8 +50,10 @@ class Condition:
                 return cls(match[1], match[2], float(match[3]))
         except ValueError:
             pass
-        raise ValueError(f"{short(text)}: expected a name, a sign and a number, such as occupied>=0.05; names are "
-                         f"{', '.join(known)}, signs {' '.join(SIGNS)}")
+        raise ValueError(
+            f"{short(text)}: expected a name, a sign and a number, such as occupied>=0.05; names are "
+            f"{', '.join(known)}, signs {' '.join(SIGNS)}"
+        )
 
     def __str__(self) -> str:
         return f"{self.name}{self.sign}{self.value:g}"

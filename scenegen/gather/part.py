@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from scenegen.dataset.archive import open_archive
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.shard import ShardReport, ShardTask, file_digest, put, read_report
-from scenegen.dataset.trust import Entry, GatheredEntry
+from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import write_whole

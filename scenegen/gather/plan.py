@@ -16,15 +16,23 @@ from scenegen.gather.part import Part
 from scenegen.gather.survey import check_disjoint
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 
-EMPTY: Mapping[str, Any] = {"kind": manifest.SEVERAL, "engine": manifest.SEVERAL, "seed": None, "recipe": {}, "software": {}}
+EMPTY: Mapping[str, Any] = {
+    "kind": manifest.SEVERAL,
+    "engine": manifest.SEVERAL,
+    "seed": None,
+    "recipe": {},
+    "software": {},
+}
 """What a manifest says where the datasets differ that its samples were made for."""
 
 
 def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 1) -> Plan:
     """Plan in `folder` the samples of `dataset` that `choice` lets through, in their order. Raises DatasetError."""
     pieces = ((dataset, one) for one in choose(dataset, choice, workers=workers))
-    nothing = f"{dataset.folder}: no sample is as asked for ({choice}); ask for others" if str(choice) else (
-        f"{dataset.folder}: holds no sample; take of another dataset"
+    nothing = (
+        f"{dataset.folder}: no sample is as asked for ({choice}); ask for others"
+        if str(choice)
+        else (f"{dataset.folder}: holds no sample; take of another dataset")
     )
     return _plan(folder, pieces, taken=str(choice), nothing=nothing)
 
@@ -38,7 +46,9 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
     for other in datasets[1:]:
         _check_alike(datasets[0], other)
     check_disjoint(datasets, workers=workers)
-    pieces = ((dataset, one) for split in SPLITS for dataset in datasets for one in choose(dataset, Choice(splits=(split,))))
+    pieces = (
+        (dataset, one) for split in SPLITS for dataset in datasets for one in choose(dataset, Choice(splits=(split,)))
+    )
     return _plan(folder, pieces, taken="", nothing="the datasets hold no sample; merge others")
 
 

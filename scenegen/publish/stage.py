@@ -84,8 +84,8 @@ def examine(request: Request) -> Dataset:
     check_out(request.dataset, request.out)
     if dataset.manifest.sources:
         raise PublishError(
-            f"{request.dataset}: its samples were made for other datasets, and no one command makes them again; publish "
-            "those, and say how they were merged or taken"
+            f"{request.dataset}: its samples were made for other datasets, and no one command makes them again; "
+            "publish those, and say how they were merged or taken"
         )
     files = len(dataset.manifest.files) + _BESIDES
     if files > MOST_FILES:

@@ -1,7 +1,7 @@
 """The manifest, taken at its word only after every value in it has been checked."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 

@@ -80,7 +80,15 @@ def _tasks(contract: Contract, *, quick: bool, seed: int) -> list[Task]:
         reasons = {"not_comparable": why_not_comparable(home), "not_scanned": why_not_scanned(home)}
         homes.append({"contract": lean, **reasons})
     return [
-        Task(entry=entry, number=number, start=start, quick=quick, seed=seed, twins_of=every, **homes[getattr(entry, "source", 0)])
+        Task(
+            entry=entry,
+            number=number,
+            start=start,
+            quick=quick,
+            seed=seed,
+            twins_of=every,
+            **homes[getattr(entry, "source", 0)],
+        )
         for number, (entry, start) in enumerate(zip(contract.shards, contract.starts, strict=True))
     ]
 

@@ -112,7 +112,9 @@ def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
         found.setdefault(unit, []).append((row, view))
     again = task.contract.rescan is not None
     return [
-        (unit, views) for unit, views in found.items() if not again or all(view == n for n, (_, view) in enumerate(views))
+        (unit, views)
+        for unit, views in found.items()
+        if not again or all(view == n for n, (_, view) in enumerate(views))
     ]
 
 

@@ -102,7 +102,8 @@ def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_p
 def passes(maps: Maps, count: int, *, seed: int = 0) -> list[list[int]]:
     """The maps of each of `count` passes, in order."""
     return [
-        [index for batch in epoch_batches(maps, batch=1, seed=seed, epoch=n) for index, _ in batch] for n in range(count)
+        [index for batch in epoch_batches(maps, batch=1, seed=seed, epoch=n) for index, _ in batch]
+        for n in range(count)
     ]
 
 

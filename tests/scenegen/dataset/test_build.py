@@ -209,7 +209,8 @@ def test_a_job_reads_its_own_part_of_a_complete_dataset(tmp_path: Path, monkeypa
     make(tmp_path / "d")
     parts, read = plan(tmp_path / "d"), []
     monkeypatch.setattr(
-        "scenegen.dataset.state.read_report", lambda shard, *rest, **more: read.append(shard) or read_report(shard, *rest)
+        "scenegen.dataset.state.read_report",
+        lambda shard, *rest, **more: read.append(shard) or read_report(shard, *rest),
     )
     found = build(parts, shard_range=(1, 3))
     assert (found.complete, found.shards_missing, read) == (True, 0, list(parts.shards[1:3]))
