@@ -2,9 +2,9 @@
 
     python benchmarks/folders.py --samples 20000 [--shard-samples 20] [--folder data/tiny] [--workers 2]
 
-It makes a dataset of tiny maps in small shards, as sound as any, or goes on with that in --folder; runs every command on
-it in a process of its own; and prints what each took, and, where the cost grows with the number of samples, what a
-million more would take, computed from that. The first line of the table is what any command takes.
+It makes a dataset of tiny maps in small shards, as sound as any, or goes on with that in --folder; runs every command
+on it in a process of its own; and prints what each took, and what a million samples would take, computed from that as
+if all of it beyond the first line, which any command takes, grew with the number of samples.
 """
 
 import argparse

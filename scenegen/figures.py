@@ -9,7 +9,7 @@ from scenegen.sample import Sample
 
 
 def _ranges(sample: Sample) -> NDArray[np.float32]:
-    """Of all its scans."""
+    """Those of all its scans."""
     return np.array([sample.ranges, *getattr(sample, "earlier_ranges", ())])
 
 

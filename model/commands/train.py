@@ -151,7 +151,7 @@ def train(
 ) -> None:
     """Train the completion network on datasets, or on a stream; under torchrun, on several GPUs.
 
-    Of datasets with weights, maps come in proportion to these, however many each holds. Given again after a stop, it
+    Maps of datasets with weights come in proportion to these, however many each holds. Given again after a stop, it
     goes on where it was. With --stream, datasets serve validation alone.
     """
     from scenegen.model.training.device import choose_device

@@ -30,15 +30,21 @@ if TYPE_CHECKING:
 @click.command()
 @dataset_argument
 @click.option(
-    "--split", "splits", type=click.Choice(SPLITS), multiple=True, help="Of this split; several times.  [default: all]"
+    "--split",
+    "splits",
+    type=click.Choice(SPLITS),
+    multiple=True,
+    help="Samples of this split; several times for several.  [default: all]",
 )
 @click.option("-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split.")
-@click.option("--worlds", type=Ranges(), help="Of these worlds alone: numbers, or ranges as in Python, as in 3,10:20.")
+@click.option(
+    "--worlds", type=Ranges(), help="Samples of these worlds alone: numbers, or ranges as in Python, as in 3,10:20."
+)
 @click.option(
     "--where",
     multiple=True,
     type=Written(Condition.of, "NAME>=VALUE"),
-    help=f"Of which this holds, such as occupied>=0.05; several times for several: {', '.join((*NUMBERS, *FIGURES))}.",
+    help=f"Samples for which this holds, such as occupied>=0.05; several times for several: {', '.join((*NUMBERS, *FIGURES))}.",
 )
 @out_option("Folder of the new dataset.")
 @workers_option

@@ -197,7 +197,7 @@ class Split(Sequence[Sample]):
         return np.arange(start, start + entry.samples)
 
     def count_worlds(self) -> int:
-        """Of how many worlds its samples are; files are opened only where samples were left out between others. Raises
+        """How many worlds its samples are of; files are opened only where samples were left out between others. Raises
         DatasetError."""
         found = [np.empty(0, np.int64)]
         for number, entry in enumerate(self.shards):

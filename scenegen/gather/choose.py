@@ -93,7 +93,7 @@ class Chosen:
     """Where these stand in the split of the dataset that they were made for."""
 
     def but(self, kept: Any) -> "Chosen":
-        """Of these samples, those that are `kept`, by a mask or a slice."""
+        """The same without the samples that are not `kept`, a mask or a slice."""
         return replace(self, rows=self.rows[kept], places=self.places[kept])
 
 

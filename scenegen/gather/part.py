@@ -32,7 +32,7 @@ class Part(ShardTask):
     start: int
     stop: int
     """The places there of the first and of one beyond the last sample."""
-    of_worlds: tuple[int, ...]
+    of_worlds: Sequence[int]
     """Numbers there of the worlds of which the samples are, rising."""
 
     @property

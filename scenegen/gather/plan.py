@@ -77,7 +77,9 @@ def _plan(folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str,
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
         numbering = home.numbering(split)
         cut = stop - start > len(chosen.places)
-        worlds = set(numbering.name(chosen.places)[0].tolist()) if cut else numbering.worlds(start, stop - start)
+        worlds = numbering.worlds(start, stop - start)  # most often a range, which is small
+        if cut:
+            worlds = sorted(set(numbering.name(chosen.places)[0].tolist()))
         rows = None if len(chosen.rows) == chosen.entry.samples else tuple(chosen.rows.tolist())
         parts.append(
             Part(
@@ -93,7 +95,7 @@ def _plan(folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str,
                 source=source,
                 start=start,
                 stop=stop,
-                of_worlds=tuple(sorted(worlds)),
+                of_worlds=worlds,
             )
         )
         counts[split] += len(chosen.rows)

@@ -40,7 +40,7 @@ class Task:
     quick: bool
     seed: int
     twins_of: int
-    """Of so many samples, one is compared with those of other splits."""
+    """One of so many samples is compared with those of other splits."""
     not_comparable: str
     """Why samples made here need not have the dataset's bits; empty where they must."""
     not_scanned: str = ""

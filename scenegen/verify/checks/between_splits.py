@@ -14,7 +14,7 @@ from scenegen.verify.report import BrokenError, Page
 from scenegen.verify.stages import Sample, Worlds
 
 DIGEST_BYTES = 32
-"""Of a world."""
+"""Length of a world's digest."""
 MOST_OPEN = 100
 """This many shards are open at once at most."""
 
