@@ -44,7 +44,8 @@ if TYPE_CHECKING:
     "--where",
     multiple=True,
     type=Written(Condition.of, "NAME>=VALUE"),
-    help=f"Samples for which this holds, such as occupied>=0.05; several times for several: {', '.join((*NUMBERS, *FIGURES))}.",
+    help="Samples for which this holds, such as occupied>=0.05; several times for several. Names are "
+    f"{', '.join((*NUMBERS, *FIGURES))}.",
 )
 @out_option("Folder of the new dataset.")
 @workers_option

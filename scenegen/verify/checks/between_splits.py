@@ -114,7 +114,8 @@ CHECKS = (
         name="near-twins",
         proves="No two samples of different splits show nearly the same map, seen nearly the same way: their occupied "
         "voxels agree to less than 90 % (intersection over union), or their observed voxels to less than 50 %, or "
-        "what stands on the floor to less than 50 %; of more than 200,000 samples, so many, evenly spread, are compared.",
+        "what stands on the floor to less than 50 %; of more than 200,000 samples, so many, evenly spread, are "
+        "compared.",
         sample=_keep_signature,
         folder=_compare,
     ),
