@@ -21,6 +21,7 @@ PLACES = {
     **{name: f"{MADE}.{name}:{name}" for name in OF_DATA},
     **{name: f"{INFERRED}.{name}:{name}" for name in (*OF_NETWORKS, *OF_BOTH)},
     **{name: f"{MADE}.{name}:{name}" for name in (*OF_SENSORS, "doctor", "completion")},
+    **{name: f"{MADE}.gather:{name}" for name in ("take", "merge")},
 }
 
 

@@ -33,6 +33,8 @@ MOST_WEIGHT = 10**9
 """The largest weight of a part of a stream."""
 MOST_UNITS_IN_ROUND = 1000
 """The most flights after which a mixture's parts come round again."""
+MOST_SOURCES = 1000
+"""The most datasets whose samples are gathered in one."""
 MOST_SAMPLES_IN_SHARD = 10**5
 """The most samples of a shard, which is made in memory: with default maps, these take some eight gigabytes."""
 MOST_OBJECTS = 64

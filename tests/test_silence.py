@@ -119,12 +119,30 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
     "convert": [("d", "--to", "semantickitti", "-o", "k"), ("d", "--to", "webdataset", "-o", "t")],
     "recipe": [("pillar",)],
     "rescan": [("d", "--noise", "range:0.02", "-o", "again", *ONE)],
+    "take": [
+        ("d", "--split", "train", "-o", "taken", *ONE),
+        ("d", "--split", "test", "--where", "occupied>=0", "-o", "others", *ONE),
+    ],
+    "merge": [("taken", "others", "-o", "merged", *ONE)],
 }
 """Every command, in an order in which each finds what it needs."""
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = {"small.toml", "scan.xyz", "n.onnx", "d", "w.xml", "run", "p.h5", "s.h5", "o.h5", "bench", "publish", "e.onnx"}
-ASKED |= {"p.png", "s.ply", "c.safetensors", "v.html", "r.png", "k", "again", "i.html", "t"}
+ASKED |= {
+    "p.png",
+    "s.ply",
+    "c.safetensors",
+    "v.html",
+    "r.png",
+    "k",
+    "again",
+    "i.html",
+    "t",
+    "taken",
+    "others",
+    "merged",
+}
 FONTS = ".cache/matplotlib/"
 """Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a user's home besides the
 kernels."""

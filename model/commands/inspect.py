@@ -10,13 +10,13 @@ from scenegen.commands.inspect import inspect_options, show
 
 @click.command()
 @inspect_options
-def inspect(dataset: Path | str, out: Path | None, as_json: bool) -> None:
+def inspect(dataset: Path | str, as_json: bool, **options: Any) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
 
     A folder of datasets is listed; of a world (.xml), a scan, a file of predictions (.h5), or a run's folder, it says
     what it is.
     """
-    show(dataset, out, as_json, _others, _misfit)
+    show(dataset, as_json=as_json, others=_others, misfit=_misfit, **options)
 
 
 def _others(path: Path) -> dict[str, Any] | None:

@@ -18,7 +18,6 @@ from scenegen.model.commands.weights import Weights
 from scenegen.model.config import PROTOCOLS, LossConfig, NetworkConfig, TrainConfig
 from scenegen.terminal import stops
 from scenegen.terminal.options import (
-    datasets_argument,
     device_option,
     json_option,
     options_of,
@@ -29,6 +28,7 @@ from scenegen.terminal.options import (
 )
 from scenegen.terminal.progress import Progress
 from scenegen.terminal.show import curve, say
+from scenegen.terminal.types import DatasetPath
 
 if TYPE_CHECKING:
     from scenegen.model.training.data import Samples
@@ -40,25 +40,40 @@ VAL_MAPS = 500
 
 
 class Weighted(click.ParamType):
-    """What a stream draws, with its weight: NAME, or NAME=WEIGHT."""
+    """What is trained on, with its weight: NAME, or NAME=WEIGHT; with `of`, a name of that type."""
 
     name = "name[=weight]"
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, float]:
-        """(name, weight); the stream says what is wrong with either."""
+    def __init__(self, of: click.ParamType | None = None, *, unsaid: float | None = 1):
+        """`unsaid` is the weight of what is given without."""
+        self.of, self.unsaid = of, unsaid
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[Any, float | None]:
+        """(name, weight); who takes them says what is wrong with either."""
         if isinstance(value, tuple):
             return value
         name, sign, weight = value.rpartition("=")
-        if not sign:
-            return value, 1
+        if not sign or (self.of is not None and Path(value).exists()):
+            return self._named(value, param, ctx), self.unsaid
         try:
-            return name, float(weight)
+            return self._named(name, param, ctx), float(weight)
         except ValueError:
             self.fail(f"{value!r}: expected NAME or NAME=WEIGHT, such as pillar=2", param, ctx)
 
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[Any]:
+        """As the name's type does."""
+        return (
+            super().shell_complete(ctx, param, incomplete)
+            if self.of is None
+            else self.of.shell_complete(ctx, param, incomplete)
+        )
+
+    def _named(self, name: str, param: Any, ctx: Any) -> Any:
+        return name if self.of is None else self.of.convert(name, param, ctx)
+
 
 @click.command()
-@datasets_argument
+@click.argument("datasets", nargs=-1, type=Weighted(DatasetPath(), unsaid=None), metavar="[DATASET[=WEIGHT]]...")
 @options_of(NetworkConfig, variant="Which network to train; docs/network.md says what they are.")
 @click.option(
     "--protocol",
@@ -126,7 +141,7 @@ class Weighted(click.ParamType):
 @json_option
 @quiet_option
 def train(
-    datasets: tuple[Path | str, ...],
+    datasets: tuple[tuple[Path | str, float | None], ...],
     protocol: str,
     device: str,
     workers: int | None,
@@ -136,7 +151,8 @@ def train(
 ) -> None:
     """Train the completion network on datasets, or on a stream; under torchrun, on several GPUs.
 
-    Given again after a stop, it goes on where it was. With --stream, datasets serve validation alone.
+    Maps of datasets with weights come in proportion to these, however many each holds. Given again after a stop, it
+    goes on where it was. With --stream, datasets serve validation alone.
     """
     from scenegen.model.training.device import choose_device
     from scenegen.model.training.loop import Watcher
@@ -191,24 +207,28 @@ def train(
 
 
 def _samples(
-    datasets: tuple[Path | str, ...], config: TrainConfig, options: dict[str, Any], talk: bool
+    datasets: tuple[tuple[Path | str, float | None], ...], config: TrainConfig, options: dict[str, Any], talk: bool
 ) -> tuple[list["Samples"], list["Samples"]]:
     """What is trained on, and what validates."""
     from scenegen.model.training.data import opened
 
+    names = tuple(name for name, _ in datasets)
     parts, seed, count = options["streams"], options["stream_seed"], options["val_maps"]
     if not parts:
         if count is not None or was_given("stream_seed"):
             raise click.UsageError("--stream-seed and --val-maps are a stream's; name one, such as --stream pillar")
-        folders = find_datasets(datasets, shown=talk)
-        return opened(folders, "train"), opened(folders, "val")
+        folders = find_datasets(names, shown=talk)
+        weights = [weight for _, weight in datasets] or [None] * len(folders)
+        return opened(list(zip(folders, weights, strict=True)), "train"), opened(folders, "val")
     if config.maps is None:
         raise click.UsageError("--stream has no end; say how many maps to see with --maps, such as --maps 200000")
     if datasets and count is not None:
         raise click.UsageError("--val-maps validates on the stream, and datasets are named; leave one of the two out")
     training: list[Samples] = [stream(parts, seed=seed)]
     if datasets:
-        return training, opened(find_datasets(datasets, shown=talk), "val")
+        if any(weight is not None for _, weight in datasets):
+            raise click.UsageError("with --stream, datasets validate, and have no weights; give those of --stream")
+        return training, opened(find_datasets(names, shown=talk), "val")
     return training, [stream(parts, seed=seed, split="val", samples=count or VAL_MAPS)]
 
 

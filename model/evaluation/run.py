@@ -178,7 +178,7 @@ def _work(
         sample = split[index]
         truth = sample.occupancy, sample.tudf
         classes = classify(sample, lidar=dataset.lidar, grid=grid)
-        drawn = trials_of(sample, index, dataset, config, trials_each)
+        drawn = trials_of(sample, index, split, config, trials_each)
         trial = partial(run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan)
         seen = _seen(sample, split) if config.study else None
         one = _Found(
@@ -232,9 +232,9 @@ def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
     return seen_occupancy(sample, split)
 
 
-def trials_of(sample: Sample, index: int, dataset: Dataset, config: BenchConfig, count: int) -> Trials:
-    """The first `count` trials of `sample`, which is number `index` of its split."""
+def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, count: int) -> Trials:
+    """The first `count` trials of `sample`, which is number `index` of its `split`."""
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
-    world = dataset.manifest.tables.get("world")  # worlds from MJCF files have no box
+    world = split.home(index).tables.get("world")  # worlds from MJCF files have no box
     bounds = None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - sample.origin
-    return draw_trials(sample.occupancy, dataset.grid, config.plan, count=count, rng=rng, bounds=bounds)
+    return draw_trials(sample.occupancy, split.dataset.grid, config.plan, count=count, rng=rng, bounds=bounds)

@@ -55,7 +55,7 @@ def _guesses(
 def _goal(sample: Sample, split: Split, config: BenchConfig, trial: int) -> NDArray[np.float64] | None:
     """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has fewer."""
     index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
-    goals = trials_of(sample, index, split.dataset, config, trial + 1).goals
+    goals = trials_of(sample, index, split, config, trial + 1).goals
     return goals[trial] if len(goals) > trial else None
 
 

@@ -20,8 +20,10 @@ def card(name: str, about: Mapping[str, Any]) -> str:
     occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
     shown = {"val_loss": "loss"} | {f"val_{name}": metric.label for name, metric in occupancy_first}
     shown = {key: label for key, label in shown.items() if key in figures}
+    shares = [f" (weight {share})" for share in settings.get("shares", ())] or [""] * len(settings["kinds"])
     data = ", ".join(
-        f"{kind} {digest[:16]}…" for kind, digest in zip(settings["kinds"], settings["datasets"], strict=True)
+        f"{kind} {digest[:16]}…{share}"
+        for kind, digest, share in zip(settings["kinds"], settings["datasets"], shares, strict=True)
     )
     versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
     lines = [

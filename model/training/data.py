@@ -1,21 +1,24 @@
 """Samples as torch sees them: named maps by number, batches in a seeded order, distances derived where the batch is."""
 
+import itertools
 import math
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
 from typing import Any, Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset as SampleDataset
-from scenegen.errors import DatasetError, ScenegenError
+from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.model.inputs import INPUTS, SYMMETRIES, of_sample, turned
 from scenegen.sample import Sample
 from scenegen.streaming.batches import Batches
+from scenegen.streaming.mixture import fraction, parts_of
 from scenegen.streaming.stream import Stream
 from scenegen.truth import distance_field
 
@@ -44,6 +47,8 @@ class Samples(Protocol):
     digest: str
     """What tells these samples from all others: a run with another digest is another run."""
 
+    # where samples have a `weight` that is not None, as those of `opened` may, they come in proportion to it
+
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int) -> Sample:
@@ -54,7 +59,8 @@ class Samples(Protocol):
 class SplitSamples:
     """The samples of a dataset's split. Files are opened in the process that reads them."""
 
-    def __init__(self, dataset: SampleDataset, split: str, share: float = 1.0):
+    def __init__(self, dataset: SampleDataset, split: str, share: float = 1.0, weight: Any = None):
+        self.weight = weight
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
         self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
         self.mapping, self.noise = dataset.manifest.mapping, dataset.manifest.noise_stages
@@ -71,10 +77,20 @@ class SplitSamples:
         return self._split[index]
 
 
-def opened(folders: Sequence[Path | str], split: str, share: float = 1.0) -> list[Samples]:
+def opened(folders: Any, split: str, share: float = 1.0) -> list[Samples]:
     """The samples of one split of every dataset in `folders`, or the first `share` of them. Raises DatasetError for a
-    folder that holds none."""
-    return [SplitSamples(SampleDataset(folder), split, share) for folder in folders]
+    folder that holds none.
+
+    `folders` is a list of them, or of pairs (folder, weight), or a mapping to weights, as a stream's parts are. Weights
+    are numbers above 0, in proportion to which samples come in training, however many each dataset holds; without any,
+    each sample comes once a pass.
+    """
+    parts = parts_of(folders) if isinstance(folders, Mapping) else [_part(one) for one in folders]
+    return [SplitSamples(SampleDataset(folder), split, share, weight) for folder, weight in parts]
+
+
+def _part(given: Any) -> tuple[Any, Any]:
+    return given if isinstance(given, tuple) else (given, None)
 
 
 class Maps(Dataset):
@@ -94,6 +110,17 @@ class Maps(Dataset):
         self.sources, self.inputs = tuple(sources), tuple(inputs)
         self.grid = sources[0].grid
         self._start = np.cumsum([0, *map(len, sources)])
+        given = [getattr(source, "weight", None) for source in sources]
+        self.shares: list[Fraction] | None = None
+        """The weight of each source; None where each of their samples comes once a pass."""
+        self.counts = [len(source) for source in sources]
+        """How many maps of each come in a pass, which has as many as there are."""
+        if any(weight is not None for weight in given):
+            self.shares = [
+                fraction(1 if weight is None else weight, source.name, "train")
+                for source, weight in zip(sources, given, strict=True)
+            ]
+            self.counts = self._counted(self.shares)
 
     def __len__(self) -> int:
         return int(self._start[-1])
@@ -118,6 +145,22 @@ class Maps(Dataset):
         if len(self.sources) > 1:
             raise DatasetError(f"{streams[0].name}: is trained on alone; mix several into one stream")
         return streams[0].batches(batch, loaders=LOADERS)
+
+    def first(self, number: int) -> int:
+        """The index of a source's first map."""
+        return int(self._start[number])
+
+    def _counted(self, shares: Sequence[Fraction]) -> list[int]:
+        """Maps of each source in a pass, where they come in proportion to `shares`, but for less than one map."""
+        upto = [int(len(self) * sum(shares[:n]) / sum(shares)) for n in range(len(shares) + 1)]
+        counts = [stop - start for start, stop in itertools.pairwise(upto)]
+        for count, source, share in zip(counts, self.sources, shares, strict=True):
+            if len(self) and not (count and len(source)):
+                raise DatasetError(
+                    f"{source.name}: of its {len(source)} samples, weight {short(str(share))} would have {count} come "
+                    f"in a pass of {len(self)}, expected one at least of each dataset; give other weights"
+                )
+        return counts
 
     def name(self, index: int) -> str:
         """Who sample `index` is, for people: source, split, number."""
@@ -160,9 +203,26 @@ def epoch_batches(
     A last batch that is not full is left out, unless it is the only one.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(epoch,)))
-    keys = _turned(rng.permutation(len(maps)).tolist(), maps.grid, augment, rng=rng)
+    order = rng.permutation(len(maps))
+    if maps.shares is not None:
+        order = np.concatenate(_weighted(maps, seed=seed, epoch=epoch))[order]
+    keys = _turned(order.tolist(), maps.grid, augment, rng=rng)
     count = max(len(keys) // batch, 1)
     return [keys[n * batch : (n + 1) * batch] for n in range(count)]
+
+
+def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
+    """The maps of a pass by source. Each source's come in an order of its own, which goes on from pass to pass and is
+    drawn anew when it ends, so that none comes twice before all others of the source have come."""
+    found = []
+    for number, count in enumerate(maps.counts):
+        begin, end = epoch * count, (epoch + 1) * count
+        size, drawn = len(maps.sources[number]), [np.empty(0, np.int64)]
+        for turn in range(begin // size, -(-end // size)):
+            order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, turn, 0))).permutation(size)
+            drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
+        found.append(maps.first(number) + np.concatenate(drawn))
+    return found
 
 
 def stream_batch(order: Batches, grid: GridSpec, number: int, *, seed: int, augment: bool) -> list[tuple[int, int]]:

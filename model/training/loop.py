@@ -267,6 +267,7 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> dict[st
         "datasets": [source.digest for source in maps.sources],
         "kinds": [source.kind for source in maps.sources],
         "samples": None if maps.order(config.batch) else len(maps),
+        **({} if maps.shares is None else {"shares": [str(share) for share in maps.shares]}),
         **dataclasses.asdict(config),
         "precision": str(precision).removeprefix("torch."),
     }

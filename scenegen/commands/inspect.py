@@ -8,7 +8,7 @@ from typing import Any
 import rich_click as click
 
 from scenegen.mapping import Mapper
-from scenegen.terminal.options import dataset_argument, json_option
+from scenegen.terminal.options import dataset_argument, json_option, workers_option
 from scenegen.terminal.show import flat, per_split, rejections, show_table
 from scenegen.terminal.types import OutputFile
 
@@ -16,12 +16,15 @@ from scenegen.terminal.types import OutputFile
 def inspect_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """The options of `show`."""
     page = click.option("--html", "out", type=OutputFile(), help="Also write a page with histograms and pictures.")
-    return dataset_argument(page(json_option(function)))
+    every = click.option("--all", "every", is_flag=True, help="Measure all samples, not 200 of each split.")
+    return dataset_argument(page(every(workers_option(json_option(function)))))
 
 
 def show(
     dataset: Path | str,
     out: Path | None,
+    every: bool,
+    workers: int,
     as_json: bool,
     others: Callable[[Path], dict[str, Any] | None],
     misfit: Callable[[Any], list[str]],
@@ -31,9 +34,9 @@ def show(
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
+    from scenegen.inspect import MOST_MEASURED, inspect_all, inspect_world, misfits
     from scenegen.inspect import inspect as examine
-    from scenegen.inspect import inspect_all, inspect_world, misfits
-    from scenegen.terminal.progress import note
+    from scenegen.terminal.progress import Progress, note
 
     path = Path(dataset)
     several = path.is_dir() and not (path / NAME).exists() and any(path.glob(f"*/{NAME}"))
@@ -49,7 +52,15 @@ def show(
             show_table({name: _plain(value) for name, value in flat(facts).items()})
     else:
         folder = locate(dataset, shown=not as_json)
-        found = examine(folder, values=out is not None)
+        with Progress("inspect", shown=every and not as_json) as progress:
+            found = examine(
+                folder,
+                most=None if every else MOST_MEASURED,
+                values=out is not None,
+                workers=workers,
+                on_start=progress.start,
+                on_done=progress.count,
+            )
         opened = Dataset(folder, partial=True)
         mind = [*misfits(opened.grid, opened.lidar), *misfit(opened.grid)]
         if out is not None:
@@ -80,6 +91,12 @@ def _plain(value: Any) -> Any:
     return ", ".join(str(_plain(one)) for one in value) or "none" if isinstance(value, list) else value
 
 
+def _said(source: dict[str, Any]) -> str:
+    """A dataset that samples were taken from."""
+    how = f", {' or '.join(ways)}" if (ways := [way for way in source["taken"] if way]) else ""
+    return f"{source['kind']}, seed {source['seed']}, digest {source['digest'][:8]}{how}"
+
+
 def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         print(json.dumps(rows))
@@ -92,11 +109,14 @@ def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
 
 
 def _show(dataset: Path | str, found: dict[str, Any]) -> None:
+    from scenegen.dataset.manifest import SEVERAL
+
     show_table(
         {
             "dataset": dataset,
             "kind": found["kind"],
-            "seed": found["seed"],
+            "seed": SEVERAL if found["seed"] is None else found["seed"],
+            **{f"from {n}": _said(source) for n, source in enumerate(found.get("sources", ()))},
             "complete": "yes" if found["complete"] else "no",
             "digest": found["digest"] or "none yet",
             "grid": f"{found['grid']['shape']} voxels of {found['grid']['voxel']} m",

@@ -18,6 +18,9 @@ from scenegen.limits import (
     MOST_MEMBERS,
 )
 
+DOCUMENT = re.compile(r"([0-9]{6}|[1-9][0-9]{6,8})\.xml")
+"""What a world's document is called."""
+
 
 class Members:
     """The members of an open archive, by their names; each is read when asked for."""
@@ -95,8 +98,8 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
         plain = name.isascii() and name.isprintable() and not set(name) & set('/\\:*?"<>|') and not name.startswith(".")
         if not plain or len(name) > 200 or member.orig_filename != name:
             raise BrokenError(f"member {short(name)}: expected a plain file name, of a file beside the others")
-        if name.endswith(".xml") and not (len(name) == 10 and name[:6].isdecimal()):
-            raise BrokenError(f"member {short(name)}: expected a world's number, six digits, before .xml")
+        if name.endswith(".xml") and not DOCUMENT.fullmatch(name):
+            raise BrokenError(f"member {short(name)}: expected a world's number, six digits or more, before .xml")
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
             raise BrokenError(f"member {name}: is encrypted or packed otherwise than by deflate")
         most = MOST_DOCUMENT_BYTES if name.endswith(".xml") else MOST_ASSET_BYTES

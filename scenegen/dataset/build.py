@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.placed import write_placed
-from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine, write_shard
+from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError, short
 from scenegen.executors import Executor
@@ -29,6 +32,8 @@ from scenegen.stopping import undone_if_stopped
 
 NOTE_S = 30.0
 """Seconds after which a run writes down what is finished."""
+NOTE_SHARE = 50
+"""And no sooner than after so many times what writing it down took."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +165,7 @@ def build(
     for report in state.reports.values():
         on_shard(report, False)
     write = write_placed if isinstance(plan.folder, PlacePath) else write_shard
-    written, noted = 0, time.monotonic()
+    written, noted, wait = 0, time.monotonic(), NOTE_S
     with undone_if_stopped(lambda: remove_drafts(plan.folder)):
         try:
             with closing(execute(write, missing, on_start)) as results:
@@ -168,16 +173,20 @@ def build(
                     state.reports[plan.folder / report.file] = report
                     written += report.samples
                     on_shard(report, True)
-                    if len(mine) == len(plan.shards) and time.monotonic() - noted > NOTE_S:
-                        state.note()
+                    if time.monotonic() - noted > wait:
+                        begin = time.monotonic()
+                        state.note(mine)
                         noted = time.monotonic()
+                        wait = max(NOTE_S, NOTE_SHARE * (noted - begin))
         finally:
             remove_drafts(plan.folder)
+    if written and len(mine) < len(plan.shards):
+        state.note(mine)
     return _summarise(state, state.sign(workers=workers), written)
 
 
-def _first_unit(shard: ShardSpec) -> None:
-    shard.draw(shard.first_unit)
+def _first_unit(shard: ShardTask) -> None:
+    shard.prepare()
 
 
 def check_folder(plan: Plan, *, force: bool = False) -> None:
@@ -185,7 +194,7 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
     State(plan, force=force)
 
 
-def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
+def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
     """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells nobody beforehand."""
     if not missing or isinstance(plan.folder, PlacePath):
         return
@@ -204,21 +213,20 @@ def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
 def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = Counter(dict.fromkeys(SPLITS, 0))
-    worlds: dict[str, set[int]] = {split: set() for split in SPLITS}
+    worlds: dict[str, list[NDArray[np.int64]]] = {split: [np.empty(0, np.int64)] for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples
-            units = range(shard.first_unit, shard.first_unit + shard.units)
-            worlds[shard.split].update(shard.source.number(shard.split, unit)[0] for unit in units)
+            worlds[shard.split].append(np.unique(shard.numbers) + (shard.more.get("source", 0) << 32))
     return Summary(
         folder=plan.folder,
         complete=final["complete"],
         samples=dict(samples),
-        worlds={split: len(worlds[split]) for split in SPLITS},
+        worlds={split: len(np.unique(np.concatenate(worlds[split]))) for split in SPLITS},
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
-        shards_missing=len(state.absent()) or len(plan.shards) - len(reports),
+        shards_missing=0 if final["complete"] else len(state.absent()) or len(plan.shards) - len(reports),
         samples_written=written,
         digest=final["digest"],
     )

@@ -29,12 +29,14 @@ NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
 """What a manifest says that has none of the entries of `MINOR`."""
-MINOR: Mapping[float, tuple[str, ...]] = {1.2: ("noise", "labels", "rescan"), 1.3: ("mapping",)}
+MINOR: Mapping[float, tuple[str, ...]] = {1.2: ("noise", "labels", "rescan"), 1.3: ("mapping",), 1.4: ("sources",)}
 """Versions that one says with any of these entries, the highest of them: readers of earlier versions refuse it."""
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
 """What the numbers depend on besides scenegen itself."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters."""
+SEVERAL = "several"
+"""What a manifest says for a text in which the datasets differ that its samples were made for."""
 GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m"}
 """A grid's parameters: their names in the file, and in `GridSpec`."""
 

@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, write_shard
+from scenegen.dataset.shard import ShardReport, ShardTask, read_report, write_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections
 from scenegen.errors import DatasetError
@@ -22,14 +22,14 @@ MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 """A report is no larger."""
 
 
-def write_placed(spec: ShardSpec) -> ShardReport:
+def write_placed(spec: ShardTask) -> ShardReport:
     """`write_shard` at a place, and the shard's report beside it. Raises PlaceError as well."""
     report = write_shard(spec)
     _note(spec, report, [path.version for path in _paths(spec)])
     return report
 
 
-def look(folder: Path, tasks: Sequence[tuple[ShardSpec, Entry | None]]) -> list[ShardReport]:
+def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[ShardReport]:
     """Reports of those shards, each with what the manifest lists of it, that are at the place `folder` as they should.
 
     Objects that are those which a report beside them was written for are taken as they are: stores keep what they
@@ -38,7 +38,7 @@ def look(folder: Path, tasks: Sequence[tuple[ShardSpec, Entry | None]]) -> list[
     assert isinstance(folder, PlacePath)
     there = {item.name: item for item in folder.place.list()} if tasks else {}
 
-    def one(task: tuple[ShardSpec, Entry | None]) -> ShardReport | None:
+    def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
         spec, listed = task
         now = [there[path.name].version if path.name in there else None for path in _paths(spec)]
         report = _noted(spec, now, there) if None not in now else None
@@ -60,11 +60,11 @@ def look(folder: Path, tasks: Sequence[tuple[ShardSpec, Entry | None]]) -> list[
 SUMS = ("sha256", "worlds_sha256")
 
 
-def _paths(spec: ShardSpec) -> tuple[Any, Any]:
+def _paths(spec: ShardTask) -> tuple[Any, Any]:
     return spec.file, spec.worlds_file
 
 
-def _note(spec: ShardSpec, report: ShardReport, versions: Iterable[str | None]) -> None:
+def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) -> None:
     said = {
         "parameters": spec.parameters,
         "versions": list(versions),
@@ -81,7 +81,7 @@ def _rejections(said: dict[str, dict[str, int]]) -> Rejections:
     return Rejections(**{what: Counter(counts) for what, counts in said.items()})
 
 
-def _noted(spec: ShardSpec, now: Sequence[str | None], there: dict[str, Object]) -> ShardReport | None:
+def _noted(spec: ShardTask, now: Sequence[str | None], there: dict[str, Object]) -> ShardReport | None:
     """What the report beside a shard says, if it is of just these objects."""
     path = spec.file.with_suffix(SUFFIX)
     if path.name not in there:
@@ -90,7 +90,11 @@ def _noted(spec: ShardSpec, now: Sequence[str | None], there: dict[str, Object])
         said = json.loads(read_bounded(path, MOST_BYTES))
         known = {item.name: said[item.name] for item in fields(Entry)}
         report = ShardReport(
-            **known, size=said["size"], rejected=_rejections(said["rejected"]), digests=bytes.fromhex(said["digests"])
+            **known,
+            size=said["size"],
+            rejected=_rejections(said["rejected"]),
+            digests=bytes.fromhex(said["digests"]),
+            more=spec.more,
         )
         fits = (said["parameters"], said["versions"], report.samples) == (spec.parameters, list(now), spec.samples)
         return report if fits and len(report.digests) == 32 * spec.samples else None

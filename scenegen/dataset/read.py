@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim import Sensor
 from scenegen import SPLITS
@@ -58,10 +59,8 @@ class Dataset:
 
         Raises DatasetError where there is no such world.
         """
-        member = f"{number:06d}.xml"
-        for shard in self.manifest.shards:
-            if shard.split != split or shard.first_world > number:
-                continue
+        for shard, own in self._shards_before(split, number):
+            member = f"{own:06d}.xml"
             with (
                 self._advice(),
                 open_file(self.folder / shard.worlds) as file,
@@ -72,6 +71,23 @@ class Dataset:
                     return {"world.xml": document} | others
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
+    def _shards_before(self, split: str, number: int) -> list[tuple[trust.Entry, int]]:
+        """The shards of a split that may hold its world `number`, the likeliest first, and the number that it bears
+        there."""
+        found = [(entry, number - self._first_world(entry)) for entry in self.manifest.shards if entry.split == split]
+        return sorted(
+            ((entry, own) for entry, own in found if entry.first_world <= own), key=lambda one: -one[0].first_world
+        )
+
+    def _first_world(self, entry: trust.Entry) -> int:
+        """See `trust.Manifest.first_world`."""
+        return self._first.get((entry.split, entry.source), 0) if isinstance(entry, trust.GatheredEntry) else 0
+
+    @cached_property
+    def _first(self) -> dict[tuple[str, int], int]:
+        it = self.manifest
+        return {(split, n): it.first_world(split, n) for split in SPLITS for n in range(len(it.sources))}
+
     def _shard(self, entry: trust.Entry) -> ShardFile:
         """An open shard, of this dataset by its own word."""
         path = self.folder / entry.file
@@ -81,7 +97,7 @@ class Dataset:
                 split=entry.split,
                 first_world=entry.first_world,
                 worlds_sha256=entry.worlds_sha256,
-                parameters=self.manifest.fingerprint,
+                parameters=self.manifest.home(entry).fingerprint,
             )
         return shard
 
@@ -100,8 +116,9 @@ class Split(Sequence[Sample]):
     def __init__(self, dataset: Dataset, name: str):
         self.dataset = dataset
         self.name = name
-        self._shards = [shard for shard in dataset.manifest.shards if shard.split == name]
-        self._start = np.cumsum([0, *(shard.samples for shard in self._shards)])
+        self.shards = [shard for shard in dataset.manifest.shards if shard.split == name]
+        """Its shards, as the manifest lists them."""
+        self._start = np.cumsum([0, *(shard.samples for shard in self.shards)])
         self._open: dict[int, ShardFile] = {}
         self._process = os.getpid()
 
@@ -152,7 +169,7 @@ class Split(Sequence[Sample]):
     def _shard(self, number: int) -> ShardFile:
         if self._process != os.getpid():  # a forked process has handles of its own to close, and opens its own files
             self._open, self._process = {}, os.getpid()
-        shard = self._open.pop(number, None) or self.dataset._shard(self._shards[number])
+        shard = self._open.pop(number, None) or self.dataset._shard(self.shards[number])
         self._open[number] = shard  # last in line: the one used longest ago stands first
         for old in list(self._open)[:-MOST_OPEN]:
             self._open.pop(old, None)  # closed once no other thread reads from it
@@ -162,16 +179,56 @@ class Split(Sequence[Sample]):
         """A stored field of a sample, by shard and row. Raises DatasetError."""
         shard = self._shard(number)
         with self.dataset._advice():
-            return shard.value(name, row)
+            value = shard.value(name, row)
+        return value + self.first_worlds[number] if name == "world" else value
+
+    @cached_property
+    def first_worlds(self) -> list[int]:
+        """What is added to the numbers of worlds that a shard holds, by shard."""
+        return [self.dataset._first_world(entry) for entry in self.shards]
+
+    def first(self, number: int) -> int:
+        """The number of a shard's first sample."""
+        return int(self._start[number])
+
+    def places(self, number: int) -> NDArray[np.int64]:
+        """Where a shard's samples, (N,), stand in the split of the dataset that they were made for. Raises
+        DatasetError."""
+        entry = self.shards[number]
+        start = self.first(number)
+        if isinstance(entry, trust.GatheredEntry):
+            start = entry.start
+            if entry.cut:
+                shard = self._shard(number)
+                with self.dataset._advice():
+                    numbering = self.dataset.manifest.home(entry).numbering(self.name)
+                    places: NDArray[np.int64] = numbering.place(shard.column("world"), shard.column("viewpoint"))
+                    return places
+        return np.arange(start, start + entry.samples)
+
+    def count_worlds(self) -> int:
+        """How many worlds its samples are of; files are opened only where samples were left out between others. Raises
+        DatasetError."""
+        found = [np.empty(0, np.int64)]
+        for number, entry in enumerate(self.shards):
+            with self.dataset._advice():
+                numbering = self.dataset.manifest.home(entry).numbering(self.name)
+            found.append(np.unique(numbering.name(self.places(number))[0]) + self.first_worlds[number])
+        return len(np.unique(np.concatenate(found)))
+
+    def home(self, index: int) -> trust.Manifest:
+        """What sample `index` was made for: this dataset, or one that it was taken from."""
+        return self.dataset.manifest.home(self.shards[self._place(index)[0]])
 
     @cached_property
     def names(self) -> list[tuple[str, int, int]]:
         """Who is who: (split, world, viewpoint) of every sample."""
         found = []
-        for number in range(len(self._shards)):
+        for number in range(len(self.shards)):
             shard = self._shard(number)
             with self.dataset._advice():
-                worlds, viewpoints = shard.column("world").tolist(), shard.column("viewpoint").tolist()
+                worlds = (shard.column("world") + self.first_worlds[number]).tolist()
+                viewpoints = shard.column("viewpoint").tolist()
             found += [(self.name, world, viewpoint) for world, viewpoint in zip(worlds, viewpoints, strict=True)]
         return found
 
@@ -215,4 +272,4 @@ class _Stored(LazySample):
             return derive_free(self.scans(), self.origin, grid=dataset.grid, fusion=dataset.manifest.mapping)
         except ValueError as error:
             with dataset._advice():
-                raise BrokenError(f"{self._split._shards[self._number].file}: sample {self._row}: {error}") from None
+                raise BrokenError(f"{self._split.shards[self._number].file}: sample {self._row}: {error}") from None

@@ -130,6 +130,10 @@ def plan_rescan(
     Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
     """
     found = dataset.manifest
+    if found.sources:
+        raise DatasetError(
+            f"{dataset.folder}: its samples were made for other datasets; scan those again, and take or merge then"
+        )
     if engine is None and found.engine not in ENGINES.known:
         raise DatasetError(
             f"{dataset.folder}: made with the engine {short(found.engine)}, which is not imported because a "

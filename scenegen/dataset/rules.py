@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any, TypeVar
 
 from scenegen.errors import BrokenError, short
@@ -76,9 +77,14 @@ def ruled(rule: Rule) -> Any:
 
 def checked(kind: type, found: Any, at: str) -> dict[str, Any]:
     """The values in the table `found` of those fields of the dataclass `kind` that have a rule. Raises BrokenError."""
-    rules = {item.name: item.metadata["rule"] for item in fields(kind) if "rule" in item.metadata}
+    rules = _rules_of(kind)
     check(found, rules, at)
     return {name: found[name] for name in rules}
+
+
+@cache  # a manifest lists up to a hundred thousand shards
+def _rules_of(kind: type) -> Mapping[str, Rule]:
+    return {item.name: item.metadata["rule"] for item in fields(kind) if "rule" in item.metadata}
 
 
 def made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:

@@ -5,8 +5,9 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
-from scenegen.dataset.layout import DIGEST, ShardFile, layout_of, open_file, open_shard
+from scenegen.dataset.layout import DIGEST, Layout, ShardFile, layout_of, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
 from scenegen.errors import BrokenError, DatasetError, printable
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
-from scenegen.sample import FIELDS, shape_of, stored_fields, whole
+from scenegen.sample import FIELDS, stored_fields, whole
 from scenegen.source import Source
 
 _LEVEL = 1
@@ -42,22 +43,62 @@ def find_engine(name: str) -> EngineFactory:
 
 
 @dataclass(frozen=True)
-class ShardSpec:
-    """All that one shard depends on; small, and can be pickled, so that any process anywhere can write it."""
+class ShardTask:
+    """A shard that is to be in a folder, whatever its samples come from; small, and can be pickled, so that any process
+    anywhere can write it."""
 
     folder: Path
     split: str
     index: int
     """The shard's place within its split."""
+    samples: int
+    parameters: str
+    """Digest of the parameters of the dataset that it is made for; written into the shard, so that it is never taken
+    for another dataset's."""
+
+    @property
+    def file(self) -> Path:
+        """Where the samples go."""
+        return self.folder / f"{self.split}-{self.index:05d}.h5"
+
+    @property
+    def worlds_file(self) -> Path:
+        """Where the worlds go."""
+        return self.folder / f"{self.split}-{self.index:05d}.worlds.zip"
+
+    @property
+    def layout(self) -> Layout:
+        """What the shard is to hold."""
+        raise NotImplementedError
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """Numbers of the worlds that its samples are of; a world may stand there several times."""
+        raise NotImplementedError
+
+    @property
+    def more(self) -> Mapping[str, int]:
+        """What its entry in the manifest says besides."""
+        return {}
+
+    def prepare(self) -> None:
+        """Have done in this process what every writing process would else do by itself."""
+
+    def write(self) -> "ShardReport":
+        """Write the shard."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShardSpec(ShardTask):
+    """A shard whose units are drawn: all that its samples depend on."""
+
     first_unit: int
     units: int
-    samples: int
-    """Samples in the shard: those of its units, in order, cut to this."""
+    """How many; their samples, in order, are cut to `samples`."""
     seed: int
     compact: bool
     """Leave out what can be derived."""
-    parameters: str
-    """Digest of the manifest's parameters; written into the shard, so that it is never taken for another dataset's."""
     recipe: Recipe
     source: Source
     engine: str = DEFAULT
@@ -77,19 +118,37 @@ class ShardSpec:
         )
 
     @property
-    def fields(self) -> tuple[str, ...]:
-        """Names of the fields that it stores."""
-        return stored_fields(self.compact, labels=self.recipe.labels is not None, scans=self.recipe.mapping.scans)
+    def layout(self) -> Layout:
+        """See `ShardTask`."""
+        it, scans = self.recipe, self.recipe.mapping.scans
+        return layout_of(
+            stored_fields(self.compact, labels=it.labels is not None, scans=scans), it.grid, it.lidar, scans
+        )
 
     @property
-    def file(self) -> Path:
-        """Where the samples go."""
-        return self.folder / f"{self.split}-{self.index:05d}.h5"
+    def numbers(self) -> Sequence[int]:
+        """See `ShardTask`."""
+        return [self.source.number(self.split, self.first_unit + n)[0] for n in range(self.units)]
 
-    @property
-    def worlds_file(self) -> Path:
-        """Where the worlds go."""
-        return self.folder / f"{self.split}-{self.index:05d}.worlds.zip"
+    def prepare(self) -> None:
+        """See `ShardTask`: kernels are compiled, and hopeless parameters end here."""
+        self.draw(self.first_unit)
+
+    def write(self) -> "ShardReport":
+        """See `ShardTask`: its units are drawn into memory, a few megabytes. Raises GenerationError, DatasetError."""
+        rejected, documents = Rejections(), dict[str, bytes]()
+
+        def drawn() -> Iterator[tuple[Callable[[str], Any], bytes]]:
+            left = self.samples
+            for unit in map(self.draw, range(self.first_unit, self.first_unit + self.units)):
+                rejected.worlds.update(unit.rejected.worlds)
+                rejected.viewpoints.update(unit.rejected.viewpoints)
+                documents.update({f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets})
+                for sample in unit.samples[: max(left, 0)]:
+                    yield partial(getattr, sample), sample.sha256()
+                left -= len(unit.samples)
+
+        return put(self, drawn(), documents, rejected)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,33 +160,42 @@ class ShardReport(Entry):
     rejected: Rejections
     digests: bytes
     """The samples' own SHA-256s, 32 bytes each, in order."""
+    more: Mapping[str, int] = field(default_factory=dict)
+    """See `ShardTask.more`."""
 
     def entry(self) -> dict[str, Any]:
         """The shard's entry in the manifest."""
-        return {item.name: getattr(self, item.name) for item in fields(Entry)}
+        return {item.name: getattr(self, item.name) for item in fields(Entry)} | dict(self.more)
 
 
-def write_shard(spec: ShardSpec) -> ShardReport:
-    """Draw a shard's units and write it: the worlds first, then the samples, which commit it. Pure but for these files.
+def write_shard(spec: ShardTask) -> ShardReport:
+    """Write a shard, whatever its samples come from. Pure but for its files. Raises GenerationError, DatasetError."""
+    return spec.write()
 
-    A shard is made in memory: a few megabytes, whatever the dataset's size. Raises GenerationError, DatasetError.
+
+def put(
+    spec: ShardTask,
+    samples: Iterable[tuple[Callable[[str], Any], bytes]],
+    documents: Mapping[str, bytes],
+    rejected: Rejections,
+) -> ShardReport:
+    """Write a shard of `samples`, each a function of its fields' names and its digest, and of worlds: these first, then
+    the samples, which commit it. `documents` and `rejected` are looked at once the samples have come to their end.
+
+    Raises DatasetError, and whatever `samples` raise.
     """
-    rejected, digests, numbers, documents = Rejections(), list[bytes](), list[int](), dict[str, bytes]()
+    digests = list[bytes]()
+    layout = {name: column for name, column in spec.layout.items() if name != DIGEST}
     with h5py.File(spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20) as file:
-        packed = _create(file, spec)
-        small: dict[str, list[Any]] = {name: [] for name in spec.fields if name not in packed}
-        for unit in map(spec.draw, range(spec.first_unit, spec.first_unit + spec.units)):
-            rejected.worlds.update(unit.rejected.worlds)
-            rejected.viewpoints.update(unit.rejected.viewpoints)
-            numbers.append(unit.number)
-            documents |= {f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets}
-            for sample in unit.samples[: spec.samples - len(digests)]:
-                for name, values in small.items():
-                    values.append(getattr(sample, name))
-                for name, column in packed.items():
-                    value = getattr(sample, name)
-                    column.write_direct_chunk((len(digests),) + (0,) * value.ndim, compress(value))
-                digests.append(sample.sha256())
+        packed = _create(file, layout, spec.samples)
+        small: dict[str, list[Any]] = {name: [] for name in layout if name not in packed}
+        for value_of, digest in samples:
+            for name, values in small.items():
+                values.append(value_of(name))
+            for name, column in packed.items():
+                value = value_of(name)
+                column.write_direct_chunk((len(digests),) + (0,) * value.ndim, compress(value))
+            digests.append(digest)
         for name, values in small.items():
             file[name][:] = np.array(values)
         own = b"".join(digests)
@@ -135,47 +203,43 @@ def write_shard(spec: ShardSpec) -> ShardReport:
         worlds = zip_reproducibly(documents.items())
         counted = {"worlds": rejected.worlds, "viewpoints": rejected.viewpoints}
         file.attrs["split"] = spec.split
-        file.attrs["first_world"] = min(numbers)
+        file.attrs["first_world"] = min(spec.numbers)
         file.attrs["worlds_sha256"] = file_digest(worlds)
         file.attrs["parameters"] = spec.parameters
         file.attrs["rejected"] = json.dumps(counted, sort_keys=True)
         file.flush()
-        samples = file.id.get_file_image()
+        content = file.id.get_file_image()
     write_whole(spec.worlds_file, worlds)
-    write_whole(spec.file, samples)
-    sums = file_digest(samples), file_digest(worlds)
-    return _report(spec, min(numbers), sums, len(samples) + len(worlds), rejected, own)
+    write_whole(spec.file, content)
+    sums = file_digest(content), file_digest(worlds)
+    return _report(spec, sums, len(content) + len(worlds), rejected, own)
 
 
-def _create(file: h5py.File, spec: ShardSpec) -> dict[str, h5py.h5d.DatasetID]:
+def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d.DatasetID]:
     """Make the shard's datasets, one chunk a sample, and return those that are packed: grids and ranges."""
     found = {}
-    for name in spec.fields:
-        shape = shape_of(name, spec.recipe.grid, spec.recipe.lidar, spec.recipe.mapping.scans)
+    for name, (dtype, shape) in layout.items():
         packed = not {"grid", "rays"}.isdisjoint(FIELDS[name]["axes"].split())
         packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
-        dataset = file.create_dataset(
-            name, shape=(spec.samples, *shape), dtype=FIELDS[name]["dtype"], chunks=(1, *shape), **packing
-        )
+        dataset = file.create_dataset(name, shape=(samples, *shape), dtype=dtype, chunks=(1, *shape), **packing)
         if packed:  # the others are closed meanwhile, which decides where HDF5 puts what
             found[name] = dataset.id
     return found
 
 
-def _report(
-    spec: ShardSpec, first_world: int, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
-) -> ShardReport:
+def _report(spec: ShardTask, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes) -> ShardReport:
     return ShardReport(
         file=spec.file.name,
         worlds=spec.worlds_file.name,
         split=spec.split,
         samples=spec.samples,
-        first_world=first_world,
+        first_world=min(spec.numbers),
         sha256=sums[0],
         worlds_sha256=sums[1],
         size=size,
         rejected=rejected,
         digests=digests,
+        more=spec.more,
     )
 
 
@@ -189,31 +253,31 @@ def file_digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def read_report(spec: ShardSpec, listed: Entry | None = None, *, verify: bool = False) -> ShardReport | None:
+def read_report(spec: ShardTask, listed: Entry | None = None, *, verify: bool = False) -> ShardReport | None:
     """The report of a shard that is on disk already, or None where there is none that `spec` describes.
 
     A shard whose files are no longer what the manifest's entry `listed` says, or whose archive is not the one that was
     written with it, is damaged, and counts as absent. `verify` also holds samples against their own digests where there
     is no such entry.
     """
-    layout = layout_of(spec.fields, spec.recipe.grid, spec.recipe.lidar, spec.recipe.mapping.scans)
     try:
         with open_file(spec.file) as file, open_file(spec.worlds_file) as worlds:
-            shard = open_shard(file, spec.file, spec.samples, layout)
+            shard = open_shard(file, spec.file, spec.samples, spec.layout)
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
             sums = hashlib.file_digest(file, "sha256").hexdigest(), hashlib.file_digest(worlds, "sha256").hexdigest()
-            first = min(spec.source.number(spec.split, spec.first_unit + n)[0] for n in range(spec.units))
-            shard.check_origin(split=spec.split, first_world=first, worlds_sha256=sums[1], parameters=spec.parameters)
+            shard.check_origin(
+                split=spec.split, first_world=min(spec.numbers), worlds_sha256=sums[1], parameters=spec.parameters
+            )
             if listed is not None and (listed.sha256, listed.worlds_sha256) != sums:
                 return None
             if listed is None and verify and not _digests_hold(shard):
                 return None
-            return _report(spec, first, sums, size, Rejections(**shard.rejected()), shard.column(DIGEST).tobytes())
+            return _report(spec, sums, size, Rejections(**shard.rejected()), shard.column(DIGEST).tobytes())
     except (BrokenError, OSError, KeyError, ValueError):
         return None
 
 
-def relabel(spec: ShardSpec, old: str, listed: Entry) -> None:
+def relabel(spec: ShardTask, old: str, listed: Entry) -> None:
     """Have a shard of the dataset whose parameters have the digest `old`, as its manifest's entry `listed` has it,
     carry those of `spec` in their place; it is left alone where it is not just that shard."""
     try:

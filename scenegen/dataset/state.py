@@ -11,9 +11,9 @@ from typing import Any
 
 from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
-from scenegen.dataset import manifest, placed, trust
+from scenegen.dataset import manifest, noted, placed, trust
 from scenegen.dataset.sensor import write_rays
-from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, relabel
+from scenegen.dataset.shard import ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, names_in, remove_drafts
 from scenegen.places import PlacePath
@@ -31,7 +31,7 @@ class Plan:
 
     folder: Path
     parameters: dict[str, Any]
-    shards: tuple[ShardSpec, ...]
+    shards: tuple[ShardTask, ...]
     lidar: Sensor
 
     @property
@@ -126,7 +126,7 @@ class State:
         self.note()
         self._smaller = None
 
-    def look(self, shards: Sequence[ShardSpec], *, workers: int = 1) -> None:
+    def look(self, shards: Sequence[ShardTask], *, workers: int = 1) -> None:
         """Take in those of `shards` that are on disk, are not known yet, and are as the manifest says.
 
         The samples of those that it does not list are held against their own digests. Each worker reads its part.
@@ -135,10 +135,14 @@ class State:
             return
         there = names_in(self.plan.folder)
         unknown = [shard for shard in shards if shard.file not in self.reports and shard.file.name in there]
-        tasks = [(shard, self._listed.get(shard.file.name)) for shard in unknown]
+        listed = self._listed
         if isinstance(self.plan.folder, PlacePath):
+            tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
             self.reports |= {self.plan.folder / report.file: report for report in placed.look(self.plan.folder, tasks)}
             return
+        if any(shard.file.name not in listed for shard in unknown):
+            listed = {**noted.read(self.plan.folder, manifest.fingerprint(self.plan.parameters)), **listed}
+        tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
         with closing(run(_report, tasks, workers if len(tasks) >= MANY else 1)) as reports:
             self.reports |= {self.plan.folder / report.file: report for report in reports if report is not None}
 
@@ -153,6 +157,8 @@ class State:
         except OSError as error:
             raise disk_error(folder, error) from None
         begun = self.begun
+        if not begun:
+            noted.remove(folder)
         if not begun or not (folder / manifest.NAME).exists():
             # the new manifest comes first: shards that carry another fingerprint are not taken for its own
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
@@ -163,18 +169,28 @@ class State:
             if not begun or file not in planned:  # another dataset's, or left by a replacement that was killed
                 file.unlink(missing_ok=True)
 
-    def note(self) -> None:
-        """Write the manifest of the shards that are known, for a run that is stopped: the next one hashes their files,
-        and not their samples."""
+    def note(self, mine: Sequence[ShardTask] | None = None) -> None:
+        """Write down the shards that are known, for a run that is stopped: the next one hashes their files, and not
+        their samples. The manifest lists them; those of a job that sees to `mine` alone stand in a file of its own."""
+        if mine is not None and len(mine) < len(self.plan.shards):
+            if isinstance(self.plan.folder, PlacePath):
+                return  # a report lies beside each shard
+            reports = [self.reports[shard.file] for shard in mine if shard.file in self.reports]
+            parameters = manifest.fingerprint(self.plan.parameters)
+            noted.write(self.plan.folder, parameters, [shard.file for shard in mine], reports)
+            return
         manifest.write(self.plan.folder, manifest.assemble(self.plan.parameters, self._known(), complete=False))
 
     def sign(self, *, workers: int = 1) -> dict[str, Any]:
         """Write the manifest, complete if no shard is missing; the manifest.
 
         Other jobs may write shards meanwhile, and manifests. The one that finds a file of every shard looks at all of
-        them; others leave what is not theirs alone, but look again once they have written.
+        them; others leave what is not theirs alone, but look again once they have written. A job whose shards are all
+        in a complete manifest already is done.
         """
         while True:
+            if len(self.reports) < len(self.plan.shards) and self._is_signed(there := manifest.read(self.plan.folder)):
+                return there
             if whole := not self.absent():
                 self.look(self.plan.shards, workers=workers)
             final = manifest.assemble(
@@ -182,10 +198,20 @@ class State:
             )
             if manifest.read(self.plan.folder) != final:
                 manifest.write(self.plan.folder, final)
+            if final["complete"]:
+                noted.remove(self.plan.folder)
             if whole or self.absent():
                 return final
 
-    def absent(self) -> list[ShardSpec]:
+    def _is_signed(self, there: Mapping[str, Any]) -> bool:
+        """Whether the manifest `there` is complete, and lists what is known just so."""
+        if there.get("complete") is not True or manifest.parameters_of(there) != self.plan.parameters:
+            return False
+        entries = [entry for entry in there["shards"] if isinstance(entry, dict)]
+        listed = {entry.get("file"): entry for entry in entries}
+        return all(listed.get(report.file) == report.entry() for report in self.reports.values())
+
+    def absent(self) -> list[ShardTask]:
         """Shards that are neither known nor on disk."""
         there = names_in(self.plan.folder)
         return [shard for shard in self.plan.shards if shard.file not in self.reports and shard.file.name not in there]
@@ -204,7 +230,7 @@ def _grows(there: Mapping[str, Any], asked: Mapping[str, Any], differing: Sequen
     )
 
 
-def _report(task: tuple[ShardSpec, trust.Entry | None]) -> ShardReport | None:
+def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
     return read_report(*task, verify=True)
 
 

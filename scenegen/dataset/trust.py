@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,7 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.noise import check_noise, is_ours, noise_of
+from scenegen.dataset.numbering import Numbering
 from scenegen.dataset.rules import (
     DIGEST,
     FLAG,
@@ -40,6 +41,8 @@ from scenegen.limits import (
     MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
     MOST_SEED,
+    MOST_SOURCES,
+    MOST_VIEWPOINTS,
     MOST_VOXELS,
 )
 from scenegen.mapping import Mapper
@@ -72,6 +75,13 @@ _LABELS = {
     ),
 }
 _GIVEN = Rule(lambda value: True, "a value")
+_ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
+_LIST_OF_SOURCES = Rule(
+    lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES, "datasets, one at least"
+)
+_SOURCE = {"digest": DIGEST, "parameters": TABLE, "taken": LIST}
+ALIKE = ("format", "generator", "fields", "grid", "lidar", "noise", "labels", "mapping")
+"""Parameters in which all datasets agree whose samples are in one."""
 _TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
 _FILE = text(r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)", "such as train-00000.h5 or train-00000.worlds.zip")
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
@@ -108,6 +118,23 @@ class Entry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GatheredEntry(Entry):
+    """A shard whose samples were made for another dataset, in their order there."""
+
+    source: int = ruled(whole(0, MOST_SOURCES - 1))
+    """Which of the manifest's `sources` that is."""
+    start: int = ruled(_COUNT)
+    """Place of its first sample in that dataset's split."""
+    stop: int = ruled(_COUNT)
+    """One more than that of its last."""
+
+    @property
+    def cut(self) -> bool:
+        """Whether some of the samples between were left out."""
+        return self.samples < self.stop - self.start
+
+
+@dataclass(frozen=True, kw_only=True)
 class Manifest:
     """A manifest whose values have the types and the bounds that readers rely on."""
 
@@ -116,7 +143,8 @@ class Manifest:
     generator: int = ruled(whole(1, MOST_SEED))
     """The generator that made the dataset, see `scenegen.GENERATOR`."""
     kind: str = ruled(text(rf"(?=.{{1,{MOST_KIND_NAME}}}$)\w[\w.-]*(:\w+)?", "the name of a kind of worlds"))
-    seed: int = ruled(whole(0, MOST_SEED))
+    seed: int = ruled(optional(whole(0, MOST_SEED)))
+    """None where its `sources` have different ones; of a dataset without `sources`, and of a source, always there."""
     counts: Mapping[str, int] = ruled(TABLE)
     """Samples that each split is to hold."""
     tables: Mapping[str, Any]
@@ -136,6 +164,8 @@ class Manifest:
     """The `digest` of the dataset whose worlds and poses were scanned again; None where they were drawn."""
     mapping: Mapper
     """How maps are made."""
+    sources: tuple["Manifest", ...] = ()
+    """The datasets that its samples were made for, each without shards; none where they were made for this one."""
     shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
     software: Mapping[str, str] = ruled(_TEXTS)
     complete: bool = ruled(FLAG)
@@ -169,6 +199,28 @@ class Manifest:
     def fingerprint(self) -> str:
         """What every shard carries, so that it is not taken for another dataset's."""
         return manifest.fingerprint(self.parameters)
+
+    def home(self, entry: Entry) -> "Manifest":
+        """What a shard's samples were made for: one of the `sources`, or this dataset."""
+        return self.sources[entry.source] if isinstance(entry, GatheredEntry) else self
+
+    @property
+    def scenes(self) -> Mapping[str, Sequence[Mapping[str, str]]] | None:
+        """Worlds from MJCF files, by split: {"file", "sha256"}; None where a recipe drew them."""
+        return self.tables.get("scenes") if self.kind == "scene" else None
+
+    def numbering(self, split: str) -> Numbering:
+        """How a split's samples are numbered. Raises BrokenError where the recipe does not say."""
+        flight = self.tables.get("flight", {})
+        check(flight, {"viewpoints": whole(1, MOST_VIEWPOINTS)}, "recipe.flight")
+        scenes = None if self.scenes is None else max(len(self.scenes.get(split, ())), 1)
+        return Numbering(viewpoints=flight["viewpoints"], scenes=scenes)
+
+    def first_world(self, split: str, source: int) -> int:
+        """What readers add to the number of a world that a sample of `sources` number `source` bears, so that worlds of
+        a split have numbers of their own."""
+        counted = [(one.numbering(split), one.counts[split]) for one in self.sources[:source]]
+        return sum(len(numbering.worlds(0, samples)) for numbering, samples in counted if samples)
 
     @property
     def noise_stages(self) -> str:
@@ -220,6 +272,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     found: dict[str, Any] = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | dict(document)
     plain = checked(Manifest, found, "")
     check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE, "lidar": TABLE}, "")
+    check(found, {"sources": optional(_LIST_OF_SOURCES)}, "")
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
     check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
     check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
@@ -235,7 +288,11 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     if found["version"] != (expected := manifest.version_of(found)):
         named = ", ".join(name for name in MINOR if found[name] is not None) or "nothing of a minor version"
         raise BrokenError(f"version = {short(found['version'])}: expected {expected} with {named}")
-    shards = tuple(Entry(**checked(Entry, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
+    sources = _sources(found, folder)
+    kind = GatheredEntry if sources else Entry
+    shards = tuple(kind(**checked(kind, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
+    for n, entry in enumerate(shards):
+        _check_place(entry, sources, f"shards.{n}")
     for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
         if count > 1:
             raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
@@ -248,6 +305,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     return Manifest(
         **plain,
         mapping=mapping,
+        sources=sources,
         parameters=manifest.parameters_of(document),
         tables=found["recipe"],
         fields=tuple(found["fields"]),
@@ -269,6 +327,43 @@ def _mapping(entry: Any, grid: GridSpec, lidar: Mapping[str, Any]) -> Mapper:
     except ValueError as error:
         raise BrokenError(str(error)) from None
     return mapping
+
+
+def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
+    """The datasets that the samples of a manifest, `found`, were made for, which agree with it. Raises BrokenError."""
+    if found["sources"] is None:
+        check(found, {"seed": whole(0, MOST_SEED)}, "")
+        return ()
+    sources = []
+    for n, entry in enumerate(found["sources"]):
+        at = f"sources.{n}"
+        check(entry, _SOURCE, at, _SOURCE)
+        given = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | entry["parameters"]
+        check(given, {"sources": _ABSENT}, f"{at}.parameters")
+        for name in ALIKE:
+            if given.get(name) != found.get(name):
+                raise BrokenError(f"{at}.parameters.{name}: expected what the manifest itself says")
+        whole_of = {"complete": True, "shards": [], "rejected": {"worlds": {}, "viewpoints": {}}}
+        try:
+            source = parse({**entry["parameters"], **whole_of, "digest": entry["digest"]}, folder)
+            source.numbering("train")
+        except (BrokenError, KeyError) as error:
+            raise BrokenError(f"{at}.parameters: {printable(error)}") from None
+        sources.append(source)
+    return tuple(sources)
+
+
+def _check_place(entry: Entry, sources: Sequence[Manifest], at: str) -> None:
+    """Raise BrokenError where a shard cannot be of what it says it was made for."""
+    if not isinstance(entry, GatheredEntry):
+        return
+    if entry.source >= len(sources):
+        raise BrokenError(f"{at}.source = {entry.source}: expected less than {len(sources)}, the number of `sources`")
+    most = sources[entry.source].counts[entry.split]
+    if not entry.samples <= entry.stop - entry.start or entry.stop > most:
+        raise BrokenError(
+            f"{at}: {entry.samples} samples from {entry.start} to {entry.stop}: expected as many places, up to {most}"
+        )
 
 
 def load(folder: Path, name: str = "") -> Manifest:

@@ -82,6 +82,11 @@ def examine(request: Request) -> Dataset:
     find_licence(request.licence)
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
+    if dataset.manifest.sources:
+        raise PublishError(
+            f"{request.dataset}: its samples were made for other datasets, and no one command makes them again; "
+            "publish those, and say how they were merged or taken"
+        )
     files = len(dataset.manifest.files) + _BESIDES
     if files > MOST_FILES:
         samples = sum(shard.samples for shard in dataset.manifest.shards)

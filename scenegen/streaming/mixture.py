@@ -31,7 +31,7 @@ class Mixture:
         _check_alike(self.components)
         each = [component.viewpoints for component in components]
         shares = [
-            _fraction(weight, component.label) / count
+            fraction(weight, component.label) / count
             for weight, component, count in zip(weights, components, each, strict=True)
         ]
         whole = math.lcm(*(share.denominator for share in shares))
@@ -79,12 +79,12 @@ def parts_of(worlds: Any) -> list[tuple[Any, Any]]:
     return [(worlds, 1)]
 
 
-def _fraction(weight: Any, label: str) -> Fraction:
-    """A weight, exactly as it is written."""
+def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
+    """A weight, exactly as it is written. Raises RecipeError, which says of `what` it is."""
     number = isinstance(weight, numbers.Real) and not isinstance(weight, bool)
     if not number or not 0 < weight <= MOST_WEIGHT:  # which NaN is not
         raise RecipeError(
-            f"stream: weight of {label} = {short(weight)}: expected a number above 0, up to {MOST_WEIGHT}"
+            f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to {MOST_WEIGHT}"
         )
     return Fraction(str(weight if isinstance(weight, int) else float(weight)))
 

@@ -1,5 +1,6 @@
 """Types of options and arguments: what is wrong with one is told before anything begins."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -153,3 +154,37 @@ class ShardRange(click.ParamType):
         if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
             self.fail(f"{str(value)[:60]!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx)
         return int(first), int(stop)
+
+
+class Ranges(click.ParamType):
+    """Whole numbers and ranges of them, as in Python, with commas between: 3,10:20."""
+
+    name = "n,first:stop"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[tuple[int, int], ...]:
+        """(first, stop) of each."""
+        if isinstance(value, tuple):
+            return value
+        found = []
+        for part in str(value).split(","):
+            if part.isdecimal() and len(part) <= 12:
+                found.append((int(part), int(part) + 1))
+            else:
+                found.append(ShardRange().convert(part, param, ctx))
+        return tuple(found)
+
+
+class Written(click.ParamType):
+    """A value that `read` makes of its text; it raises ValueError, in one line, where it cannot."""
+
+    def __init__(self, read: Callable[[str], Any], name: str):
+        self.read, self.name = read, name.lower()
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The value."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return self.read(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)

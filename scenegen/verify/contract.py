@@ -1,13 +1,13 @@
 """The manifest, taken at its word only after every value in it has been checked."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
-from scenegen.dataset.trust import Entry, Manifest
+from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
 from scenegen.errors import DatasetError, printable, short
 from scenegen.recipes import find_kind
 from scenegen.verify.report import BrokenError, Ledger, Page
@@ -22,27 +22,19 @@ class Contract(Manifest):
         return self.recipe.flight.viewpoints
 
     @property
-    def scenes(self) -> Mapping[str, Sequence[Mapping[str, str]]] | None:
-        """Worlds from MJCF files, by split: {"file", "sha256"}; None where a recipe drew them."""
-        return self.tables["scenes"] if self.kind == "scene" else None
+    def homes(self) -> list["Contract"]:
+        """What its samples were made for: its `sources`, or this dataset."""
+        return [one for one in self.sources if isinstance(one, Contract)] or [self]
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Place of every shard's first sample within its split."""
+        """Place of every shard's first sample within the split of the dataset that it was made for."""
         total = dict.fromkeys(SPLITS, 0)
         found = []
         for entry in self.shards:
-            found.append(total[entry.split])
+            found.append(entry.start if isinstance(entry, GatheredEntry) else total[entry.split])
             total[entry.split] += entry.samples
         return tuple(found)
-
-    def worlds(self, split: str, start: int, samples: int) -> Sequence[int]:
-        """Numbers of the worlds that so many samples of a split are of, from the one at `start` on, rising."""
-        units = range(start // self.viewpoints, (start + samples - 1) // self.viewpoints + 1)
-        if self.scenes is None:
-            return units
-        count = len(self.scenes[split])
-        return sorted({unit % count for unit in units[:count]})
 
     def of_scans(self, stored: Callable[[str], Any], *names: str) -> Iterable[tuple[Any, ...]]:
         """The fields `names` of each scan of a sample whose fields are `stored`: its own, and those before it."""
@@ -50,14 +42,6 @@ class Contract(Manifest):
         if self.mapping.scans > 1:
             columns = [[*own, *stored(f"earlier_{name}")] for own, name in zip(columns, names, strict=True)]
         return zip(*columns, strict=True)
-
-    def name(self, split: str, place: int) -> tuple[int, int]:
-        """(world, viewpoint) of the sample at `place` in its split, as docs/format.md numbers them."""
-        unit, view = divmod(place, self.viewpoints)
-        if self.scenes is None:
-            return unit, view
-        turn, world = divmod(unit, len(self.scenes[split]))
-        return world, turn * self.viewpoints + view
 
 
 def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Contract | None:
@@ -73,10 +57,13 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Cont
     with ledger.checking("manifest") as page:
         page.count(files=1)
         try:
-            found = Contract(**vars(trust.parse(given, folder, kind)))
-            if found.kind == "scene" and found.tables.get("scenes") is None:
-                raise BrokenError("recipe.scenes = None: expected the worlds of each split")
-            found.recipe  # noqa: B018 (spelled out now, so that what is wrong with it is found here)
+            parsed = trust.parse(given, folder, kind)
+            sources = tuple(Contract(**vars(one)) for one in parsed.sources)
+            found = Contract(**{**vars(parsed), "sources": sources})
+            for home in found.homes:
+                if home.kind == "scene" and home.scenes is None:
+                    raise BrokenError("recipe.scenes = None: expected the worlds of each split")
+                home.recipe  # noqa: B018 (spelled out now, so that what is wrong with it is found here)
         except BrokenError as error:
             raise BrokenError(f"{manifest.NAME}: {error}") from None
         _check_shards(found, page)
@@ -113,11 +100,12 @@ def _check_shards(contract: Contract, page: Page) -> None:
             total == asked if whole else total <= asked,
             f"{where}: counts.{split} = {asked}, but its shards hold {total} samples",
         )
-        if contract.scenes is not None and entries and not contract.scenes.get(split):
-            raise BrokenError(f"{where}: recipe.scenes names no world for {split}, which has samples")
         for number, entry in enumerate(entries):
+            scenes = contract.home(entry).scenes
+            if scenes is not None and not scenes.get(split):
+                raise BrokenError(f"{where}: recipe.scenes names no world for {split}, which has samples")
             _check_name(entry, number if whole else None, page)
-            full = number == len(entries) - 1 or entry.samples % contract.viewpoints == 0
+            full = bool(contract.sources) or number == len(entries) - 1 or entry.samples % contract.viewpoints == 0
             page.expect(full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut")
     listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
     files = {path.name for path in contract.folder.iterdir() if path.suffix in (".h5", ".zip")}

@@ -1,18 +1,22 @@
 """`verify` holds a dataset folder against the contract: every shard in a process of its own, then all together."""
 
+from collections import deque
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from scenegen.executors import Executor
 from scenegen.executors.local import Local
 from scenegen.verify.checks import CHECKS
 from scenegen.verify.checks.files import EXAMINED
-from scenegen.verify.contract import read_contract
+from scenegen.verify.contract import Contract, read_contract
 from scenegen.verify.regenerate import why_not_comparable, why_not_scanned
 from scenegen.verify.report import Ledger, Report
 from scenegen.verify.shard import Findings, examine
 from scenegen.verify.stages import Task
+from scenegen.verify.twins import MOST_TWINS
 from scenegen.verify.warm import warm_up
 from scenegen.workers import Limited
 
@@ -50,24 +54,20 @@ def verify(
         outcomes = ledger.outcomes(check.name for check in CHECKS)
         return Report(folder=str(folder), quick=quick, seed=seed, samples=0, checks=outcomes)
     checks = [check for check in CHECKS if check.applies(contract, quick=quick)]
-    reasons = {"not_comparable": why_not_comparable(contract), "not_scanned": why_not_scanned(contract)}
-    whole = [
-        Task(contract=contract, number=number, start=start, quick=quick, seed=seed, **reasons)
-        for number, start in enumerate(contract.starts)
-    ]
+    whole = _tasks(contract, quick=quick, seed=seed)
     tasks = execute.mine(whole)
     samples = sum(task.entry.samples for task in tasks)
-    findings: list[Findings] = []
+    order, waiting = deque(task.number for task in tasks), dict[int, Findings]()
     if tasks and not quick:
         warm_up()
     guarded = Limited(examine, _seconds, MEMORY_BYTES, _given_up)
     with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
         for found in results:
-            findings.append(found)
+            waiting[found.number] = found
+            while order and order[0] in waiting:  # in the order of shards, and no more of them kept than are early
+                ledger.add(waiting.pop(order.popleft()).ledger)
+                ledger.page(EXAMINED.name).count(shards=1)
             on_done(found.samples)
-    for found in sorted(findings, key=lambda found: found.number):
-        ledger.add(found.ledger)
-        ledger.page(EXAMINED.name).count(shards=1)
     for check in checks:
         with ledger.checking(check.name) as page:
             if check.folder is not None and len(tasks) == len(whole):
@@ -78,6 +78,29 @@ def verify(
                 page.skipped = "nothing that could be examined: see what failed"
     outcomes = ledger.outcomes(check.name for check in checks)
     return Report(folder=str(folder), quick=quick, seed=seed, samples=samples, checks=outcomes)
+
+
+def _tasks(contract: Contract, *, quick: bool, seed: int) -> list[Task]:
+    """One a shard; none carries the list of all shards, which would make their sum grow as its square."""
+    homes: list[dict[str, Any]] = []
+    every = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
+    for home in contract.homes:
+        lean = replace(home, shards=())
+        lean.recipe, lean.fingerprint  # noqa: B018 (worked out once, and carried along)
+        reasons = {"not_comparable": why_not_comparable(home), "not_scanned": why_not_scanned(home)}
+        homes.append({"contract": lean, **reasons})
+    return [
+        Task(
+            entry=entry,
+            number=number,
+            start=start,
+            quick=quick,
+            seed=seed,
+            twins_of=every,
+            **homes[getattr(entry, "source", 0)],
+        )
+        for number, (entry, start) in enumerate(zip(contract.shards, contract.starts, strict=True))
+    ]
 
 
 def _seconds(task: Task) -> float:

@@ -44,7 +44,7 @@ def regenerate(
     engine = ENGINES.find(contract.engine).of
     try:
         if contract.rescan is not None:
-            names = contract.name(split, unit * contract.viewpoints)
+            names = contract.numbering(split).name(unit * contract.viewpoints)
             world, seed = archived_world(archive, names[0]), contract.seed
             return scan_again(world, poses(), recipe, seed=seed, split=split, unit=unit, names=names, engine=engine)
         source = DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, archive=archive)

@@ -2,7 +2,7 @@
 
 import functools
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BufferedReader
 from typing import Any
@@ -14,7 +14,7 @@ from lidarsim import Engine, ObservedGrid, Pose, Scan, fuse
 from lidarsim.engines import ENGINES
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.trust import Entry
+from scenegen.dataset.trust import Entry, GatheredEntry
 from scenegen.verify.archive import Archive, archived_world, auditor, compile_solids
 from scenegen.verify.contract import Contract
 from scenegen.verify.report import BrokenError
@@ -30,21 +30,31 @@ class Task:
     """All that examining one shard depends on."""
 
     contract: Contract
+    """What is promised of the dataset that the shard was made for; its other shards are not in it."""
+    entry: Entry
+    """The shard, as the manifest lists it."""
     number: int
-    """The shard's place in the manifest."""
+    """Its place in the manifest."""
     start: int
-    """Place of its first sample within its split."""
+    """Place of its first sample within the split of the dataset that it was made for."""
     quick: bool
     seed: int
+    twins_of: int
+    """One of so many samples is compared with those of other splits."""
     not_comparable: str
     """Why samples made here need not have the dataset's bits; empty where they must."""
     not_scanned: str = ""
     """Why scans made here of its archived worlds need not have its bits; empty where they must."""
 
     @property
-    def entry(self) -> Entry:
-        """The shard's entry in the manifest."""
-        return self.contract.shards[self.number]
+    def stop(self) -> int:
+        """One more than the place of its last sample."""
+        return self.entry.stop if isinstance(self.entry, GatheredEntry) else self.start + self.entry.samples
+
+    @property
+    def cut(self) -> bool:
+        """Whether some of the samples between were left out."""
+        return isinstance(self.entry, GatheredEntry) and self.entry.cut
 
     @property
     def file(self) -> str:
@@ -117,6 +127,21 @@ class Shard:
     def rng(self) -> np.random.Generator:
         """What is chosen at random in this shard comes from here, in the order of its samples."""
         return np.random.default_rng(np.random.SeedSequence(self.task.seed, spawn_key=(self.task.number,)))
+
+    @functools.cached_property
+    def places(self) -> Sequence[int]:
+        """Places of its samples; where it is cut, as their names tell. Raises BrokenError."""
+        task = self.task
+        if not task.cut:
+            return range(task.start, task.stop)
+        numbering = task.contract.numbering(task.entry.split)
+        found: list[int] = numbering.place(self.file.column("world"), self.file.column("viewpoint")).tolist()
+        if (min(found), max(found)) != (task.start, task.stop - 1):
+            raise BrokenError(
+                f"{task.entry.file}: its samples stood from {min(found)} to {max(found)} in their split, the manifest "
+                f"says {task.start} to {task.stop - 1}"
+            )
+        return found
 
     @functools.cached_property
     def audited(self) -> frozenset[int]:

@@ -21,6 +21,8 @@ MOST_PAIRS = 8_000_000
 """The search keeps this many pairs of maps in memory at most."""
 MOST_COMPARED = 5_000
 """This many pairs are compared voxel by voxel at most."""
+MOST_TWINS = 200_000
+"""This many samples are searched at most, evenly spread: each takes 2.4 KB of memory until all are seen."""
 _BITS = 13
 
 

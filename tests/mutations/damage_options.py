@@ -40,6 +40,8 @@ MADE = {
     "sensors": ("velodyne-vlp-16", "--out", "out.png"),
     "scan": ("w.xml", "--pose", "0,0,2,0", "--lidar", "velodyne-vlp-16", "-o", "out.ply"),
     "rescan": ("d", "--quiet", "--workers", "1", "-o", "out"),
+    "take": ("d", "--quiet", "--workers", "1", "-o", "out"),
+    "merge": ("d", "d", "--quiet", "--workers", "1", "-o", "out"),
     "calibrate": ("n.safetensors", "d", "--quiet", "-o", "out.safetensors"),
     "view": ("d", "--html", "out.html", "--quiet"),
     "render": ("d", "-o", "out.png"),

@@ -82,10 +82,11 @@ LAYOUT = Check(
 
 def _expected_worlds(worlds: Worlds, page: Page) -> None:
     task, there = worlds.task, sorted(worlds.archive.documents)
-    expected = task.contract.worlds(task.entry.split, task.start, task.entry.samples)
+    expected = list(task.contract.numbering(task.entry.split).worlds(task.start, task.stop - task.start))
+    if task.cut:  # the shard's samples say which, see below
+        expected = [number for number in there if number in set(expected)] or expected
     page.expect(
-        len(there) == len(expected) and there == list(expected),
-        f"{task.entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}",
+        there == expected, f"{task.entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}"
     )
     page.expect(
         task.entry.first_world == expected[0],
@@ -105,6 +106,14 @@ def _expected_worlds(worlds: Worlds, page: Page) -> None:
         )
 
 
+def _worlds_of_samples(shard: Shard, page: Page) -> None:
+    if not shard.task.cut or shard.worlds is None:
+        return
+    there, found = sorted(shard.worlds.archive.documents), sorted(set(shard.file.column("world").tolist()))
+    name = shard.task.entry.worlds
+    page.expect(there == found, f"{name}: holds worlds {_spans(there)}, its samples are of {_spans(found)}")
+
+
 def _spans(numbers: Sequence[int]) -> str:
     return f"{numbers[0]} to {numbers[-1]} ({len(numbers)})" if numbers else "none"
 
@@ -115,6 +124,7 @@ ARCHIVES = Check(
     "its shard's samples; worlds from your own MJCF are those that the recipe names.",
     quick=True,
     archive=_expected_worlds,
+    shard=_worlds_of_samples,
 )
 """The walk over a shard adds the faults of an archive that cannot be read."""
 

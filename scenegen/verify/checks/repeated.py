@@ -1,5 +1,6 @@
 """Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way from the seed."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -56,7 +57,7 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
     BrokenError."""
     task, contract = sample.shard.task, sample.contract
     world, engine = worlds.made(sample.world)
-    unit, view = divmod(task.start + sample.row, contract.viewpoints)
+    unit, view = divmod(sample.shard.places[sample.row], contract.viewpoints)
     try:
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.recipe)
         seen = with_noise(
@@ -88,45 +89,63 @@ def _fly_again(shard: Shard, page: Page) -> None:
     if foreign or not (contract.drawn or contract.scenes is not None or contract.rescan is not None):
         page.skipped = task.not_comparable
         return
-    flights = -(-task.entry.samples // task.contract.viewpoints)
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number, 1)))
     try:
-        _compare_flight(shard, int(rng.permutation(flights)[0]), page)
+        flights = _flights(shard)
+        if not flights:
+            page.skipped = "no flight of the samples that were taken is whole from its beginning"
+            return
+        _compare_flight(shard, *flights[int(rng.permutation(len(flights))[0])], page)
     except BrokenError as error:
         page.fault(str(error))
     if task.not_comparable:
         page.excuse(f"not comparable, {task.not_comparable}: what comes out otherwise here is no fault")
 
 
-def _compare_flight(shard: Shard, local: int, page: Page) -> None:
-    """Fly the shard's flight number `local` again, and compare its world and its samples bit for bit."""
-    task, each = shard.task, shard.task.contract.viewpoints
+def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
+    """Units of which the shard has samples, and (row, view) of these; where the dataset was scanned again, those alone
+    of which it has the first views in a row, for the noise of a view depends on its number. Raises BrokenError."""
+    task = shard.task
+    found: dict[int, list[tuple[int, int]]] = {}
+    for row, place in enumerate(shard.places):
+        unit, view = divmod(place, task.contract.viewpoints)
+        found.setdefault(unit, []).append((row, view))
+    again = task.contract.rescan is not None
+    return [
+        (unit, views)
+        for unit, views in found.items()
+        if not again or all(view == n for n, (_, view) in enumerate(views))
+    ]
+
+
+def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], page: Page) -> None:
+    """Fly a unit again, and compare its world and those of its samples that are there, (row, view), bit for bit."""
+    task = shard.task
     assert shard.worlds is not None
     archive = shard.worlds.archive
 
     def poses() -> list[list[Pose]]:
-        rows = range(local * each, min((local + 1) * each, task.entry.samples))
         try:
             return [
                 [
                     Pose(*pose)
                     for pose in task.contract.of_scans(partial(shard.file.value, row=row), "position", "quaternion")
                 ]
-                for row in rows
+                for row, _ in views
             ]
         except ValueError as error:
             raise BrokenError(f"{task.entry.file}: {error}") from None
 
-    again = regenerate(task.contract, archive, task.entry.split, task.start // each + local, poses)
+    again = regenerate(task.contract, archive, task.entry.split, unit, poses)
     page.count(worlds=1)
     page.expect(
         archive.documents.get(again.number) == again.world.mjcf,
         f"{task.entry.worlds}: {again.number:06d}.xml is not the world that the seed gives",
     )
-    for row, sample in zip(range(local * each, task.entry.samples), again.samples, strict=False):
+    for row, view in views:
         page.count(samples=1)
         for name in task.contract.fields:
-            expected = np.asarray(getattr(sample, name), dtype=FIELDS[name]["dtype"])
+            expected = np.asarray(getattr(again.samples[view], name), dtype=FIELDS[name]["dtype"])
             if not page.expect(
                 shard.file.value(name, row).tobytes() == expected.tobytes(),
                 f"{task.entry.file}: sample {row}: {name} is not what the seed gives",

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError
-from scenegen.model.training.data import LoaderError, Maps, TudfOf, load, opened
+from scenegen.errors import DatasetError, ScenegenError
+from scenegen.model.training.data import LoaderError, Maps, TudfOf, epoch_batches, load, opened
 from tests.model.conftest import COUNTS, make_dataset
 
 
@@ -97,3 +97,43 @@ def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_p
             Maps(opened([folders[0], wrong], "train"), "train")
     with pytest.raises(DatasetError, match="no dataset given"):
         Maps([], "train")
+
+
+def passes(maps: Maps, count: int, *, seed: int = 0) -> list[list[int]]:
+    """The maps of each of `count` passes, in order."""
+    return [
+        [index for batch in epoch_batches(maps, batch=1, seed=seed, epoch=n) for index, _ in batch]
+        for n in range(count)
+    ]
+
+
+def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_again(folders: list[Path]) -> None:
+    weighted = {folders[0]: 3, folders[1]: 1}
+    maps = Maps(opened(weighted, "train"), "train")
+    seen = passes(maps, 7)
+    assert seen == passes(Maps(opened(list(weighted.items()), "train"), "train"), 7) != passes(maps, 7, seed=1)
+    size = COUNTS["train"]
+    for number, share in enumerate((18, 6)):  # of 24 in a pass
+        own = [[index for index in one if index // size == number] for one in seen]
+        assert [len(one) for one in own] == [share] * 7
+        # whatever the order within a pass, after every whole turn all have come as often
+        counted = np.zeros(size, int)
+        for one in own:
+            np.add.at(counted, np.array(one) - number * size, 1)
+            assert counted.max() - counted.min() <= 1
+    assert len(passes(maps, 1)[0]) == len(maps)
+
+
+def test_without_weights_each_map_comes_once_a_pass(folders: list[Path]) -> None:
+    plain, pairs = Maps(opened(folders, "train"), "train"), [(folder, None) for folder in folders]
+    assert sorted(passes(plain, 1)[0]) == list(range(len(plain)))
+    assert passes(Maps(opened(pairs, "train"), "train"), 2) == passes(plain, 2)
+    assert plain.shares is None
+
+
+@pytest.mark.parametrize("weight", [0, -1, float("nan"), float("inf"), "2", True, 1e-3])
+def test_weights_that_are_no_proportion_are_refused(folders: list[Path], weight: object) -> None:
+    with pytest.raises(ScenegenError, match="weight") as error:
+        Maps(opened([(folders[0], weight), folders[1]], "train"), "train")
+    assert "\n" not in str(error.value)
+    assert str(folders[0]) in str(error.value)

@@ -19,7 +19,7 @@ import pytest
 
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import build as module
-from scenegen.dataset import manifest
+from scenegen.dataset import manifest, noted
 from scenegen.dataset import shard as shards
 from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_dataset
 from scenegen.dataset.read import Dataset
@@ -197,9 +197,39 @@ def test_a_job_reads_its_own_part_and_the_last_one_all(tmp_path: Path, monkeypat
     assert sorted(read) == [0, 1, 2, 3]
 
 
+def test_the_job_that_completes_a_dataset_hashes_files_and_no_samples_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make(tmp_path / "whole")
+    parts = plan(tmp_path / "d")
+    for first in range(4):
+        build(parts, shard_range=(first, first + 1))
+    assert len(noted.read(tmp_path / "d", parts.shards[0].parameters)) == 4
+    assert noted.read(tmp_path / "d", "0" * 64) == {}
+    next((tmp_path / "d").glob(noted.PATTERN)).write_text("{")  # a note that is damaged is none
+    checked = []
+    hold = shards._digests_hold
+    monkeypatch.setattr(shards, "_digests_hold", lambda shard: checked.append(shard.name) or hold(shard))
+    assert build(parts, shard_range=(4, 5)).complete
+    assert len(checked) == 1
+    assert content(tmp_path / "d") == content(tmp_path / "whole")
+
+
+def test_a_job_reads_its_own_part_of_a_complete_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(tmp_path / "d")
+    parts, read = plan(tmp_path / "d"), []
+    monkeypatch.setattr(
+        "scenegen.dataset.state.read_report",
+        lambda shard, *rest, **more: read.append(shard) or read_report(shard, *rest),
+    )
+    found = build(parts, shard_range=(1, 3))
+    assert (found.complete, found.shards_missing, read) == (True, 0, list(parts.shards[1:3]))
+
+
 def test_what_is_finished_is_written_down_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that is killed has listed its shards, and the next one does not hash their samples again."""
     monkeypatch.setattr(module, "NOTE_S", 0.0)
+    monkeypatch.setattr(module, "NOTE_SHARE", 0)
 
     def stop(report: ShardReport, fresh: bool) -> None:
         if report.file.startswith("val"):
@@ -398,17 +428,19 @@ def test_damage_after_the_signature_is_noticed_and_mended(folder: Path) -> None:
     assert content(folder) == undisturbed
 
 
-def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(folder: Path) -> None:
+def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(folder: Path, tmp_path: Path) -> None:
     undisturbed = content(folder)
-    parts = plan(folder)
+    parts = plan(tmp_path / "d")
     first, last = parts.shards[0].file, parts.shards[-1].file
+    build(parts, shard_range=(0, 1))
+    build(parts, shard_range=(len(parts.shards) - 1, len(parts.shards)))
     first.write_bytes(first.read_bytes()[:500])
     with h5py.File(last, "r+") as file:
         file["position"][0, 0] += 1e-9
     between = build(parts, shard_range=(1, len(parts.shards) - 1))
-    assert (between.complete, between.shards_missing, between.samples_written) == (False, 2, 0)
+    assert (between.complete, between.shards_missing) == (False, 2)
     assert build(parts).complete
-    assert content(folder) == undisturbed
+    assert content(tmp_path / "d") == undisturbed
 
 
 def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ def test_what_the_noise_cannot_have_done_is_found(noisy: Path, tmp_path: Path) -
         ({"rescan": {"digest": "x"}}, "rescan.digest"),
         ({"labels": {"by": "name", "classes": ["nothing"]}}, "labels: expected exactly where `fields` names labels"),
         ({"version": 1.3}, "version = 1.3: expected 1.2 with noise"),
-        ({"version": 1.4}, "format version 1.4, this scenegen reads 1, 1.2, 1.3"),
+        ({"version": 1.5}, "format version 1.5, this scenegen reads 1, 1.2, 1.3, 1.4"),
     ],
 )
 def test_a_strangers_word_is_not_trusted(noisy: Path, tmp_path: Path, entries: dict[str, Any], told: str) -> None:
