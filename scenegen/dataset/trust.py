@@ -190,7 +190,7 @@ class Manifest:
         """The sensor. Raises BrokenError where the table of its rays is damaged."""
         return sensor_of(self.parameters["lidar"], self.folder)
 
-    @property
+    @cached_property
     def layout(self) -> Layout:
         """What every shard has to hold."""
         return layout_of(self.fields, self.grid, self.lidar, self.mapping.scans)

@@ -13,7 +13,7 @@ from lidarsim import GridSpec, Lidar
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
-from scenegen.inspect import inspect, misfits
+from scenegen.inspect import Spread, inspect, misfits
 from scenegen.source import DrawnWorlds
 from tests.command_line import run
 from tests.conftest import picky_recipe
@@ -112,6 +112,27 @@ def test_at_most_so_many_samples_are_measured_evenly_spread(full: Path, most: in
     assert split["samples"] == COUNTS["train"]
     chosen = [n * (COUNTS["train"] - 1) // max(count - 1, 1) for n in range(count)]  # from the first to the last
     check(split["statistics"], recomputed(fields(full, "train"), np.array(chosen)))
+
+
+def test_many_samples_are_measured_by_several_processes_some_at_a_time(
+    full: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.inspect.AT_ONCE", 4)
+    few, told = inspect(full, most=None, workers=2, values=True), list[int]()
+    assert few == inspect(full, most=None, workers=1, values=True, on_done=told.append)
+    assert sum(told) == sum(COUNTS.values())
+    assert len(told) > 3
+    for name, split in few["splits"].items():
+        check(split["statistics"], recomputed(fields(full, name), np.arange(COUNTS[name])))
+        assert [len(values) for values in split["values"].values()] == [COUNTS[name]] * len(KEYS)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 7, 20])
+def test_two_spreads_together_are_that_of_all(cut: int) -> None:
+    values = (1e6 + np.random.default_rng(cut).normal(size=20)).tolist()
+    found, whole = (Spread.of(values[:cut]) + Spread.of(values[cut:])).said(), Spread.of(values).said()
+    assert found == pytest.approx(whole, rel=1e-9)
+    assert whole["std"] == pytest.approx(np.std(values))
 
 
 def blind(folder: Path, split: str, rows: slice) -> None:

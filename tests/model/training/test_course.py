@@ -26,6 +26,8 @@ class Counted:
     class grid:  # noqa: N801
         shape = (80, 80, 40)
 
+    shares = None
+
     def __init__(self, count: int):
         self._count = count
 

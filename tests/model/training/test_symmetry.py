@@ -166,6 +166,7 @@ class Counted:
 
     count: int
     grid: GridSpec = SQUARE
+    shares: None = None
 
     def __len__(self) -> int:
         return self.count
