@@ -430,7 +430,7 @@ def test_damage_after_the_signature_is_noticed_and_mended(folder: Path) -> None:
 
 def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(folder: Path, tmp_path: Path) -> None:
     undisturbed = content(folder)
-    parts = plan(tmp_path / "d")
+    parts = plan(tmp_path / "parts")
     first, last = parts.shards[0].file, parts.shards[-1].file
     build(parts, shard_range=(0, 1))
     build(parts, shard_range=(len(parts.shards) - 1, len(parts.shards)))
@@ -440,7 +440,7 @@ def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(folder: Pa
     between = build(parts, shard_range=(1, len(parts.shards) - 1))
     assert (between.complete, between.shards_missing) == (False, 2)
     assert build(parts).complete
-    assert content(tmp_path / "d") == undisturbed
+    assert content(tmp_path / "parts") == undisturbed
 
 
 def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path: Path) -> None:
