@@ -123,7 +123,7 @@ def bench(
     check_middle(dataset)
     indices = spread(len(split), config.samples or len(split))
     tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
-    if len(execute.mine(tasks)) < len(tasks):
+    if len(execute.mine((0, 1))) < 2:  # whatever the number of tasks
         raise DatasetError(
             "--on: a report takes the figures of all samples, and jobs that know their rank alone bring none together; "
             "give --on ray or --on slurm, or each job a dataset of its own with --on local"

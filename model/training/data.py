@@ -15,6 +15,7 @@ from torch.utils.data import DataLoader, Dataset
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
+from scenegen.gather.survey import check_disjoint
 from scenegen.model.inputs import INPUTS, SYMMETRIES, of_sample, turned
 from scenegen.sample import Sample
 from scenegen.streaming.batches import Batches
@@ -79,14 +80,17 @@ class SplitSamples:
 
 def opened(folders: Any, split: str, share: float = 1.0) -> list[Samples]:
     """The samples of one split of every dataset in `folders`, or the first `share` of them. Raises DatasetError for a
-    folder that holds none.
+    folder that holds none, and where a merged or taken dataset has samples of another one.
 
     `folders` is a list of them, or of pairs (folder, weight), or a mapping to weights, as a stream's parts are. Weights
     are numbers above 0, in proportion to which samples come in training, however many each dataset holds; without any,
     each sample comes once a pass.
     """
     parts = parts_of(folders) if isinstance(folders, Mapping) else [_part(one) for one in folders]
-    return [SplitSamples(SampleDataset(folder), split, share, weight) for folder, weight in parts]
+    datasets = [SampleDataset(folder) for folder, _ in parts]
+    if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
+        check_disjoint(datasets)  # what was merged or taken may hold samples of the others
+    return [SplitSamples(dataset, split, share, weight) for dataset, (_, weight) in zip(datasets, parts, strict=True)]
 
 
 def _part(given: Any) -> tuple[Any, Any]:

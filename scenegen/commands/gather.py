@@ -37,9 +37,7 @@ if TYPE_CHECKING:
     help="Samples of this split; several times for several.  [default: all]",
 )
 @click.option("-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split.")
-@click.option(
-    "--worlds", type=Ranges(), help="Samples of these worlds alone: numbers, or ranges as in Python, as in 3,10:20."
-)
+@click.option("--worlds", type=Ranges(), help="Samples of these worlds alone: numbers, or FIRST:STOP, as in 3,10:20.")
 @click.option(
     "--where",
     multiple=True,

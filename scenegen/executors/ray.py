@@ -7,6 +7,7 @@ import collections
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,8 @@ class Ray(Executor):
                 ray.init(address="local", num_cpus=self.workers, include_dashboard=False, **common)
             else:
                 where = "auto" if self.address == "auto" else f"ray://{self.address}"
+                if where != "auto" and find_spec("grpc") is None:  # Ray's own line advises another package
+                    raise GenerationError(f"--on ray://{self.address}: {needs('grpcio', 'ray')}")
                 ray.init(address=where, **common)
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             reason = str(error).splitlines()[0]

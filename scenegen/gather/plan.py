@@ -57,8 +57,8 @@ def _check_alike(first: Dataset, other: Dataset) -> None:
     for name in ALIKE:
         if ours.get(name) != theirs.get(name):
             raise DatasetError(
-                f"{other.folder}: its {name} is {short(theirs.get(name))}, that of {first.folder} is "
-                f"{short(ours.get(name))}; a dataset has one: merge datasets that share it, or name both to `train`"
+                f"{other.folder}: {name} is {short(theirs.get(name))} there, and {short(ours.get(name))} in "
+                f"{first.folder}; merge datasets that share it"
             )
 
 
@@ -71,8 +71,8 @@ def _plan(folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str,
     index = dict.fromkeys(SPLITS, 0)
     dataset: Dataset | None = None
     for dataset, chosen in pieces:
-        if folder.resolve() == dataset.folder.resolve():
-            raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
+        if dataset.folder.resolve() in (folder.resolve(), *folder.resolve().parents):
+            raise DatasetError(f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out")
         source, home, split = *sources.add(dataset, chosen, taken), chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
         numbering = home.numbering(split)

@@ -25,6 +25,8 @@ CONNECT_S, READ_S = 5, 60
 PIECE_BYTES = 1 << 20
 LOST = ("ConditionalRequestConflict", "PreconditionFailed")
 FULL = ("QuotaExceeded", "XMinioStorageFull", "InsufficientCapacity", "StorageLimitExceeded", "NotEnoughSpace")
+SETTINGS = ("ValueError", "InvalidRegionError", "ConfigParseError", "ConfigNotFound", "InvalidConfigError")
+"""Errors of boto3 before it asks anybody."""
 EXPIRED = ("ExpiredToken", "InvalidToken", "TokenRefreshRequired", "ExpiredTokenException", "RequestExpired")
 
 
@@ -53,7 +55,7 @@ class Bucket(Place):
             response_checksum_validation="when_required",
             **({"s3": {"addressing_style": "path"}} if own else {}),
         )
-        self._client: Any = self._ask("", boto3.session.Session().client, service_name="s3", config=config)
+        self._client: Any = self._ask("", lambda: boto3.session.Session().client("s3", config=config))
         self._bare = False
         """Whether the server compares versions without their quotation marks, as Ceph's of 2021 does."""
 
@@ -137,11 +139,18 @@ class Bucket(Place):
             kind = type(error).__name__
             if re.search("Credential|Token|Profile|SSO|Login", kind):
                 raise PlaceError(f"{where}: no credentials are found ({kind}); {GIVE}") from None
+            if kind in SETTINGS:
+                raise PlaceError(
+                    f"{where}: a setting of AWS cannot be used ({kind}); see to AWS_ENDPOINT_URL, AWS_DEFAULT_REGION "
+                    "and the file of AWS_CONFIG_FILE"
+                ) from None
             raise self._silent(name, kind) from None
         if code in LOST or status in (409, 412):
             raise ConflictError(f"{where}: somebody else has put it")
         if code == "NoSuchBucket":
             raise PlaceError(f"{where}: there is no bucket {self.bucket}; make it, or name one that is there")
+        if status == 404 and not name:
+            raise PlaceError(f"{where}: nothing is there that speaks S3's protocol; see to AWS_ENDPOINT_URL")
         if status == 404:
             raise FileNotFoundError(where)
         if code in FULL or status == 507:

@@ -157,7 +157,7 @@ class ShardRange(click.ParamType):
 
 
 class Ranges(click.ParamType):
-    """Whole numbers and ranges of them, as in Python, with commas between: 3,10:20."""
+    """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20."""
 
     name = "n,first:stop"
 

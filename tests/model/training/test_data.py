@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
+from scenegen.gather.choose import Choice
+from scenegen.gather.plan import plan_take
 from scenegen.model.training.data import LoaderError, Maps, TudfOf, epoch_batches, load, opened
 from tests.model.conftest import COUNTS, make_dataset
 
@@ -137,3 +140,11 @@ def test_weights_that_are_no_proportion_are_refused(folders: list[Path], weight:
         Maps(opened([(folders[0], weight), folders[1]], "train"), "train")
     assert "\n" not in str(error.value)
     assert str(folders[0]) in str(error.value)
+
+
+def test_samples_that_a_merged_dataset_has_from_another_are_not_seen_twice(tmp_path: Path) -> None:
+    first = make_dataset(tmp_path / "first")
+    build(plan_take(Dataset(first), tmp_path / "few", Choice(most=2)))
+    with pytest.raises(DatasetError, match="hold the same sample; leave one of the two datasets out"):
+        opened([first, tmp_path / "few"], "train")
+    assert len(opened([tmp_path / "few"], "train")) == 1

@@ -152,6 +152,7 @@ def test_usage_is_never_reported() -> None:
 
 
 def test_an_address_where_nobody_answers_ends_in_one_line() -> None:
+    pytest.importorskip("grpc", reason="Ray's client needs grpcio")
     with pytest.raises(ScenegenError, match=r"--on ray://127\.0\.0\.1:9: no cluster answers there") as caught:
         list(executor("ray://127.0.0.1:9", 1)(abs, [1], lambda: None))
     assert "\n" not in str(caught.value)
