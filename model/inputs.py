@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.limits import MOST_LENGTH_M
-from lidarsim.voxelize import crossed
+from lidarsim.pose import rotate
+from lidarsim.scan import Scan
+from lidarsim.voxelize import crossed, fuse
 from scenegen.sample import Sample
+from scenegen.truth import distance_field
 
 SYMMETRIES = 8
 """Rotations by quarter turns about the sensor's vertical axis, each with and without a mirror."""
@@ -56,6 +59,8 @@ class Input:
     """Whether the channel is turned with its map; one that is tied to the map's axes stays as it is."""
     binary: bool = True
     """Whether every voxel holds 0 or 1; other channels hold finite numbers."""
+    untold: str = ""
+    """What points alone do not tell of it, and what it then holds instead, for people."""
 
 
 def _observed(scan: PointScan) -> NDArray[np.bool_]:
@@ -69,11 +74,58 @@ def _free(scan: PointScan) -> NDArray[np.bool_]:
     return crossed(scan.sensor, scan.points, scan.grid, scan.origin) & ~_observed(scan)
 
 
+def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> NDArray[np.bool_]:
+    """The voxels, (*grid.shape), that the sample's rays would cross if nothing returned."""
+    endless = [Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar) for scan in sample.scans(sensor)]
+    return fuse(endless, grid, sample.origin).free
+
+
+def _occluded(sample: Sample, grid: GridSpec, sensor: Any) -> NDArray[np.bool_]:
+    return within_view(sample, grid, sensor) & ~sample.free & ~sample.observed
+
+
+def _behind(scan: PointScan) -> NDArray[np.bool_]:
+    """Beyond every return, to the map's end."""
+    rays = scan.points - scan.sensor
+    lengths = np.sqrt((rays * rays).sum(axis=1))
+    there = (lengths > 0) & (lengths < MOST_LENGTH_M)
+    reach = float(np.linalg.norm(scan.grid.extent_m) + np.linalg.norm(scan.sensor - scan.origin))
+    ends = scan.sensor + rays[there] * (reach / lengths[there, None])
+    return crossed(scan.sensor, ends, scan.grid, scan.origin) & ~_free(scan) & ~_observed(scan)
+
+
+def _ahead(sample: Sample, grid: GridSpec, sensor: Any) -> NDArray[np.float32]:
+    lines = [(np.arange(n) + 0.5) * grid.voxel_m for n in grid.shape]
+    along = np.ix_(*(line + start for line, start in zip(lines, sample.origin - sample.position, strict=True)))
+    forward = rotate(sample.quaternion, np.array([[1.0, 0.0, 0.0]]))[0]
+    metres = np.sqrt(sum(part * part for part in along))
+    return (sum(f * part for f, part in zip(forward, along, strict=True)) / np.maximum(metres, 1e-9)).astype(np.float32)
+
+
 INPUTS = {
     "observed": Input(of_sample=lambda sample, grid, sensor: sample.observed, of_scan=_observed),
-    "free": Input(of_sample=lambda sample, grid, sensor: sample.free, of_scan=_free),
+    "free": Input(
+        of_sample=lambda sample, grid, sensor: sample.free,
+        of_scan=_free,
+        untold="of rays without a return nothing is known, so less is free than in training",
+    ),
+    "occluded": Input(of_sample=_occluded, of_scan=_behind),
+    "distance": Input(
+        of_sample=lambda sample, grid, sensor: distance_field(sample.observed, grid),
+        of_scan=lambda scan: distance_field(_observed(scan), scan.grid),
+        binary=False,
+    ),
+    "ahead": Input(
+        of_sample=_ahead,
+        of_scan=lambda scan: np.zeros(scan.grid.shape, np.float32),
+        binary=False,
+        untold="where the sensor faced is not known, so nothing lies ahead of it",
+    ),
 }
-"""Every input by its name. `observed`: the voxels that hold a return. `free`: those that a ray crossed, less these."""
+"""Every input by its name. `observed`: the voxels that hold a return. `free`: those that a ray crossed, less these.
+`occluded`: those, less both, that lie on the way of a ray which ended before them. `distance`: metres to the nearest
+observed voxel, at most the truncation. `ahead`: the cosine of the angle, seen from the sensor, between its forward axis
+and the voxel."""
 
 
 def of_sample(names: Sequence[str], sample: Sample, grid: GridSpec, sensor: Any) -> dict[str, NDArray[Any]]:

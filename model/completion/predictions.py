@@ -26,7 +26,7 @@ from scenegen.model.completion.parts import Chunks, Kept, write_predictions
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
-from scenegen.model.inputs import PointScan, of_sample, of_scan
+from scenegen.model.inputs import INPUTS, PointScan, of_sample, of_scan
 from scenegen.model.uncertainty.calibration import RISK
 from scenegen.view.look import Look
 from scenegen.workers import guarded
@@ -147,8 +147,7 @@ def predict_scan(
     used = f"{inside} of {len(points)} points used, {len(points) - len(returned)} without a return, " + (
         f"{len(returned) - inside} outside the map"
     )
-    if "free" in completer.inputs:
-        used += "; of rays without a return nothing is known, so less is free than in training"
+    used += "".join(f"; {INPUTS[name].untold}" for name in completer.inputs if INPUTS[name].untold)
     if not inside:
         raise DatasetError(
             f"{scan}: {used}, a map of {completer.grid.extent_m} m around the sensor at {place.tolist()}; "

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lidarsim import GridSpec, Scan, Sensor, fuse
+from lidarsim import GridSpec, Sensor
+from scenegen.model.inputs import within_view
 from scenegen.sample import Sample
 
 CLASSES = ("observed", "crossed", "occluded", "interior", "out_of_view")
@@ -17,10 +18,8 @@ UNOBSERVED = tuple(CLASSES.index(name) for name in ("occluded", "interior", "out
 
 def classify(sample: Sample, *, lidar: Sensor, grid: GridSpec) -> NDArray[np.uint8]:
     """The class of every voxel of a sample, (*grid.shape), as an index into `CLASSES`."""
-    nothing = np.full(lidar.shape, np.inf, dtype=np.float32)
-    endless = [Scan(nothing, scan.pose, lidar) for scan in sample.scans(lidar)]
-    within_view = fuse(endless, grid, sample.origin).free
-    classes = np.where(within_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view")))
+    in_view = within_view(sample, grid, lidar)
+    classes = np.where(in_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view")))
     six = ndimage.generate_binary_structure(3, 1)
     inside = ndimage.binary_erosion(sample.occupancy, six, border_value=1)  # beyond the map counts as occupied
     classes[inside] = CLASSES.index("interior")

@@ -36,17 +36,22 @@ QUESTIONS = {
 ROWS = {"TUDF": "tudf", "OCC": "occ", "Proposed": "proposed"}
 """The paper's methods and the study's."""
 ABOUT = {
-    "Q1": ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1"),
+    "Q1": tuple(METRICS),
     "Q2": ("success",),
     "Q3": ("min_clearance", "avg_clearance", "length"),
 }
 """The metrics by which a question is answered; other cells are judged, and answer none."""
 TOLD = ("iou", "near_rmse", "success")
-"""The metrics by which runs are compared that no claim is about."""
-
-
-BESIDE = (("proposed-1", "proposed"), ("proposed-1", "occ"), ("columns", "occ"), ("columns", "proposed-1"))
-"""What is judged beside the paper's claims, by `TOLD`: the first before the second."""
+"""The metrics by which runs of a part of the budget are compared."""
+BESIDE = (
+    ("proposed-1", "proposed"),
+    ("proposed-1", "occ"),
+    ("proposed-1", "tudf"),
+    ("columns", "occ"),
+    ("columns", "proposed-1"),
+)
+"""What is judged beside the paper's claims, by `BESIDE_BY`: the first before the second."""
+BESIDE_BY = ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,16 +83,16 @@ class Contrast:
 
 
 def claims() -> tuple[Claim, ...]:
-    """The claims of all bold cells, but where the paper's figures are equal."""
+    """The claims of all bold cells. Two methods with equal figures are both bold, and neither is better than the
+    other."""
     return tuple(
         Claim(kind=kind, metric=metric, best=ROWS[best], other=ROWS[other])
         for tables, metrics in ((paper.RECONSTRUCTION, METRICS), (paper.PLANNING, PLAN_METRICS))
         for kind, rows in tables.items()
         for metric in metrics
         for losses in [{name: _loss(metric, row[metric][0]) for name, row in rows.items()}]
-        for best in [min(losses, key=lambda name: losses[name])]
-        for other in rows
-        if losses[other] > losses[best]
+        for best, other in product(rows, rows)
+        if losses[best] == min(losses.values()) < losses[other]
     )
 
 
@@ -97,20 +102,29 @@ def beside() -> tuple[Claim, ...]:
         Claim(kind=kind, metric=metric, best=best, other=other)
         for kind in paper.PLANNING
         for best, other in BESIDE
-        for metric in TOLD
+        for metric in BESIDE_BY
     )
 
 
-def judged(drawn: Sequence["Draws"], asked: Sequence[Claim], seeds: Sequence[int]) -> list[dict[str, Any]]:
+def of_paths() -> tuple[Claim, ...]:
+    """The claims about paths, which the tables answer by the paths that each method has. A method that has none in the
+    tight trials has the better ones for it: so they are judged again on those trials where both have a path."""
+    return tuple(claim for claim in claims() if claim.metric in ABOUT["Q3"])
+
+
+def judged(
+    drawn: Sequence["Draws"], asked: Sequence[Claim], seeds: Sequence[int], *, common: bool = False
+) -> list[dict[str, Any]]:
     """Each of `asked` as JSON: what it says, its question, its verdict, its probability by Holm, and its contrast for
     every pair of `seeds` whose networks are there, as rows named ``occ-s0``.
 
     A claim is confirmed where every pair has it so, refuted where every pair has it the other way, and the least of its
     pairs is still told from chance at `LEVEL` among all claims that can be decided; it is undecided otherwise, and
-    where a method has fewer than two seeds.
+    where a method has fewer than two seeds. Means are over what each method has a value for, as in the tables; with
+    `common`, over what both of a pair have one for.
     """
     by_kind = {one.result.kind: one for one in drawn}
-    found = [_pairs(claim, by_kind[claim.kind], seeds) for claim in asked if claim.kind in by_kind]
+    found = [_pairs(claim, by_kind[claim.kind], seeds, common) for claim in asked if claim.kind in by_kind]
     chances = {number: chance for number, (_, pairs) in enumerate(found) if (chance := _least_sure(pairs)) is not None}
     adjusted = dict(zip(chances, holm(list(chances.values())).tolist(), strict=True))
     return [
@@ -125,29 +139,31 @@ Pairs = Mapping[tuple[int, int], Contrast]
 """Contrasts by the seeds of the better and of the other method."""
 
 
-def _pairs(claim: Claim, drawn: "Draws", seeds: Sequence[int]) -> tuple[Claim, Pairs]:
+def _pairs(claim: Claim, drawn: "Draws", seeds: Sequence[int], common: bool) -> tuple[Claim, Pairs]:
     ours, theirs = ({seed: f"{name}-s{seed}" for seed in seeds} for name in (claim.best, claim.other))
     rows = drawn.result.methods.keys()
     return claim, {
-        (first, second): drawn.gain(claim.metric, ours[first], theirs[second])
+        (first, second): drawn.gain(claim.metric, ours[first], theirs[second], common=common)
         for first, second in product(seeds, seeds)
         if {ours[first], theirs[second]} <= rows
     }
 
 
 def _least_sure(pairs: Pairs) -> float | None:
-    """The largest probability of chance among the pairs; None where they cannot decide."""
+    """The largest probability of chance among the pairs, 1 where they differ to both sides; None where they cannot
+    decide."""
     if any(len({pair[place] for pair in pairs}) < 2 for place in (0, 1)):
         return None
+    if len({one.difference > 0 for one in pairs.values()}) > 1:
+        return 1.0
     chances = [one.chance for one in pairs.values() if one.chance is not None]
     return max(chances) if len(chances) == len(pairs) else None
 
 
 def _verdict(pairs: Pairs, chance: float | None) -> Verdict:
-    sides = {one.difference > 0 for one in pairs.values()}
-    if chance is None or chance > LEVEL or len(sides) > 1:
+    if chance is None or chance > LEVEL:
         return "undecided"
-    return "confirmed" if sides == {True} else "refuted"
+    return "confirmed" if all(one.difference > 0 for one in pairs.values()) else "refuted"
 
 
 def answers(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -186,11 +202,14 @@ class Draws:
         """`seed` is the bootstrap's."""
         self.result = result
         self._of_maps, self._of_trials = _Worlds(result.worlds, seed), _Worlds(result.trial_worlds, seed)
-        self._losses: dict[tuple[str, str], NDArray[np.float64]] = {}
+        self._losses: dict[tuple[str, str, str], NDArray[np.float64]] = {}
 
-    def gain(self, metric: str, best: str, other: str) -> Contrast:
-        """By how much row `best` is better than row `other`."""
-        gains = self._loss(metric, other) - self._loss(metric, best)
+    def gain(self, metric: str, best: str, other: str, *, common: bool = False) -> Contrast:
+        """By how much row `best` is better than row `other`: each by its own values, as in the tables, or, with
+        `common`, by what both have a value for."""
+        gains = self._loss(metric, other, best if common else other) - self._loss(
+            metric, best, other if common else best
+        )
         difference, resampled = float(gains[0]), gains[1:][np.isfinite(gains[1:])]
         if self._of_maps.count < 2 or not len(resampled):
             return Contrast(difference=difference, low=None, high=None, chance=None)
@@ -199,20 +218,24 @@ class Draws:
         chance = min(2 * (beyond + 1) / (len(resampled) + 1), 1.0)
         return Contrast(difference=difference, low=float(low), high=float(high), chance=chance)
 
-    def _loss(self, metric: str, name: str) -> NDArray[np.float64]:
-        """The mean of row `name` as something to be small, (1 + DRAWS,): of all worlds first, then of each resample.
+    def _loss(self, metric: str, name: str, also: str) -> NDArray[np.float64]:
+        """The mean of row `name`, where `also` has values, too, as something to be small, (1 + DRAWS,): of all worlds
+        first, then of each resample."""
+        key = metric, name, also
+        if key not in self._losses:
+            values = self._values(metric, name)
+            there = np.isfinite(self._values(metric, also))
+            worlds = self._of_maps if metric in METRICS else self._of_trials
+            self._losses[key] = _loss(metric, worlds.means(np.where(there, values, np.nan)))
+        return self._losses[key]
 
-        It is over the row's own values, as in the tables.
-        """
-        if (metric, name) not in self._losses:
-            row = self.result.methods[name]
-            if metric in METRICS:
-                values, worlds = row.reconstruction[:, 0, list(METRICS).index(metric)], self._of_maps
-            else:
-                of, worlds = PLAN_METRICS[metric].of, self._of_trials
-                values = np.array([of(trial) for trial in row.trials], np.float64)
-            self._losses[metric, name] = _loss(metric, worlds.means(values))
-        return self._losses[metric, name]
+    def _values(self, metric: str, name: str) -> NDArray[np.float64]:
+        """Of every map, or of every trial."""
+        row = self.result.methods[name]
+        if metric in METRICS:
+            return np.asarray(row.reconstruction[:, 0, list(METRICS).index(metric)])
+        of = PLAN_METRICS[metric].of
+        return np.array([of(trial) for trial in row.trials], np.float64)
 
 
 class _Worlds:

@@ -41,7 +41,11 @@ def to_markdown(study: Mapping[str, Any]) -> str:
         lines.append(line(f"{name}: {said['asks']}", (f"**{said['verdict']}**", _counts(said["claims"]))))
     for kind in study["report"]["reconstruction"]:
         lines += ["", f"## {kind}", ""]
-        for title, claims in (("The paper's claims", study["claims"]), ("Beside them, judged alike", study["beside"])):
+        for title, claims in (
+            ("The paper's claims", study["claims"]),
+            ("Those about paths again, where both methods of a pair have one", study["paths"]),
+            ("Beside them, judged alike", study["beside"]),
+        ):
             rows = [claim for claim in claims if claim["kind"] == kind]
             tried = [claim for claim in rows if claim["pairs"]]
             lines += [f"{title}; {len(rows) - len(tried)} of {len(rows)} have no networks yet:", ""]

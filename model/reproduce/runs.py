@@ -14,6 +14,14 @@ SEEDS = (0, 1)
 SHORT = 0.25
 """The part of the budget that a run has where it shows what one choice is worth, and where its opposite has as much."""
 
+BOTH = ("observed", "free")
+MORE = {
+    "occluded": "what rays would have met behind their returns",
+    "distance": "the distance to the nearest return",
+    "ahead": "where the sensor faces",
+}
+"""The other inputs, each tried beside `BOTH`."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
@@ -49,7 +57,7 @@ class Run:
 
 
 def _runs() -> tuple[Run, ...]:
-    level, both = {"occupancy": 1.0}, {"inputs": ("observed", "free")}
+    level, both = {"occupancy": 1.0}, {"inputs": BOTH}
     claimed = (
         Run(name="occ", asks="the paper's OCC-only", network={"variant": "occ"}),
         Run(name="proposed", asks="the paper's network, λ_occ 0.1"),
@@ -78,6 +86,10 @@ def _runs() -> tuple[Run, ...]:
         unlike(proposed_1, "shared-1", "the same at λ_occ 1", network={"variant": "shared"}),
         unlike(dual_1, "dual-1-free", "free space as an input", network={"variant": "dual", **both}),
         unlike(columns, "columns-observed", "without free space", network={"variant": "columns"}),
+        *(
+            unlike(columns, f"columns-{name}", f"{what}, too", network={"variant": "columns", "inputs": (*BOTH, name)})
+            for name, what in MORE.items()
+        ),
         unlike(columns, "flat", "without the 3-D net, as in LMSCNet", network={"variant": "flat", **both}),
         unlike(
             columns, "deep", "a plain large 3-D U-Net in its place", network={"variant": "shared", "width": 24, **both}

@@ -28,7 +28,7 @@ from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import DatasetResult, bench
 from scenegen.model.evaluation.seen import Seen
-from scenegen.model.reproduce.claims import Draws, answers, beside, claims, contrasts, judged
+from scenegen.model.reproduce.claims import Draws, answers, beside, claims, contrasts, judged, of_paths
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.figures import draw
 from scenegen.model.reproduce.report import to_markdown
@@ -89,6 +89,7 @@ def reproduce(
         "verdicts": answers(said),
         "claims": said,
         "beside": others,
+        "paths": judged(drawn, of_paths(), SEEDS, common=True),
         "contrasts": [row for one in drawn for row in contrasts(one, done)],
         "report": _report(measured, lambda name: name not in short, config.seed),
         "short": _report(measured, lambda name: name in short, config.seed),

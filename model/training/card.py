@@ -30,7 +30,7 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         f"# {name}",
         "",
         f"A completion network of scenegen: variant `{network['variant']}`, width {network['width']}, stem stride "
-        f"{network['stem_stride']}. It takes the {' and '.join(network['inputs'])} voxels of one scan and gives "
+        f"{network['stem_stride']}. It takes {', '.join(network['inputs'])} of one map and gives "
         + " and ".join(GIVES[task] for task in GIVES if task in VARIANTS[network["variant"]].tasks)
         + ".",
         "",

@@ -1,6 +1,7 @@
 """What a network is shown: trained on, completed from and exported by name; a new channel takes one entry."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -17,7 +18,7 @@ from scenegen.model.config import NetworkConfig, Thresholds, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, Metric
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.pretrained import Pretrained
-from scenegen.model.inputs import INPUTS, Input, PointScan, centres, of_scan
+from scenegen.model.inputs import INPUTS, Input, PointScan, centres, of_sample, of_scan
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.loop import train
@@ -37,7 +38,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(
     (row,) = train(opened(folders, "train"), opened(folders, "val"), config, tmp_path / "run", device="cpu")
     assert 0 <= row["val_alarms"] <= 1
     card = (tmp_path / "run" / "card.md").read_text()
-    assert "takes the observed and free voxels" in card
+    assert "takes observed, free of one map" in card
     assert "| alarms |" in card
 
     network, grid, _ = load_network(tmp_path / "run" / "best.safetensors")
@@ -95,6 +96,42 @@ def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders: list[Path
     assert not (stepped & ~found["free"]).any()
     assert (found["free"] & ~stepped).sum() < 0.02 * stepped.sum()
     assert not (found["free"] & found["observed"]).any()
+
+
+def test_inputs_of_a_sample_by_their_definitions(folders: list[Path]) -> None:
+    """`occluded` against the rays' points taken far, `distance` against every pair, `ahead` voxel by voxel."""
+    dataset = Dataset(folders[0])
+    sample, grid = dataset.split("test")[1], dataset.grid
+    found = of_sample(tuple(INPUTS), sample, grid, dataset.lidar)
+    known = sample.observed | sample.free
+    points = of_scan(tuple(INPUTS), PointScan(points=sample.points(), sensor=sample.position, grid=grid))
+    assert found["occluded"].sum() > 100
+    assert not (found["occluded"] & known).any()
+    assert not (points["occluded"] & ~known & ~found["occluded"]).any()
+    assert (found["occluded"] & ~points["occluded"]).mean() < 1e-3  # every ray that met something goes on behind it
+    assert np.array_equal(points["distance"], found["distance"])
+    voxels = np.argwhere(sample.observed)
+    for at in np.random.default_rng(0).integers(0, grid.shape, (40, 3)):
+        nearest = grid.voxel_m * np.sqrt(((voxels - at) ** 2).sum(axis=1).min())
+        assert found["distance"][tuple(at)] == pytest.approx(min(nearest, grid.truncation_m))
+        to = grid.centres(sample.origin)[tuple(at)] - sample.position
+        w, z = sample.quaternion[[0, 3]]
+        facing = np.array([w * w - z * z, 2 * w * z, 0.0])
+        assert found["ahead"][tuple(at)] == pytest.approx(to @ facing / np.linalg.norm(to), abs=1e-6)
+    assert not points["ahead"].any()
+
+
+def test_a_turned_robot_sees_its_inputs_turned(folders: list[Path]) -> None:
+    """A quarter turn of the heading about the map's centre is a quarter turn of the channel."""
+    dataset = Dataset(folders[0])
+    sample, grid = dataset.split("test")[0], dataset.grid
+    w, z = sample.quaternion[[0, 3]]
+    half = np.sqrt(0.5)
+    turned_by_90 = SimpleNamespace(
+        origin=sample.origin, position=sample.position, quaternion=np.array([(w - z) * half, 0, 0, (w + z) * half])
+    )
+    plain, quarter = (INPUTS["ahead"].of_sample(one, grid, None) for one in (sample, turned_by_90))
+    np.testing.assert_allclose(quarter, np.rot90(plain, 1, (0, 1)), atol=1e-6)
 
 
 def test_channels_turn_with_their_map_unless_they_are_tied_to_its_axes(
