@@ -11,6 +11,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from scenegen.model.convolution import Conv2d
+
 
 class Columns(nn.Module):
     """(B, inputs, X, Y, Z) and the 3-D skips, (B, c_l, X_l, Y_l, Z_l), finest first → features of the same shapes.
@@ -35,7 +37,7 @@ class Columns(nn.Module):
         self.stem = _convolution(inputs * height, widths[0], stride=2)
         self.down = nn.ModuleList(_convolution(below[n], width, stride=2 if n else 1) for n, width in enumerate(widths))
         met = list(zip(cells, widths, strict=not alone))
-        self.take = nn.ModuleList() if alone else nn.ModuleList(nn.Conv2d(count, width, 1) for count, width in met)
+        self.take = nn.ModuleList() if alone else nn.ModuleList(Conv2d(count, width, 1) for count, width in met)
         self.mix = nn.ModuleList(_convolution(width, width) for width in widths)
         self.up = nn.ModuleList(
             nn.ConvTranspose2d(above, width, kernel_size=2, stride=2) for width, above in itertools.pairwise(widths)
@@ -43,7 +45,7 @@ class Columns(nn.Module):
         self.refine = nn.ModuleList(
             nn.Sequential(_convolution(2 * width, width), _convolution(width, width)) for width in widths[:-1]
         )
-        self.give = nn.ModuleList(nn.Conv2d(width, count, 1) for count, width in met)
+        self.give = nn.ModuleList(Conv2d(width, count, 1) for count, width in met)
 
     def forward(self, x: Tensor, skips: Sequence[Tensor] = ()) -> list[Tensor]:
         """See the class."""
@@ -73,7 +75,7 @@ def _flat(x: Tensor) -> Tensor:
 def _convolution(below: int, width: int, stride: int = 1) -> nn.Sequential:
     """A 3 x 3 convolution, normalised, with its activation."""
     return nn.Sequential(
-        nn.Conv2d(below, width, 3, stride=stride, padding=1, bias=False),
+        Conv2d(below, width, 3, stride=stride, padding=1, bias=False),
         nn.BatchNorm2d(width),
         nn.ReLU(inplace=True),
     )

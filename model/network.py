@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from scenegen.model.columns import Columns
 from scenegen.model.config import LEVELS, TASKS, VARIANTS, NetworkConfig
+from scenegen.model.convolution import Conv3d
 
 
 class Output(NamedTuple):
@@ -161,8 +162,7 @@ class CrossFusion(nn.Module):
     def __init__(self, width: int):
         super().__init__()
         self.to_tudf, self.to_occupancy = (
-            nn.Sequential(nn.Conv3d(2 * width, width, 1), nn.ReLU(inplace=True), nn.Conv3d(width, width, 1))
-            for _ in TASKS
+            nn.Sequential(Conv3d(2 * width, width, 1), nn.ReLU(inplace=True), Conv3d(width, width, 1)) for _ in TASKS
         )
 
     def forward(self, t: Tensor, o: Tensor) -> tuple[Tensor, Tensor]:
@@ -182,7 +182,7 @@ class FinalUp(nn.Module):
     def __init__(self, below: int, width: int):
         super().__init__()
         self.refine = nn.Sequential(*_convolution(below, width)[:-1], nn.LeakyReLU(0.1, inplace=True))
-        self.split = nn.Conv3d(width, 8, 3, padding=1)
+        self.split = Conv3d(width, 8, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
         """See the class."""
@@ -195,7 +195,7 @@ class FinalUp(nn.Module):
 def _convolution(below: int, width: int, stride: int = 1) -> list[nn.Module]:
     """A 3 x 3 x 3 convolution, normalised, with its activation."""
     return [
-        nn.Conv3d(below, width, 3, stride=stride, padding=1, bias=False),
+        Conv3d(below, width, 3, stride=stride, padding=1, bias=False),
         nn.BatchNorm3d(width),
         nn.ReLU(inplace=True),
     ]

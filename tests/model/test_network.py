@@ -130,6 +130,20 @@ def test_maps_of_a_batch_do_not_touch() -> None:
     torch.testing.assert_close(together.tudf[1:2], alone.tudf, atol=1e-5, rtol=1e-4)
 
 
+@pytest.mark.parametrize("variant", ["proposed", "columns"])
+def test_completion_convolves_as_training_does(variant: str) -> None:
+    """It asks oneDNN itself, alone or in a batch, and is given what the usual path gives."""
+    net = Network(NetworkConfig(variant=variant, height=SHAPE[2])).eval()
+    maps = seen(3)["observed"] < 0.1
+    with torch.no_grad():
+        usual = net({"observed": maps[1:2]})
+    with torch.inference_mode():
+        alone, together = net({"observed": maps[1:2]}), net({"observed": maps})
+    torch.testing.assert_close(alone.logits, together.logits[1:2], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(alone.logits, usual.logits, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(alone.tudf, usual.tudf, atol=1e-5, rtol=1e-4)
+
+
 @pytest.mark.parametrize(
     "wrong", [{"variant": "both"}, {"stem_stride": 3}, {"heads": 5}, {"width": 0}, {"heads": 0}], ids=str
 )
