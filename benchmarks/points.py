@@ -1,0 +1,80 @@
+"""What a network loses where less is known of a scan than a dataset's sample tells.
+
+    python benchmarks/points.py data/geometric data/pillar --weights columns
+
+The same test maps three times: the sample with all that its rays say; its points alone, which say nothing of rays
+without a return; its observed voxels alone, each a point at its centre. Differences are paired by map, with 95 %
+intervals over worlds.
+"""
+
+import argparse
+
+import numpy as np
+
+from scenegen.dataset.read import Dataset
+from scenegen.model.completion.completer import Completer
+from scenegen.model.config import Thresholds
+from scenegen.model.evaluation.config import ReconstructionConfig
+from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.statistics import summarize
+from scenegen.model.inputs import PointScan, centres, of_sample, of_scan
+from scenegen.truth import distance_field
+
+SHOWN = ("iou", "recall", "near_rmse")
+
+
+def main() -> None:
+    """Print a line for each dataset and way."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("datasets", nargs="+")
+    parser.add_argument("--weights", default="columns")
+    parser.add_argument("--maps", type=int, default=60)
+    options = parser.parse_args()
+    completer = Completer.from_pretrained(options.weights)
+    columns = [list(METRICS).index(name) for name in SHOWN]
+    for folder in options.datasets:
+        split = Dataset(folder).split("test")
+        numbers = range(min(options.maps, len(split)))
+        found = np.array([_measured(completer, split, n) for n in numbers])[:, :, columns]
+        worlds = [split[n].world for n in numbers]
+        for way, name in enumerate(("sample", "points alone", "voxels alone")):
+            cells = [f"{what} {found[:, way, m].mean():.3f}" for m, what in enumerate(SHOWN)]
+            if way:
+                lost = [
+                    summarize(found[:, way, m] - found[:, 0, m], worlds, rng=np.random.default_rng(0))
+                    for m in range(len(SHOWN))
+                ]
+                cells += [f"({one.mean:+.3f} [{one.low:+.3f}, {one.high:+.3f}])" for one in lost]
+            print(f"{split.dataset.manifest.kind:10} {name:13}", *cells)
+
+
+def _measured(completer: Completer, split, number: int) -> list:
+    """The metrics of one map, (3, metrics)."""
+    sample, grid = split[number], split.dataset.grid
+    scan = PointScan(points=sample.points(), sensor=sample.position, grid=grid)
+    ways = [
+        of_sample(completer.inputs, sample, grid, split.dataset.lidar),
+        of_scan(completer.inputs, scan),
+        of_scan(completer.inputs, centres(sample.observed, grid)),
+    ]
+    truth, classes = distance_field(sample.occupancy, grid), np.zeros(grid.shape, np.uint8)
+    rows = []
+    for maps in ways:
+        said = completer(maps)
+        at = Thresholds()
+        row = measure(
+            said.occupied(at),
+            said.distance(at, grid),
+            sample.occupancy,
+            truth,
+            classes=classes,
+            class_count=1,
+            config=ReconstructionConfig(),
+        )
+        rows.append(row[0])
+    return rows
+
+
+if __name__ == "__main__":
+    main()
