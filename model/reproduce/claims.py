@@ -233,7 +233,7 @@ class Draws:
         return self._losses[key]
 
     def _values(self, metric: str, name: str) -> NDArray[np.float64]:
-        """Of every map, or of every trial."""
+        """The metric of every map, or of every trial."""
         row = self.result.methods[name]
         if metric in METRICS:
             return np.asarray(row.reconstruction[:, 0, list(METRICS).index(metric)])
