@@ -49,9 +49,6 @@ BESIDE = (
     ("proposed-1", "tudf"),
     ("columns", "occ"),
     ("columns", "proposed-1"),
-    ("columns-4", "occ"),
-    ("columns-4", "proposed-1"),
-    ("columns-4", "columns"),
 )
 """What is judged beside the paper's claims, by `BESIDE_BY`: the first before the second."""
 BESIDE_BY = ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success")

@@ -64,16 +64,9 @@ def _runs() -> tuple[Run, ...]:
         Run(name="proposed-1", asks="λ_occ 1: whether distances leave occupancy its share", loss=level),
         Run(name="tudf", asks="the paper's TUDF-only", network={"variant": "tudf"}),
         Run(name="columns", asks="columns seen whole, free space", network={"variant": "columns", **both}, loss=level),
-        Run(
-            name="columns-4",
-            asks="the same in batches of 4",
-            network={"variant": "columns", **both},
-            loss=level,
-            protocol={"batch": 4},
-        ),
     )
     long = [replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in claimed]
-    occ, proposed, proposed_1, tudf, columns, columns_4 = (
+    occ, proposed, proposed_1, tudf, columns = (
         replace(run, name=f"{run.name}-short", asks=f"{run.asks}, a part of the maps", share=SHORT) for run in claimed
     )
 
@@ -87,7 +80,7 @@ def _runs() -> tuple[Run, ...]:
         proposed_1,
         tudf,
         columns,
-        replace(columns_4, against=columns.name),
+        unlike(columns, "columns-4-short", "batches of 4", protocol={"batch": 4}),
         unlike(occ, "occ-4", "batches of 4", protocol={"batch": 4}),
         unlike(proposed, "dual", "without CrossFusion", network={"variant": "dual"}),
         dual_1,
