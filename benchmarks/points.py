@@ -10,8 +10,9 @@ intervals over worlds.
 import argparse
 
 import numpy as np
+from numpy.typing import NDArray
 
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import ReconstructionConfig
@@ -49,7 +50,7 @@ def main() -> None:
             print(f"{split.dataset.manifest.kind:10} {name:13}", *cells)
 
 
-def _measured(completer: Completer, split, number: int) -> list:
+def _measured(completer: Completer, split: Split, number: int) -> list[NDArray[np.float64]]:
     """The metrics of one map, (3, metrics)."""
     sample, grid = split[number], split.dataset.grid
     scan = PointScan(points=sample.points(), sensor=sample.position, grid=grid)
