@@ -14,10 +14,9 @@ import numpy as np
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import LossConfig, Thresholds
-from scenegen.model.evaluation.config import ReconstructionConfig
+from scenegen.model.config import LossConfig
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.reconstruction import measure_whole
 from scenegen.model.evaluation.statistics import summarize
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify
 from scenegen.model.uncertainty.calibration import corrected
@@ -56,18 +55,10 @@ def _measured(members: list[Completer], split: Any, number: int) -> list[list[fl
     parts = [np.mean([getattr(one, name) for one in said], axis=0) for name in ("occupancy_probability", "tudf")]
     classes = classify(sample, lidar=split.dataset.lidar, grid=grid)
     unknown, truth = np.isin(classes, UNOBSERVED), distance_field(sample.occupancy, grid)
-    weight, at = LossConfig().occupied_weight, Thresholds()
+    weight = LossConfig().occupied_weight
     rows = []
     for one in (*said, Prediction(*parts)):
-        metrics = measure(
-            one.occupied(at),
-            one.distance(at, grid),
-            sample.occupancy,
-            truth,
-            classes=np.zeros(grid.shape, np.uint8),
-            class_count=1,
-            config=ReconstructionConfig(),
-        )[0]
+        metrics = measure_whole(one, sample.occupancy, truth, grid)
         chance = corrected(one.occupancy_probability, weight)[unknown].astype(np.float64)
         true = sample.occupancy[unknown]
         right = np.clip(np.where(true, chance, 1 - chance), 1e-7, 1)

@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 
 from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.reconstruction import measure_whole
 from scenegen.model.evaluation.statistics import summarize
 from scenegen.model.inputs import PointScan, centres, of_sample, of_scan
 from scenegen.truth import distance_field
@@ -59,22 +57,8 @@ def _measured(completer: Completer, split: Split, number: int) -> list[NDArray[n
         of_scan(completer.inputs, scan),
         of_scan(completer.inputs, centres(sample.observed, grid)),
     ]
-    truth, classes = distance_field(sample.occupancy, grid), np.zeros(grid.shape, np.uint8)
-    rows = []
-    for maps in ways:
-        said = completer(maps)
-        at = Thresholds()
-        row = measure(
-            said.occupied(at),
-            said.distance(at, grid),
-            sample.occupancy,
-            truth,
-            classes=classes,
-            class_count=1,
-            config=ReconstructionConfig(),
-        )
-        rows.append(row[0])
-    return rows
+    truth = distance_field(sample.occupancy, grid)
+    return [measure_whole(completer(maps), sample.occupancy, truth, grid) for maps in ways]
 
 
 if __name__ == "__main__":

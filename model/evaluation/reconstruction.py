@@ -5,7 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim import GridSpec
 from lidarsim.jit import kernel
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS, Sums
 
@@ -36,6 +39,25 @@ def measure(
     _accumulate(*said, *true, classes.reshape(-1), near, sums)
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64)
+
+
+def measure_whole(
+    said: Prediction,
+    true_occupancy: NDArray[np.bool_],
+    true_distance: NDArray[np.float32],
+    grid: GridSpec,
+) -> NDArray[np.float64]:
+    """The metrics of one map over all its voxels, (len(METRICS),), at the paper's thresholds."""
+    at = Thresholds()
+    return measure(
+        said.occupied(at),
+        said.distance(at, grid),
+        true_occupancy,
+        true_distance,
+        classes=np.zeros(grid.shape, np.uint8),
+        class_count=1,
+        config=ReconstructionConfig(),
+    )[0]
 
 
 @kernel

@@ -3,14 +3,12 @@
 import math
 from collections import Counter, defaultdict
 
-import numpy as np
 import torch
 
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import LossConfig, Thresholds
-from scenegen.model.evaluation.config import ReconstructionConfig
+from scenegen.model.config import LossConfig
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.reconstruction import measure_whole
 from scenegen.model.losses import objective
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, load
@@ -34,7 +32,7 @@ def validate(
     And ``largest``, the largest probability anywhere: while it stays below the threshold, nothing is ever occupied.
     """
     network.eval()
-    grid, tudf_of, thresholds = maps.grid, TudfOf(maps.grid), Thresholds()
+    grid, tudf_of = maps.grid, TudfOf(maps.grid)
     batches = [list(range(n, min(n + batch, len(maps)))) for n in range(0, len(maps), batch)]
     sums: defaultdict[str, float] = defaultdict(float)
     counts: Counter[str] = Counter()
@@ -57,15 +55,7 @@ def validate(
                 occupancy_probability=None if probability is None else probability[n],
                 tudf=None if distance is None else distance[n],
             )
-            measured = measure(
-                said.occupied(thresholds),
-                said.distance(thresholds, grid),
-                true[n].numpy(),
-                true_distance,
-                classes=np.zeros(grid.shape, np.uint8),
-                class_count=1,
-                config=ReconstructionConfig(),
-            )[0]
+            measured = measure_whole(said, true[n].numpy(), true_distance, grid)
             for name, value in zip(METRICS, measured.tolist(), strict=True):
                 if math.isfinite(value):  # a map without such voxels says nothing of them
                     sums[name] += value
