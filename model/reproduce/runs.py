@@ -66,6 +66,7 @@ def _runs() -> tuple[Run, ...]:
         Run(name="columns", asks="columns seen whole, free space", network={"variant": "columns", **both}, loss=level),
     )
     long = [replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in claimed]
+    columns_4 = replace(claimed[-1], name="columns-4-s0", asks="columns in batches of 4", protocol={"batch": 4})
     occ, proposed, proposed_1, tudf, columns = (
         replace(run, name=f"{run.name}-short", asks=f"{run.asks}, a part of the maps", share=SHORT) for run in claimed
     )
@@ -121,7 +122,7 @@ def _runs() -> tuple[Run, ...]:
         unlike(proposed_1, f"proposed-1-of-{name}", f"one of {name} samples", samples=1 / part)
         for name, part in (("2", 2), ("10", 10), ("40", 40))
     ]
-    return (*long, *short, *fewer)
+    return (*long, columns_4, *short, *fewer)
 
 
 EVEN_THRESHOLD = float(corrected(np.array(Thresholds().probability, np.float32), LossConfig().occupied_weight))
