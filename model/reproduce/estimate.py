@@ -16,8 +16,8 @@ from scenegen.model.training.loop import Step, optimizer_of
 
 SAMPLE_S, SAMPLE_BYTES = 0.006, 15e3
 """A sample of a compact dataset, one core: docs/log.md."""
-ROW_S = 0.3
-"""A row of the bench with its study, by map and core, planning included: docs/log.md."""
+ROW_S, STUDIED_S = 0.08, 0.6
+"""A row of the bench, and one with its study, by map and core, planning included: docs/log.md."""
 RUN_BYTES = 10e6
 """What a run's folder takes."""
 
@@ -49,14 +49,15 @@ def estimate(config: ReproduceConfig, runs: Sequence[Run], *, device: str, worke
     """Time two training steps of the paper's network, and add up the rest from measured constants."""
     where = choose_device(device)
     maps = sum(run.config(config.scaled(config.maps)).maps or 0 for run in runs)
-    samples, tested = 2 * sum(config.counts.values()), 2 * config.counts["test"]
+    worlds = {"", *(run.worlds for run in runs)}
+    samples, tested = len(worlds) * 2 * sum(config.counts.values()), 2 * config.counts["test"]
     each = _map_seconds(where)
     return Estimate(
         device=device_name(where),
         map_s=each,
         train_s=maps * each / (1 if where.type == "cuda" else workers),
         generate_s=samples * SAMPLE_S / workers,
-        bench_s=tested * (len(runs) + 4) * ROW_S / workers,
+        bench_s=tested * sum(STUDIED_S if run.share == 1 else ROW_S for run in runs) / workers,
         bytes=samples * SAMPLE_BYTES + len(runs) * RUN_BYTES,
     )
 

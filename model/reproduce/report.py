@@ -60,6 +60,9 @@ def to_markdown(study: Mapping[str, Any]) -> str:
         compared = [row for row in study["contrasts"] if row["kind"] == kind]
         if study["short"]["reconstruction"][kind]:
             lines += ["", "Runs with a part of the budget, one seed:", "", *_means(study["short"], kind)]
+        for name, there in study["elsewhere"].items():
+            lines += ["", f"`{name}`: {there['asks']}; runs with a part of the budget, one seed:", ""]
+            lines += _means(there["report"], kind)
         if compared:
             lines += ["", "How much better than the run that they are compared with:", "", *_compared(compared)]
     lines += ["", "## Runs", "", *head(("what for", "maps, hours", "weights"))]

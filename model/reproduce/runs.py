@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,36 @@ MORE = {
 
 
 @dataclass(frozen=True, kw_only=True)
+class Elsewhere:
+    """Worlds, or truth, other than the presets'."""
+
+    asks: str
+    """What is unlike the presets."""
+    tables: Mapping[str, Mapping[str, Mapping[str, Any]]]
+    """What it puts into the recipe, by kind of worlds and table."""
+
+
+def _alike(**tables: Mapping[str, Any]) -> Mapping[str, Mapping[str, Mapping[str, Any]]]:
+    return dict.fromkeys(KINDS, tables)
+
+
+KINDS = ("geometric", "pillar")
+"""The kinds of worlds that every network is trained on."""
+ELSEWHERE = {
+    "ground": Elsewhere(
+        asks="a ground below pillars, none below loose solids",
+        tables={"geometric": {"world": {"ground": False}}, "pillar": {"world": {"ground": True}}},
+    ),
+    "sparse": Elsewhere(
+        asks="half as many obstacles",
+        tables={"geometric": {"world": {"density": [0.001, 0.2]}}, "pillar": {"world": {"density": [0.025, 0.05]}}},
+    ),
+    "band": Elsewhere(asks="every ray 30° lower, in place of a tilted sensor", tables=_alike(lidar={"mount": "band"})),
+}
+"""Where the study trains a pair of networks, too: what our reading of the paper leaves open, each tried alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Run:
     """One training run. Runs of a study differ in what stands here, and in nothing else."""
 
@@ -40,6 +71,8 @@ class Run:
     """Its part of the study's budget of maps."""
     samples: float = 1.0
     """Its part of the training samples."""
+    worlds: str = ""
+    """What it is trained and measured on: a name of `ELSEWHERE`, or "" for the presets."""
     probability: float = Thresholds().probability
     """Where the bench takes a voxel for occupied."""
     against: str | None = None
@@ -70,6 +103,8 @@ def _runs() -> tuple[Run, ...]:
     occ, proposed, proposed_1, tudf, columns = (
         replace(run, name=f"{run.name}-short", asks=f"{run.asks}, a part of the maps", share=SHORT) for run in claimed
     )
+
+    proposed = replace(proposed, against=occ.name)
 
     def unlike(base: Run, name: str, asks: str, **changed: Any) -> Run:
         return replace(base, name=name, asks=asks, against=base.name, **changed)
@@ -122,7 +157,9 @@ def _runs() -> tuple[Run, ...]:
         unlike(proposed_1, f"proposed-1-of-{name}", f"one of {name} samples", samples=1 / part)
         for name, part in (("2", 2), ("10", 10), ("40", 40))
     ]
-    return (*long, columns_4, *short, *fewer)
+    there = [replace(occ, name=f"occ-{name}", asks=worlds.asks, worlds=name) for name, worlds in ELSEWHERE.items()]
+    pairs = [(run, unlike(run, f"proposed-{run.worlds}", "the paper's network there", network={})) for run in there]
+    return (*long, columns_4, *short, *fewer, *chain.from_iterable(pairs))
 
 
 EVEN_THRESHOLD = float(corrected(np.array(Thresholds().probability, np.float32), LossConfig().occupied_weight))

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -32,20 +32,19 @@ from scenegen.model.reproduce.claims import Draws, answers, beside, claims, cont
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.figures import draw
 from scenegen.model.reproduce.report import to_markdown
-from scenegen.model.reproduce.runs import RUNS, SEEDS, Run
+from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, RUNS, SEEDS, Run
 from scenegen.model.training.curve import read_rows
 from scenegen.model.training.data import opened
 from scenegen.model.training.device import choose_device
 from scenegen.model.training.loop import Watcher, train
 from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder
-from scenegen.recipe import preset
+from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
 from scenegen.workers import run as run_workers
 
 if TYPE_CHECKING:
     from scenegen.terminal.progress import Progress
 
-KINDS = ("geometric", "pillar")
 SETTINGS, STUDY, TEXT, FIGURES = "settings.json", "study.json", "study.md", "figures"
 TRIALS = 2000
 """Planning trials a kind at scale 1 (the paper's)."""
@@ -67,20 +66,24 @@ def reproduce(
     DatasetError for a folder that holds another study, and what its stages raise.
     """
     begin(out, config)
-    folders = [_dataset(out / "data" / kind, kind, config, workers, progress(kind)) for kind in KINDS]
+    chosen = runs(config)
+    done = [run for run in RUNS if run in chosen or _complete(out / "runs" / run.name, run, config)]
+    worlds = list(dict.fromkeys(["", *(run.worlds for run in done)]))
+    folders = {name: _datasets(out / "data", name, config, workers, progress) for name in worlds}
     where = choose_device(device)
     with progress("networks") as shown:
-        chosen = runs(config)
         shown.start(sum(run.config(config.scaled(config.maps)).maps or 0 for run in chosen))
         work = partial(_train, out, folders, config, str(where), shown if workers == 1 else None)
         side_by_side = 1 if where.type == "cuda" else workers
         for maps in run_workers(work, chosen, side_by_side, lambda: None):
             shown.count(maps)
-    done = [run for run in RUNS if run in chosen or _complete(out / "runs" / run.name, run, config)]
-    measured = [_measure(out, folder, done, config, workers, progress(f"bench {folder.name}")) for folder in folders]
-    short = {run.name for run in done if run.share < 1}
-    drawn = [Draws(one, config.seed) for one in measured]
-    said, others = (judged(drawn, asked, SEEDS) for asked in (claims(), beside()))
+    measured = {
+        name: [_measure(out, name, folder, done, config, workers, progress) for folder in folders[name]]
+        for name in worlds
+    }
+    drawn = {name: [Draws(one, config.seed) for one in several] for name, several in measured.items()}
+    presets, short = measured.pop(""), {run.name for run in done if run.share < 1}
+    said, others = (judged(drawn[""], asked, SEEDS) for asked in (claims(), beside()))
     study = {
         "settings": {name: value for name, value in asdict(config).items() if name != "only"},
         "commit": commit(),
@@ -89,10 +92,14 @@ def reproduce(
         "verdicts": answers(said),
         "claims": said,
         "beside": others,
-        "paths": judged(drawn, of_paths(), SEEDS, common=True),
-        "contrasts": [row for one in drawn for row in contrasts(one, done)],
-        "report": _report(measured, lambda name: name not in short, config.seed),
-        "short": _report(measured, lambda name: name in short, config.seed),
+        "paths": judged(drawn[""], of_paths(), SEEDS, common=True),
+        "contrasts": [row for several in drawn.values() for one in several for row in contrasts(one, done)],
+        "report": _report(presets, lambda name: name not in short, config.seed),
+        "short": _report(presets, lambda name: name in short, config.seed),
+        "elsewhere": {
+            name: {"asks": ELSEWHERE[name].asks, "report": _report(several, lambda name: True, config.seed)}
+            for name, several in measured.items()
+        },
     }
     write_whole(out / STUDY, (json.dumps(study, allow_nan=False) + "\n").encode())
     write_whole(out / TEXT, to_markdown(study).encode())
@@ -136,23 +143,30 @@ def _read(path: Path) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
-def _dataset(folder: Path, kind: str, config: ReproduceConfig, workers: int, shown: "Progress") -> Path:
-    """Made, or gone on with; shards that are damaged are made again."""
-    recipe = preset(kind)
-    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=config.seed, counts=config.counts, compact=True)
-    with shown:
-        build(
-            plan,
-            workers=workers,
-            on_start=lambda: shown.start(plan.samples),
-            on_shard=lambda report, fresh: shown.count(report.samples),
+def _datasets(
+    folder: Path, worlds: str, config: ReproduceConfig, workers: int, progress: Callable[[str], "Progress"]
+) -> list[Path]:
+    """Those of all kinds in `worlds`, made or gone on with; shards that are damaged are made again."""
+    made = []
+    for kind in KINDS:
+        recipe = make_recipe(kind, dict(ELSEWHERE[worlds].tables[kind]) if worlds else {}, where=f"{worlds} {kind}")
+        plan = plan_dataset(
+            folder / worlds / kind, recipe, DrawnWorlds(recipe), seed=config.seed, counts=config.counts, compact=True
         )
-    return folder
+        shown = progress(f"{worlds} {kind}".strip())
+        with shown:
+            build(plan, workers=workers, on_start=partial(shown.start, plan.samples), on_shard=partial(_count, shown))
+        made.append(plan.folder)
+    return made
+
+
+def _count(shown: "Progress", report: Any, fresh: bool) -> None:
+    shown.count(report.samples)
 
 
 def _train(
     out: Path,
-    folders: Sequence[Path],
+    folders: Mapping[str, Sequence[Path]],
     config: ReproduceConfig,
     device: str,
     shown: "Progress | None",
@@ -166,8 +180,8 @@ def _train(
 
     def go_on() -> None:
         train(
-            opened(folders, "train", run.samples),
-            opened(folders, "val"),
+            opened(folders[run.worlds], "train", run.samples),
+            opened(folders[run.worlds], "val"),
             settings,
             folder,
             device=device,
@@ -217,25 +231,35 @@ def _told(run: Run, folder: Path) -> dict[str, Any]:
 
 
 def _measure(
-    out: Path, folder: Path, done: Sequence[Run], config: ReproduceConfig, workers: int, shown: "Progress"
+    out: Path,
+    worlds: str,
+    folder: Path,
+    done: Sequence[Run],
+    config: ReproduceConfig,
+    workers: int,
+    progress: Callable[[str], "Progress"],
 ) -> DatasetResult:
-    """The bench of every network on one dataset; each is kept by itself while it, the data and the settings stay.
+    """The bench, on one dataset, of those networks of `done` that are of its `worlds`; each is kept by itself while it,
+    the data and the settings stay.
 
-    Networks with the whole budget are studied, and so is what needs no network; others have their rows in the tables.
+    Networks with the whole budget are studied, and so is, on the presets, what needs no network; others have their rows
+    in the tables.
     """
-    dataset = Dataset(folder)
-    usual = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed, study=True)
+    dataset, place = Dataset(folder), folder.relative_to(out / "data")
+    usual = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed, study=not worlds)
     unlearned: list[Method] = [Completed(Returns()), Completed(Extrude()), Truth(), Seen()]
     tasks = [("unlearned", "", unlearned, usual)]
     for run in done:
+        if run.worlds != worlds:
+            continue
         network = out / "runs" / run.name
         at = replace(usual, study=run.share == 1, thresholds=Thresholds(probability=run.probability))
         tasks.append((run.name, _sha256(network / BEST), [Pretrained(str(network))], at))
     found = []
-    with shown:
+    with progress(f"bench {' '.join(place.parts)}") as shown:
         shown.start(len(tasks) * len(dataset.split(usual.split)))
         for name, digest, methods, asked in tasks:
-            file = out / "bench" / folder.name / f"{name}.npz"
+            file = out / "bench" / place / f"{name}.npz"
             stamp = {"network": digest, "dataset": str(dataset.manifest.digest), "bench": asdict(asked)}
             result = kept(file, asked, stamp)
             if result is None:
