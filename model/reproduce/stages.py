@@ -1,6 +1,5 @@
 """From a seed to the study's report, stage by stage: what is there is kept, what is damaged is made again."""
 
-import hashlib
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -13,25 +12,19 @@ import torch
 
 from scenegen.checkout import commit
 from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.manifest import differences
-from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, printable
 from scenegen.files import disk_error, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_network
-from scenegen.model.completion.unlearned import Extrude, Returns
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.keep import keep, kept
-from scenegen.model.evaluation.methods import Completed, Method, Truth
-from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.seen import Seen
+from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.reproduce.claims import Draws, answers, beside, claims, contrasts, judged, of_paths
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.figures import draw
 from scenegen.model.reproduce.report import to_markdown
+from scenegen.model.reproduce.rows import measure, rows_of
 from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, RUNS, SEEDS, Run
 from scenegen.model.training.curve import read_rows
 from scenegen.model.training.data import opened
@@ -46,8 +39,6 @@ if TYPE_CHECKING:
     from scenegen.terminal.progress import Progress
 
 SETTINGS, STUDY, TEXT, FIGURES = "settings.json", "study.json", "study.md", "figures"
-TRIALS = 2000
-"""Planning trials a kind at scale 1 (the paper's)."""
 CURVE = ("maps", "seconds", "train_loss", "val_loss", "val_occupancy", "val_iou", "val_near_rmse")
 """What is told of every round of a run."""
 
@@ -77,10 +68,8 @@ def reproduce(
         side_by_side = 1 if where.type == "cuda" else workers
         for maps in run_workers(work, chosen, side_by_side, lambda: None):
             shown.count(maps)
-    measured = {
-        name: [_measure(out, name, folder, done, config, workers, progress) for folder in folders[name]]
-        for name in worlds
-    }
+    found = measure(list(rows_of(out, folders, done, config)), workers, progress("bench"))
+    measured = {name: [found[folder] for folder in several] for name, several in folders.items()}
     drawn = {name: [Draws(one, config.seed) for one in several] for name, several in measured.items()}
     presets, short = measured.pop(""), {run.name for run in done if run.share < 1}
     said, others = (judged(drawn[""], asked, SEEDS) for asked in (claims(), beside()))
@@ -226,49 +215,8 @@ def _told(run: Run, folder: Path) -> dict[str, Any]:
         "maps": curve[-1]["maps"],
         "hours": sum(row["seconds"] for row in curve) / 3600,
         "curve": [{name: row[name] for name in CURVE if name in row} for row in curve],
-        "sha256": _sha256(folder / BEST),
+        "sha256": file_sha256(folder / BEST),
     } | {name: held.get(name) for name in ("settings", "device", "commit", "command")}
-
-
-def _measure(
-    out: Path,
-    worlds: str,
-    folder: Path,
-    done: Sequence[Run],
-    config: ReproduceConfig,
-    workers: int,
-    progress: Callable[[str], "Progress"],
-) -> DatasetResult:
-    """The bench, on one dataset, of those networks of `done` that are of its `worlds`; each is kept by itself while it,
-    the data and the settings stay.
-
-    Networks with the whole budget are studied, and so is, on the presets, what needs no network; others have their rows
-    in the tables.
-    """
-    dataset, place = Dataset(folder), folder.relative_to(out / "data")
-    usual = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed, study=not worlds)
-    unlearned: list[Method] = [Completed(Returns()), Completed(Extrude()), Truth(), Seen()]
-    tasks = [("unlearned", "", unlearned, usual)]
-    for run in done:
-        if run.worlds != worlds:
-            continue
-        network = out / "runs" / run.name
-        at = replace(usual, study=run.share == 1, thresholds=Thresholds(probability=run.probability))
-        tasks.append((run.name, _sha256(network / BEST), [Pretrained(str(network))], at))
-    found = []
-    with progress(f"bench {' '.join(place.parts)}") as shown:
-        shown.start(len(tasks) * len(dataset.split(usual.split)))
-        for name, digest, methods, asked in tasks:
-            file = out / "bench" / place / f"{name}.npz"
-            stamp = {"network": digest, "dataset": str(dataset.manifest.digest), "bench": asdict(asked)}
-            result = kept(file, asked, stamp)
-            if result is None:
-                result = bench(dataset, methods, asked, workers=workers, on_done=shown.count)
-                keep(file, result, stamp)
-            else:
-                shown.count(len(result.worlds))
-            found.append(result)
-    return replace(found[0], methods={name: row for result in found for name, row in result.methods.items()})
 
 
 def _report(measured: Sequence[DatasetResult], named: Callable[[str], bool], seed: int) -> dict[str, Any]:
@@ -277,7 +225,3 @@ def _report(measured: Sequence[DatasetResult], named: Callable[[str], bool], see
     studied = [all(row.study is not None for row in one.methods.values()) for one in chosen]
     chosen = [replace(one, config=replace(one.config, study=whole)) for one, whole in zip(chosen, studied, strict=True)]
     return build_report(chosen, seed=seed, about={"split": measured[0].config.split}, tests=False)
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

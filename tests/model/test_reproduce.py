@@ -14,7 +14,7 @@ from scenegen.model.reproduce import stages
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.estimate import estimate
 from scenegen.model.reproduce.report import to_markdown
-from scenegen.model.reproduce.runs import RUNS, SEEDS
+from scenegen.model.reproduce.runs import ELSEWHERE, RUNS, SEEDS
 from scenegen.model.reproduce.stages import STUDY, TEXT, begin, runs
 from tests.command_line import run as command
 
@@ -23,7 +23,7 @@ def test_runs_differ_in_what_they_are_for() -> None:
     """Names are unique, settings are possible and pairwise different, and verdicts have their seeds."""
     assert len({run.name for run in RUNS}) == len(RUNS)
     configs = [run.config(20_000) for run in RUNS]
-    assert len({(repr(config), run.samples) for config, run in zip(configs, RUNS, strict=True)}) == len(RUNS)
+    assert len({(repr(one), run.samples, run.worlds) for one, run in zip(configs, RUNS, strict=True)}) == len(RUNS)
     for name in ("occ", "tudf", "proposed"):
         assert {f"{name}-s{seed}" for seed in SEEDS} <= {run.name for run in RUNS}
     assert {config.maps for config in configs} == {20_000, 5_000}
@@ -31,7 +31,7 @@ def test_runs_differ_in_what_they_are_for() -> None:
     for run in RUNS:
         if run.against is not None:
             other = named[run.against]
-            assert (run.share, run.seed) == (other.share, other.seed)
+            assert (run.share, run.seed, run.worlds) == (other.share, other.seed, other.worlds)
             changed = ("network", "loss", "protocol", "samples")
             assert sum(getattr(run, name) != getattr(other, name) for name in changed) == 1
 
@@ -56,7 +56,7 @@ def test_estimates_grow_with_what_is_to_be_done(monkeypatch: pytest.MonkeyPatch)
     )
     assert small.train_s == pytest.approx(400 * 0.1 / 2)
     assert large.train_s == pytest.approx(sum(run.share for run in RUNS) * small.train_s)
-    assert large.generate_s == small.generate_s
+    assert large.generate_s == (1 + len(ELSEWHERE)) * small.generate_s
     assert large.bench_s > small.bench_s
     assert large.bytes > small.bytes
     assert set(large.words()) == {"time", "disk", "on"}
