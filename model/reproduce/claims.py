@@ -47,8 +47,11 @@ BESIDE = (
     ("proposed-1", "proposed"),
     ("proposed-1", "occ"),
     ("proposed-1", "tudf"),
-    ("columns", "occ"),
-    ("columns", "proposed-1"),
+    ("no-eikonal", "proposed"),
+    ("no-eikonal", "occ"),
+    ("columns-4", "columns"),
+    ("columns-4", "occ"),
+    ("columns-4", "proposed-1"),
 )
 """What is judged beside the paper's claims, by `BESIDE_BY`: the first before the second."""
 BESIDE_BY = ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success")

@@ -96,12 +96,19 @@ def _runs() -> tuple[Run, ...]:
         Run(name="proposed", asks="the paper's network, λ_occ 0.1"),
         Run(name="proposed-1", asks="λ_occ 1: whether distances leave occupancy its share", loss=level),
         Run(name="tudf", asks="the paper's TUDF-only", network={"variant": "tudf"}),
-        Run(name="columns", asks="columns seen whole, free space", network={"variant": "columns", **both}, loss=level),
     )
-    long = [replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in claimed]
-    columns_4 = replace(claimed[-1], name="columns-4-s0", asks="columns in batches of 4", protocol={"batch": 4})
+    columns = Run(
+        name="columns", asks="columns seen whole, free space", network={"variant": "columns", **both}, loss=level
+    )
+    small = replace(columns, name="columns-4", asks="the same in batches of 4", protocol={"batch": 4})
+    plain = replace(claimed[1], name="no-eikonal", asks="the paper's without the Eikonal term", loss={"eikonal": 0.0})
+    long = [
+        *(replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in (*claimed, plain)),
+        *(replace(run, name=f"{run.name}-s0") for run in (columns, small)),
+    ]
     occ, proposed, proposed_1, tudf, columns = (
-        replace(run, name=f"{run.name}-short", asks=f"{run.asks}, a part of the maps", share=SHORT) for run in claimed
+        replace(run, name=f"{run.name}-short", asks=f"{run.asks}, a part of the maps", share=SHORT)
+        for run in (*claimed, columns)
     )
 
     proposed = replace(proposed, against=occ.name)
@@ -159,7 +166,7 @@ def _runs() -> tuple[Run, ...]:
     ]
     there = [replace(occ, name=f"occ-{name}", asks=worlds.asks, worlds=name) for name, worlds in ELSEWHERE.items()]
     pairs = [(run, unlike(run, f"proposed-{run.worlds}", "the paper's network there", network={})) for run in there]
-    return (*long, columns_4, *short, *fewer, *chain.from_iterable(pairs))
+    return (*long, *short, *fewer, *chain.from_iterable(pairs))
 
 
 EVEN_THRESHOLD = float(corrected(np.array(Thresholds().probability, np.float32), LossConfig().occupied_weight))
