@@ -10,11 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
+from lidarsim.noise import Noise
 from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.rescan import plan_rescan
 from scenegen.dataset.state import Plan
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
@@ -137,6 +139,10 @@ def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path: Path)
     assert verify(one.folder).ok
     assert dataset.grid.hollow
     assert dataset.manifest.recipe == small_recipe(grid={"hollow": True})
+    again = plan_rescan(dataset, tmp_path / "again", chain=Noise.parse("range:0.02"))
+    build(again)
+    for one_sample, other in zip(dataset.split("train"), Dataset(again.folder).split("train"), strict=True):
+        np.testing.assert_array_equal(one_sample.occupancy, other.occupancy)
     assert "hollow = true" in recipe_text(one.parameters, "again")
     with pytest.raises(DatasetError, match=r'grid\.hollow is true there, "absent" asked for'):
         build(plan(one.folder, hollow=False), workers=1)
