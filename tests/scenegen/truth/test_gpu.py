@@ -81,6 +81,6 @@ def test_a_grid_that_is_not_the_occupancys_is_refused() -> None:
 
 
 def test_surfaces_alone_are_refused() -> None:
-    worlds = Worlds([solids_of(model_of(random_model(np.random.default_rng(0))))], device="cpu")
+    worlds = Worlds([solids_of(random_model(np.random.default_rng(0)))], device="cpu")
     with pytest.raises(ValueError, match=r"grid\.hollow = True: expected False on the GPU"):
         gpu.rasterize(worlds, GridSpec(hollow=True), np.zeros((1, 3)))

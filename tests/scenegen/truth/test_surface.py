@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
-from lidarsim.noise import Noise
+from lidarsim.noise.chain import Noise
 from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset import manifest
