@@ -40,7 +40,7 @@ SEVERAL = "several"
 GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m", "hollow": "hollow"}
 """A grid's parameters: their names in the file, and in `GridSpec`."""
 RARE = "hollow"
-"""The one of them that the file names only where it is true, as it does since that one is there."""
+"""The one of them that the file names only where it is true: manifests of earlier commits do not name it."""
 
 
 def parameters(
