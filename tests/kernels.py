@@ -1,5 +1,6 @@
 """Every kernel compiled once for all processes that run the tests: each compiles a share, and the others read it."""
 
+import dataclasses
 import fcntl
 import hashlib
 import os
@@ -45,6 +46,7 @@ def _rasterize() -> None:
     from scenegen.truth import rasterize
 
     rasterize(_nothing(), _grid(), np.zeros(3))
+    rasterize(_nothing(), dataclasses.replace(_grid(), hollow=True), np.zeros(3))
 
 
 def _meshes() -> None:

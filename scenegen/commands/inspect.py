@@ -119,7 +119,8 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
             **{f"from {n}": _said(source) for n, source in enumerate(found.get("sources", ()))},
             "complete": "yes" if found["complete"] else "no",
             "digest": found["digest"] or "none yet",
-            "grid": f"{found['grid']['shape']} voxels of {found['grid']['voxel']} m",
+            "grid": f"{found['grid']['shape']} voxels of {found['grid']['voxel']} m"
+            + (", truth of surfaces" if found["grid"].get("hollow") else ""),
             "maps": Mapper(**(found["mapping"] or {})),
             "fields": ", ".join(found["fields"]),
             "samples": found["samples"],

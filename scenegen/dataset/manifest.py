@@ -37,8 +37,10 @@ OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters."""
 SEVERAL = "several"
 """What a manifest says for a text in which the datasets differ that its samples were made for."""
-GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m"}
+GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m", "hollow": "hollow"}
 """A grid's parameters: their names in the file, and in `GridSpec`."""
+RARE = "hollow"
+"""The one of them that the file names only where it is true: manifests of earlier commits do not name it."""
 
 
 def parameters(
@@ -65,7 +67,9 @@ def parameters(
         "counts": {split: counts[split] for split in SPLITS},
         "recipe": _plain(recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})),
         "fields": list(stored_fields(compact, labels=recipe.labels is not None, scans=recipe.mapping.scans)),
-        "grid": _plain({name: getattr(recipe.grid, ours) for name, ours in GRID.items()}),
+        "grid": _plain(
+            {name: getattr(recipe.grid, ours) for name, ours in GRID.items() if name != RARE or recipe.grid.hollow}
+        ),
         "lidar": entry_of(recipe.lidar),
         **more,
         "shard_samples": shard_samples,

@@ -276,7 +276,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
     check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
     check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
-    check(found["grid"], dict.fromkeys(manifest.GRID, _GIVEN), "grid")
+    check(found["grid"], {name: _GIVEN for name in manifest.GRID if name != manifest.RARE}, "grid")
     files_of(found["lidar"])
     check_noise(found["noise"])
     if found["labels"] is not None:

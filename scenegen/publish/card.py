@@ -61,6 +61,9 @@ def _fields(it: Publication) -> str:
     grid = it.manifest.grid
     absent = [f"`{name}`" for name in ("free", "tudf") if name not in it.fields]
     derived = f" {' and '.join(absent)} follow from these; scenegen derives them on reading." if absent else ""
+    surfaces = (
+        " Truth is of surfaces: a voxel that lies wholly inside one solid is not occupied." if grid.hollow else ""
+    )
     table = "\n".join(rows)
     if it.manifest.labels is not None:
         classes = it.manifest.labels["classes"]
@@ -71,7 +74,7 @@ def _fields(it: Publication) -> str:
 {table}
 
 Grids are indexed x, y, z; z points up; voxels are {grid.voxel_m:g} m wide and the sensor sits at the map's centre.
-A voxel that is neither observed nor free is unknown. Distances end at {grid.truncation_m:g} m. The LiDAR has
+A voxel that is neither observed nor free is unknown.{surfaces} Distances end at {grid.truncation_m:g} m. The LiDAR has
 {it.manifest.lidar}.{derived}
 
 Every `SPLIT-NNNNN.h5` is a plain HDF5 file with samples along the first dimension; the `.worlds.zip` beside it holds

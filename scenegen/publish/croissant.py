@@ -106,8 +106,8 @@ def _responsible(it: Publication) -> dict[str, Any]:
             "Distances are an exact Euclidean transform of occupancy, truncated.",
         ],
         "rai:dataAnnotationProtocol": [
-            "Truth is computed, not labelled: a voxel is occupied where its closed cube touches a solid of the world, "
-            "decided by closed forms."
+            "Truth is computed, not labelled: a voxel is occupied where its closed cube touches "
+            f"{'the surface of ' if it.manifest.grid.hollow else ''}a solid of the world, decided by closed forms."
         ],
         "rai:machineAnnotationTools": [made],
         "rai:dataUseCases": [

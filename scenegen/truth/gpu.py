@@ -27,8 +27,11 @@ def rasterize(worlds: Worlds, grid: GridSpec, corners: Any, *, which: ArrayLike 
     """Occupancy (P, *grid.shape) of P grids, a Warp array of bool on the worlds' device.
 
     Grid p has its least corner at `corners` (P, 3), in world `which` (P,), which is world p unless said otherwise. A
-    voxel is occupied where its closed cube lies within `SLACK_M` of a solid. Raises ValueError for other shapes.
+    voxel is occupied where its closed cube lies within `SLACK_M` of a solid. Raises ValueError for other shapes, and
+    for a grid that is `hollow`.
     """
+    if grid.hollow:
+        raise ValueError("grid.hollow = True: expected False on the GPU; scenegen.truth.rasterize knows surfaces")
     lows = on_device(corners, wp.vec3d, worlds.device)
     poses = len(lows)
     placed("corners", lows, (poses,), wp.vec3d, worlds.device)

@@ -1,4 +1,4 @@
-"""Exact occupancy: the voxels whose closed cube touches a solid."""
+"""Exact occupancy: the voxels whose closed cube touches a solid, or its surface."""
 
 import math
 
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CYLINDER, Solids
-from scenegen.truth.shapes import distance, touches
+from scenegen.truth.shapes import distance, touches, within
 from scenegen.truth.triangles import inside_columns, triangle_touches
 
 SLACK_M = 1e-6
@@ -18,11 +18,13 @@ SLACK_M = 1e-6
 def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.bool_]:
     """Occupancy (*grid.shape) of the grid whose least corner is `origin` (3,), world metres.
 
-    True where the voxel's closed cube lies within `SLACK_M` of a solid, decided by closed forms, never by sampling.
+    True where the voxel's closed cube lies within `SLACK_M` of a solid, decided by closed forms, never by sampling. On
+    a `grid.hollow`, of the surface of a solid: a cube that lies deeper than `SLACK_M` in a solid does not touch it.
     """
     occupancy = np.zeros(grid.shape, dtype=np.bool_)
     origin = np.asarray(origin, dtype=np.float64)
-    _fill_primitives(
+    fill = _fill_shells if grid.hollow else _fill_primitives
+    fill(
         solids.shape,
         solids.size,
         solids.position,
@@ -36,7 +38,7 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.b
     for mesh, filled in enumerate(solids.mesh_filled):
         triangles = solids.triangles[solids.mesh_start[mesh] : solids.mesh_start[mesh + 1]]
         _fill_surface(triangles, origin, grid.voxel_m, occupancy)
-        if filled:
+        if filled and not grid.hollow:
             inside_columns(triangles, origin, grid.voxel_m, occupancy)
     return occupancy
 
@@ -80,6 +82,35 @@ def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxe
                         voxel_m,
                         occupancy[i, j, k0:k1],
                     )
+
+
+@kernel
+def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):
+    """Mark the voxels at every primitive's surface: those of the whole primitive, less those deep inside it."""
+    whole = np.zeros_like(occupancy)
+    nx, ny, nz = occupancy.shape
+    for n in range(len(shape)):
+        m = n + 1
+        _fill_primitives(
+            shape[n:m], size[n:m], position[n:m], rotation[n:m], lower[n:m], upper[n:m], origin, voxel_m, whole
+        )
+        axes = rotation[n]
+        i0, i1 = _span(lower[n, 0], upper[n, 0], origin[0], voxel_m, nx)
+        j0, j1 = _span(lower[n, 1], upper[n, 1], origin[1], voxel_m, ny)
+        k0, k1 = _span(lower[n, 2], upper[n, 2], origin[2], voxel_m, nz)
+        for i in range(i0, i1):
+            dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
+            for j in range(j0, j1):
+                dy = origin[1] + (j + 0.5) * voxel_m - position[n, 1]
+                for k in range(k0, k1):
+                    if whole[i, j, k]:
+                        whole[i, j, k] = False
+                        dz = origin[2] + (k + 0.5) * voxel_m - position[n, 2]
+                        x = axes[0, 0] * dx + axes[1, 0] * dy + axes[2, 0] * dz
+                        y = axes[0, 1] * dx + axes[1, 1] * dy + axes[2, 1] * dz
+                        z = axes[0, 2] * dx + axes[1, 2] * dy + axes[2, 2] * dz
+                        if not (occupancy[i, j, k] or within(shape[n], size[n], axes, x, y, z, 0.5 * voxel_m, SLACK_M)):
+                            occupancy[i, j, k] = True
 
 
 @kernel

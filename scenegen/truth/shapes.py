@@ -1,4 +1,5 @@
-"""Closed forms of MuJoCo's primitive shapes, in the shape's own frame: how far a point is, whether a cube touches.
+"""Closed forms of MuJoCo's primitive shapes, in the shape's own frame: how far a point is, whether a cube touches or is
+inside.
 
 A cube is given by its centre, by its three unit axes (the world's axes written in the shape's frame, so row a of the
 shape's rotation matrix is axis a) and by half its edge. Sizes are MuJoCo's: (radius), (radius, half length),
@@ -68,6 +69,42 @@ def touches(shape, size, axes, x, y, z, half, slack):
     if shape == ELLIPSOID:
         return _ellipsoid_touches(size, axes, x, y, z, half, slack)
     return z - half * (abs(axes[0, 2]) + abs(axes[1, 2]) + abs(axes[2, 2])) <= slack
+
+
+@kernel
+def within(shape, size, axes, x, y, z, half, slack):
+    """Whether the closed cube about (x, y, z) lies in the shape, farther than `slack` metres from its surface.
+
+    The shapes are convex, and so is what lies that deep in them: the cube's corners decide.
+    """
+    for i in (-half, half):
+        for j in (-half, half):
+            for k in (-half, half):
+                u = x + i * axes[0, 0] + j * axes[1, 0] + k * axes[2, 0]
+                v = y + i * axes[0, 1] + j * axes[1, 1] + k * axes[2, 1]
+                w = z + i * axes[0, 2] + j * axes[1, 2] + k * axes[2, 2]
+                if not _is_deep(shape, size, u, v, w, slack):
+                    return False
+    return True
+
+
+@kernel
+def _is_deep(shape, size, x, y, z, slack):
+    """Whether a point lies in the shape, farther than `slack` from its surface; in an ellipsoid, so far in the
+    direction of its least semi-axis, which errs on the side of the surface."""
+    if shape == SPHERE:
+        return math.sqrt(x * x + y * y + z * z) < size[0] - slack
+    if shape == CAPSULE:
+        z -= min(max(z, -size[1]), size[1])
+        return math.sqrt(x * x + y * y + z * z) < size[0] - slack
+    if shape == CYLINDER:
+        return math.sqrt(x * x + y * y) < size[0] - slack and abs(z) < size[1] - slack
+    if shape == BOX:
+        return abs(x) < size[0] - slack and abs(y) < size[1] - slack and abs(z) < size[2] - slack
+    if shape == ELLIPSOID:
+        x, y, z = x / size[0], y / size[1], z / size[2]
+        return (1.0 - math.sqrt(x * x + y * y + z * z)) * min(size[0], size[1], size[2]) > slack
+    return z < -slack
 
 
 @kernel

@@ -84,6 +84,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
         (("grid", "shape"), [80, 80], "grid.shape = [80, 80]: expected three whole numbers from 1 to 8192"),
         (("grid", "voxel"), 0, "grid.voxel = 0: expected a finite number from 0.001 to 1000"),
         (("grid", "truncation"), ..., "grid.truncation is missing: expected a value"),
+        (("grid", "hollow"), 1, "grid.hollow = 1: expected true or false"),
         (("lidar", "rows"), "many", "lidar.rows = 'many': expected a whole number from 1 to 1000000"),
         (("lidar", "colour"), 1, "lidar: unknown parameter 'colour': expected rows, columns, "),
         (("fields",), ["observed"], "fields = ['observed']: expected all, or all but the derived ones"),

@@ -78,3 +78,9 @@ def test_a_grid_that_is_not_the_occupancys_is_refused() -> None:
     occupancy = wp.zeros((1, 4, 4, 4), dtype=wp.bool, device="cpu")
     with pytest.raises(ValueError, match=r"occupancy: an array \(1, 4, 4, 4\) of bool on cpu, expected \(1, 5, 4, 4\)"):
         gpu.distance_field(occupancy, GridSpec(shape=(5, 4, 4)))
+
+
+def test_surfaces_alone_are_refused() -> None:
+    worlds = Worlds([solids_of(random_model(np.random.default_rng(0)))], device="cpu")
+    with pytest.raises(ValueError, match=r"grid\.hollow = True: expected False on the GPU"):
+        gpu.rasterize(worlds, GridSpec(hollow=True), np.zeros((1, 3)))

@@ -1,0 +1,159 @@
+"""Truth of surfaces alone: what lies wholly inside one solid is not occupied, and every return still is."""
+
+import dataclasses
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from lidarsim.noise.chain import Noise
+from lidarsim.solids.model import solids_of
+from lidarsim.solids.shapes import Solids
+from scenegen.dataset import manifest
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.dataset.state import Plan
+from scenegen.draw import draw_unit
+from scenegen.errors import DatasetError
+from scenegen.publish.regenerate import recipe_text
+from scenegen.recipe import preset
+from scenegen.source import DrawnWorlds
+from scenegen.truth import distance_field, rasterize
+from scenegen.verify import verify
+from tests.conftest import small_recipe
+from tests.scenegen.truth import reference
+from tests.scenegen.truth.reference import Floats, Shape
+from tests.scenegen.truth.test_occupancy import bracket_shape, compiled, mesh_model, placed
+
+EDGE = 24
+CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+
+
+def both(solids: Solids, shape: tuple[int, int, int], voxel: float, origin: Floats) -> list[NDArray[np.bool_]]:
+    """Solid truth, and surface truth."""
+    grid = GridSpec(shape=shape, voxel_m=voxel)
+    return [rasterize(solids, dataclasses.replace(grid, hollow=hollow), origin) for hollow in (False, True)]
+
+
+def eroded(shape: Shape, by: float) -> Shape:
+    """A shape that lies in `shape`, everywhere `by` deep at least."""
+    size = np.array(shape.size, float)
+    if shape.kind == "plane":
+        return shape.at(shape.pos - by * shape.rot[:, 2])
+    if shape.kind == "ellipsoid":
+        size *= 1 - by / size.min()
+    else:
+        size -= by * np.array(
+            {"sphere": (1, 0, 0), "capsule": (1, 0, 0), "cylinder": (1, 1, 0)}.get(shape.kind, (1, 1, 1))
+        )
+    return dataclasses.replace(shape, size=tuple(size))
+
+
+@pytest.mark.parametrize("kind", reference.KINDS)
+def test_what_is_left_out_lies_wholly_inside_one_solid_and_nothing_else_does(kind: str) -> None:
+    rng = np.random.default_rng(list(kind.encode()))
+    places = [placed(kind, rng, EDGE) for _ in range(40)]
+    inner = 0
+    for solids, (shape, voxel, origin) in zip(compiled([shape for shape, _, _ in places]), places, strict=True):
+        solid, surface = both(solids, (EDGE,) * 3, voxel, origin)
+        assert not (surface & ~solid).any()
+        centres = reference.voxel_centres(solid.shape, voxel, origin)
+        left_out = centres[solid & ~surface]
+        inner += len(left_out)
+        points = np.concatenate([CORNERS, rng.uniform(-0.5, 0.5, (20, 3))]) * voxel
+        assert reference.points_inside(shape, left_out[:, None] + points).all()
+        if min(shape.size[: 1 if kind in ("sphere", "capsule") else 2 if kind == "cylinder" else 3]) > 1e-4:
+            deep = reference.points_inside(eroded(shape, 2e-6), centres[surface][:, None] + CORNERS * voxel)
+            assert not deep.all(axis=1).any()
+    assert inner > 500
+
+
+@pytest.mark.parametrize(("proud_m", "inner"), [(0.0, 3), (5e-7, 3), (3e-6, 5)])
+def test_cubes_that_share_a_face_with_the_surface_touch_it(proud_m: float, inner: int) -> None:
+    shape = Shape("box", (0.625 + proud_m,) * 3, pos=np.full(3, 1.375))
+    solid, surface = both(solids_of(reference.world_of(shape)), (12, 12, 12), 0.25, np.zeros(3))
+    assert (solid.sum(), (solid & ~surface).sum()) == (7**3, inner**3)
+
+
+def test_solids_that_overlap_keep_each_its_own_surface() -> None:
+    rng = np.random.default_rng(5)
+    origin = np.zeros(3)
+    shapes = [
+        Shape(kind, tuple(rng.uniform(0.5, 1.2, 3)), pos=tuple(rng.uniform(1, 2, 3)), quat=rng.normal(size=4))
+        for kind in reference.KINDS
+        if kind != "plane"
+    ]
+    _, together = both(solids_of(reference.world_of(*shapes)), (EDGE,) * 3, 0.125, origin)
+    alone = [both(solids, (EDGE,) * 3, 0.125, origin)[1] for solids in compiled(shapes)]
+    np.testing.assert_array_equal(together, np.any(alone, axis=0))
+
+
+def test_a_closed_mesh_is_its_surface() -> None:
+    solids = solids_of(mesh_model(bracket_shape(), (0, 0, 0), (0.9, 0.2, 0.3, 0.1)))
+    assert solids.mesh_filled.all()
+    low = solids.triangles.min(axis=(0, 1)) - 0.05
+    voxel = float((solids.triangles.max(axis=(0, 1)) - low).max()) / 30
+    solid, surface = both(solids, (32, 32, 32), voxel, low)
+    opened = dataclasses.replace(solids, mesh_filled=np.zeros(len(solids.mesh_filled), bool))
+    np.testing.assert_array_equal(surface, both(opened, (32, 32, 32), voxel, low)[0])
+    assert 0 < surface.sum() < solid.sum()
+
+
+@pytest.mark.parametrize("kind", ["pillar", "geometric"])
+def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth(kind: str) -> None:
+    plain = preset(kind)
+    grid = dataclasses.replace(plain.grid, hollow=True)
+    kept = []
+    for unit in range(3):
+        solid, surface = (
+            draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=unit).samples
+            for recipe in (plain, dataclasses.replace(plain, grid=grid))
+        )
+        for one, other in zip(solid, surface, strict=True):
+            np.testing.assert_array_equal(one.ranges, other.ranges)
+            assert not (other.observed & ~other.occupancy).any()
+            assert not (other.occupancy & ~one.occupancy).any()
+            np.testing.assert_array_equal(other.tudf, distance_field(other.occupancy, grid))
+            kept.append(other.occupancy.sum() / one.occupancy.sum())
+    assert 0.5 < np.mean(kept) < 0.97
+
+
+def plan(folder: Path, *, hollow: bool | None = True) -> Plan:
+    recipe = small_recipe(grid={} if hollow is None else {"hollow": hollow})
+    return plan_dataset(
+        folder, recipe, DrawnWorlds(recipe), seed=3, counts={"train": 3, "val": 0, "test": 0}, shard_samples=2
+    )
+
+
+def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path: Path) -> None:
+    one, two = plan(tmp_path / "one"), plan(tmp_path / "two")
+    build(one, workers=1)
+    build(two, workers=2)
+    dataset = Dataset(one.folder)
+    assert dataset.manifest.digest == Dataset(two.folder).manifest.digest
+    assert verify(one.folder).ok
+    assert dataset.grid.hollow
+    assert dataset.manifest.recipe == small_recipe(grid={"hollow": True})
+    again = plan_rescan(dataset, tmp_path / "again", chain=Noise.parse("range:0.02"))
+    build(again)
+    for one_sample, other in zip(dataset.split("train"), Dataset(again.folder).split("train"), strict=True):
+        np.testing.assert_array_equal(one_sample.occupancy, other.occupancy)
+    assert "hollow = true" in recipe_text(one.parameters, "again")
+    with pytest.raises(DatasetError, match=r'grid\.hollow is true there, "absent" asked for'):
+        build(plan(one.folder, hollow=False), workers=1)
+    path = one.folder / manifest.NAME
+    said = json.loads(path.read_text())
+    del said["grid"]["hollow"]
+    path.write_text(json.dumps(said))
+    assert not verify(one.folder).ok  # solids are another truth
+
+
+def test_manifests_of_solids_do_not_name_it(tmp_path: Path) -> None:
+    assert plan(tmp_path, hollow=False).parameters == plan(tmp_path, hollow=None).parameters
+    assert plan(tmp_path, hollow=None).parameters["grid"].keys() == {"shape", "voxel", "truncation"}
+    assert plan(tmp_path).parameters["grid"] == plan(tmp_path, hollow=None).parameters["grid"] | {"hollow": True}
