@@ -49,6 +49,7 @@ ELSEWHERE = {
         asks="half as many obstacles",
         tables={"geometric": {"world": {"density": [0.001, 0.2]}}, "pillar": {"world": {"density": [0.025, 0.05]}}},
     ),
+    "hollow": Elsewhere(asks="truth of surfaces alone, as of meshes", tables=_alike(grid={"hollow": True})),
     "band": Elsewhere(asks="every ray 30° lower, in place of a tilted sensor", tables=_alike(lidar={"mount": "band"})),
 }
 """Where the study trains a pair of networks, too: what our reading of the paper leaves open, each tried alone."""
