@@ -104,8 +104,8 @@ def _runs() -> tuple[Run, ...]:
     small = replace(columns, name="columns-4", asks="the same in batches of 4", protocol={"batch": 4})
     plain = replace(claimed[1], name="no-eikonal", asks="the paper's without the Eikonal term", loss={"eikonal": 0.0})
     long = [
-        *(replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in (*claimed, plain)),
-        *(replace(run, name=f"{run.name}-s0") for run in (columns, small)),
+        *(replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in claimed),
+        *(replace(run, name=f"{run.name}-s0") for run in (plain, columns, small)),
     ]
     occ, proposed, proposed_1, tudf, columns = (
         replace(run, name=f"{run.name}-short", asks=f"{run.asks}, a part of the maps", share=SHORT)
@@ -117,7 +117,6 @@ def _runs() -> tuple[Run, ...]:
     def unlike(base: Run, name: str, asks: str, **changed: Any) -> Run:
         return replace(base, name=name, asks=asks, against=base.name, **changed)
 
-    dual_1 = unlike(proposed_1, "dual-1", "without CrossFusion at λ_occ 1", network={"variant": "dual"})
     short = [
         occ,
         proposed,
@@ -127,10 +126,9 @@ def _runs() -> tuple[Run, ...]:
         unlike(columns, "columns-4-short", "batches of 4", protocol={"batch": 4}),
         unlike(occ, "occ-4", "batches of 4", protocol={"batch": 4}),
         unlike(proposed, "dual", "without CrossFusion", network={"variant": "dual"}),
-        dual_1,
+        unlike(proposed_1, "dual-1", "without CrossFusion at λ_occ 1", network={"variant": "dual"}),
         unlike(proposed, "shared", "one decoder with two heads", network={"variant": "shared"}),
         unlike(proposed_1, "shared-1", "the same at λ_occ 1", network={"variant": "shared"}),
-        unlike(dual_1, "dual-1-free", "free space as an input", network={"variant": "dual", **both}),
         unlike(columns, "columns-observed", "without free space", network={"variant": "columns"}),
         *(
             unlike(columns, f"columns-{name}", f"{what}, too", network={"variant": "columns", "inputs": (*BOTH, name)})
