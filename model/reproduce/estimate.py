@@ -16,7 +16,7 @@ from scenegen.model.training.loop import Step, optimizer_of
 
 SAMPLE_S, SAMPLE_BYTES = 0.006, 15e3
 """A sample of a compact dataset, one core: docs/log.md."""
-ROW_S, STUDIED_S = 0.08, 0.6
+ROW_S, STUDIED_S = 0.08, 0.15
 """A row of the bench, and one with its study, by map and core, planning included: docs/log.md."""
 RUN_BYTES = 10e6
 """What a run's folder takes."""
