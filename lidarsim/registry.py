@@ -49,8 +49,9 @@ class Registry:
 
     def unknown(self, name: str) -> str:
         """What to say of a `name` that is none."""
-        near = difflib.get_close_matches(name[:MOST_NAMED], self.known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(self.known)}"
+        near = [known for known in self.known if name and name.lower() in known]
+        near = near or difflib.get_close_matches(name[:MOST_NAMED], self.known, n=1)
+        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(self.known)}"
         return f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)"
 
     def check(self, chosen: Any, name: str) -> None:

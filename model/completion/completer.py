@@ -1,11 +1,12 @@
 """A trained network as one object: partial maps in, predictions out.
 
 completer = Completer.from_pretrained("proposed")
-prediction = completer(observed)  # (80, 80, 40) or (B, 80, 80, 40), bool
+prediction = completer(sample)  # or its inputs by name
 prediction.occupancy_probability, prediction.tudf  # the same shape, float32; metres
 """
 
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -108,11 +109,11 @@ class Completer:
 
         `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the observed voxels alone, from
         which other inputs are then derived as from a scan of points, one at the centre of each, seen from the map's:
-        less than a sample tells, and completed worse. Numpy or torch, numbers 0 and 1 or bool where an input is binary.
-        What comes back has the same shape and is float32, numpy for numpy and torch for torch (on the same device);
-        distances are metres, at most the truncation; what the network's variant does not predict is None. Raises
-        ValueError where an input is missing, for another grid, or for values that an input cannot hold; PredictionError
-        where the network says NaN, or what is no probability or distance.
+        less than a sample tells, completed worse, and warned of. Numpy or torch, numbers 0 and 1 or bool where an input
+        is binary. What comes back has the same shape and is float32, numpy for numpy and torch for torch (on the same
+        device); distances are metres, at most the truncation; what the network's variant does not predict is None.
+        Raises ValueError where an input is missing, for another grid, or for values that an input cannot hold;
+        PredictionError where the network says NaN, or what is no probability or distance.
         """
         if isinstance(maps, Sample):
             batch: Mapping[str, Maps] = of_sample(self.inputs, maps, self.grid, None)
@@ -160,6 +161,11 @@ class Completer:
         seen = self._checked("observed", observed)
         if self.inputs == ("observed",):
             return {"observed": observed}
+        warnings.warn(
+            f"{self.name} takes {', '.join(self.inputs)}, and derives what is not given from the observed voxels, "
+            "which say less; give it a sample, or all of these by name",
+            stacklevel=3,
+        )
         flat = seen.reshape(-1, *self.grid.shape).bool().numpy(force=True)
         found = [of_scan(self.inputs, centres(one, self.grid)) for one in flat]
         return {

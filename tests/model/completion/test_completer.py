@@ -170,6 +170,12 @@ def test_bundled_networks_complete_the_papers_grid(name: str) -> None:
     assert completer.about["figures"]["val_iou"] > 0.2
 
 
+def test_a_network_of_more_inputs_warns_where_it_gets_observed_voxels_alone() -> None:
+    completer = Completer.from_pretrained()
+    with pytest.warns(UserWarning, match="columns takes observed, free, and derives what is not given"):
+        completer(np.zeros(completer.grid.shape, bool))
+
+
 @pytest.mark.parametrize("name", bundled())
 def test_a_bundled_network_has_the_card_of_its_own_header(name: str) -> None:
     found = load_network(BUNDLED / f"{name}.safetensors")[2]

@@ -161,6 +161,7 @@ REFUSED = {
     "a table in the file": (("sensors", "small.toml"), 1, "expected its parameters at the top"),
     "no such file": (("sensors", "absent.toml"), 1, "absent.toml"),
     "a misspelt name": (("sensors", "velodine-vlp-16"), 2, "did you mean 'velodyne-vlp-16'"),
+    "a part of a name": (("sensors", "VLP-16"), 2, "did you mean 'velodyne-vlp-16'"),
     "misspelt noise": (("scan", "room.xml", "--flight", "--noise", "rnage:1"), 1, "did you mean 'range'"),
     "noise that a sensor lacks": (("scan", "room.xml", "--flight", "--noise", "datasheet"), 1, "comes with none"),
     "no pose": (("scan", "room.xml"), 2, "--pose X,Y,Z,YAW and --flight"),
