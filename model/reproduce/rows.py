@@ -43,7 +43,7 @@ class Row:
 def rows_of(
     out: Path, folders: Mapping[str, Sequence[Path]], done: Sequence[Run], config: ReproduceConfig
 ) -> Iterator[Row]:
-    """Of each dataset what needs no network, then every network of `done` on the worlds that it is of.
+    """For each dataset what needs no network, then every network of `done` on the worlds that it is of.
 
     Networks with the whole budget are studied, and so is, on the presets, what needs no network; others have their rows
     in the tables.
