@@ -214,13 +214,14 @@ def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float
 def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> str:
     """Why no draw was kept, and what to change."""
     counted = ", ".join(f"{count} {name}" for name, count in rejected.worlds.items())
-    crowded_by = () if recipe.world is None else recipe.world.crowded_by
-    given = ", ".join(f"world.{name} = {getattr(recipe.world, name)}" for name in crowded_by)
+    thinner, fuller = "give the scene other <numeric flight_bounds>", "fly where there are more solids"
+    if recipe.world is not None:
+        given = ", ".join(f"world.{name} = {getattr(recipe.world, name)}" for name in recipe.world.crowded_by)
+        thinner, fuller = (f"{verb} {given or 'how many solids are drawn'}" for verb in ("lower", "raise"))
     advice = {
-        "no_flight": f"no flight fits between the solids: lower {given or 'the clutter'}, or flight.robot_radius_m = "
+        "no_flight": f"no flight fits between the solids: {thinner}, or lower flight.robot_radius_m = "
         f"{recipe.flight.robot_radius_m}",
-        "few_solids": f"worlds are too empty: raise {given or 'the solids'}, or lower accept.min_solids = "
-        f"{recipe.accept.min_solids}",
+        "few_solids": f"worlds are too empty: {fuller}, or lower accept.min_solids = {recipe.accept.min_solids}",
         "few_viewpoints": f"flights give too few viewpoints: lower flight.viewpoints = {recipe.flight.viewpoints}, "
         f"flight.spacing_m = {recipe.flight.spacing_m}, "
         f"accept.min_occupied_share = {recipe.accept.min_occupied_share} or "

@@ -7,7 +7,7 @@ from typing import Any
 
 from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
-from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
+from lidarsim.sensors import CATALOGUE, FAMILIES, RASTER, SENSORS
 from scenegen.errors import RecipeError, printable, short
 from scenegen.tables import from_table, read_toml
 
@@ -48,7 +48,16 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
         raise RecipeError(f"{where} sensor = {short(name)}: expected a dataclass, whose fields a recipe sets")
     if isinstance(given.get("name"), str) and given["name"] in SENSORS.known:
         whose = "one of the catalogue's" if given["name"] in CATALOGUE else "that of a family"
-        raise RecipeError(f"{where} name = {short(given['name'])}: is {whose}; give your sensor a name of its own")
+        raise RecipeError(
+            f"{where} name = {short(given['name'])}: is {whose}; give your sensor a name of its own, or take that one "
+            f'with sensor = "{given["name"]}"'
+        )
+    if "sensor" not in table and (odd := sorted(given.keys() - _parameters(found))):
+        for family in FAMILIES:
+            if given.keys() <= _parameters(SENSORS.find(family)):
+                raise RecipeError(
+                    f'{where} {odd[0]}: is no parameter of a raster; say which sensor it is, sensor = "{family}"'
+                )
     made = from_table(found, given, where, folder)
     if isinstance(own := getattr(made, "noise", None), str) and own:
         try:
@@ -56,6 +65,11 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
         except ValueError as error:
             raise RecipeError(f"{where} {printable(error)}") from None
     return made
+
+
+def _parameters(sensor: Any) -> set[str]:
+    """Names of the fields of a sensor's dataclass."""
+    return {item.name for item in dataclasses.fields(sensor)}
 
 
 def beam_table(sensor: Sensor) -> BeamTable:

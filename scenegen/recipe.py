@@ -146,7 +146,7 @@ def preset(
 ) -> Recipe:
     """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`, or with these parameters
     of `mapping`. Raises RecipeError for an unknown kind, suggesting the nearest."""
-    return make_recipe(kind, _given(noise, mapping), where="preset", sensor=lidar)
+    return make_recipe(kind, _given(noise, mapping), sensor=lidar)
 
 
 def read_recipe(
@@ -190,9 +190,9 @@ def _given(noise: str | None, mapping: Mapping[str, Any] | None) -> dict[str, An
 
 
 def make_recipe(
-    kind: str, tables: dict[str, Any], *, where: str, folder: Path = Path(), sensor: Sensor | None = None
+    kind: str, tables: dict[str, Any], *, where: str = "", folder: Path = Path(), sensor: Sensor | None = None
 ) -> Recipe:
-    """The preset of `kind` with the values in `tables` put in; `where` names their source in errors.
+    """The preset of `kind` with the values in `tables` put in; `where` names their source in errors, if they have one.
 
     The modules of a user's own kind and sensor are imported, so neither name may come from a stranger's file. Paths in
     `tables` are relative to `folder`. A `sensor` that is given takes the place of the table [lidar], which is then not
@@ -201,29 +201,33 @@ def make_recipe(
     parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec, "noise": Faults}
     parts["mapping"] = Mapper
     defaults: dict[str, dict[str, Any]] = {}
+    at = f"{where}: " if where else ""
     if kind != "scene":
         try:
             parts["world"] = found = find_kind(kind)
         except ValueError as error:
-            raise RecipeError(f"{where}: {error}") from None
+            raise RecipeError(f"{at}{error}") from None
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
     tables = tables | ({"lidar": {}} if sensor is not None else {})
     for name, table in tables.items():
+        whose = [
+            f"[{part}]" for part, made in parts.items() if name in (item.name for item in dataclasses.fields(made))
+        ]
+        if whose and name not in parts:
+            raise RecipeError(f"{at}{name} stands in no table; expected it below the line {' or '.join(whose)}")
         check_name(name, tuple(sorted(parts)), "table", where)
         if not isinstance(table, dict):
-            raise RecipeError(f"{where}: {name} = {short(table)}: expected a table, [{name}], of parameters")
+            raise RecipeError(f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters")
     given = {name: defaults.get(name, {}) | dict(tables.get(name, {})) for name in parts}
     given_lidar = given.pop("lidar")
-    built = {name: from_table(parts[name], table, f"{where}: [{name}]", folder) for name, table in given.items()}
-    built["lidar"] = sensor if sensor is not None else sensor_of(given_lidar, f"{where}: [lidar]", folder)
-    built["noise"] = named_noise(
-        built["noise"].stages or None, built["lidar"], "" if where == "preset" else f"{where}: [noise]"
-    )
+    built = {name: from_table(parts[name], table, f"{at}[{name}]", folder) for name, table in given.items()}
+    built["lidar"] = sensor if sensor is not None else sensor_of(given_lidar, f"{at}[lidar]", folder)
+    built["noise"] = named_noise(built["noise"].stages or None, built["lidar"], at and f"{at}[noise]")
     try:
         recipe = Recipe(kind=kind, **built)
         json.dumps(recipe.resolved())
     except TypeError as error:
-        raise RecipeError(f"{where}: [world] of kind {kind}: a parameter cannot stand in a manifest: {error}") from None
+        raise RecipeError(f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: {error}") from None
     except ValueError as error:
-        raise RecipeError(f"{where}: {error}") from None
+        raise RecipeError(f"{at}{error}") from None
     return recipe

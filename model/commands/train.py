@@ -233,7 +233,8 @@ def _samples(
 
 
 def _weights(options: dict[str, Any]) -> Path:
-    """The file of --weights, whose network stands for the options of one; these must not be given, too."""
+    """The file of --weights. Its network stands for the options of one, which must not be given, too; its loss, where
+    it says what it learned by, for those of the loss that are not given."""
     from scenegen.model.checkpoint import load_network
     from scenegen.model.completion.completer import locate
 
@@ -241,7 +242,13 @@ def _weights(options: dict[str, Any]) -> Path:
     if given := [name for name in names if was_given(name)]:
         raise click.UsageError(f"--weights brings its network; leave out what else says of one: {', '.join(given)}")
     path = locate(options["weights"])
-    options |= vars(load_network(path)[0].config)
+    network, _, about = load_network(path)
+    try:
+        loss = vars(LossConfig(**about["settings"]["loss"]))
+    except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
+        loss = {}
+    options |= vars(network.config)
+    options |= {name: value for name, value in loss.items() if name in options and not was_given(name)}
     return path
 
 

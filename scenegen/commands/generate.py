@@ -33,18 +33,19 @@ if TYPE_CHECKING:
     from scenegen.dataset.build import Summary
     from scenegen.dataset.state import Plan
 
+KIND = Named(KINDS, others={".xml": "--scene", ".toml": "--recipe"})
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 
 
 @click.command()
-@click.argument("named", metavar="[KIND]", type=Named(KINDS), required=False)
-@click.option("--kind", type=Named(KINDS), help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.")
+@click.argument("named", metavar="[KIND]", type=KIND, required=False)
+@click.option("--kind", type=KIND, help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.")
 @click.option("--scene", type=click.Path(path_type=Path), help="An MJCF file of your own world, or a folder of them.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
 @lidar_option("The sensor", "  [default: the recipe's]")
 @noise_option
-@mapping_options
+@mapping_options()
 @options_of(Mapper, tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.")
 @click.option(
     "--engine",

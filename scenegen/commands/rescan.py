@@ -28,7 +28,7 @@ from scenegen.terminal.types import Named
 @dataset_argument
 @lidar_option("The sensor", "  [default: the dataset's]")
 @noise_option
-@mapping_options
+@mapping_options("the dataset's")
 @click.option("--engine", type=Named(ENGINES), help="What casts the rays.  [default: what cast the dataset's]")
 @out_option("Folder of the new dataset, or s3://bucket/folder.", places=True)
 @workers_option

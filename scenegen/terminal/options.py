@@ -87,28 +87,31 @@ noise_option = click.option(
 )
 
 
-def options_of(config: type, prefix: str = "", **helps: str) -> Callable[[Function], Function]:
+def options_of(
+    config: type, prefix: str = "", *, default: str | None = None, **helps: str
+) -> Callable[[Function], Function]:
     """An option for each field of the dataclass `config` that `helps` names, with that text. Its default, type, choices
     and bounds are the field's; so is its name, after `prefix` and without a unit: `beta_m` becomes --beta. Several
-    numbers are given with commas between."""
+    numbers are given with commas between. `default` is shown where an option that is not given has another effect than
+    the field's default."""
 
     def add(function: Function) -> Function:
         for name, text in reversed(helps.items()):
-            function = _option(config, name, text, prefix)(function)
+            function = _option(config, name, text, prefix, default or True)(function)
         return function
 
     return add
 
 
-def mapping_options(function: Function) -> Function:
-    """Options of how maps are made, of commands that draw or scan again."""
+def mapping_options(default: str | None = None) -> Callable[[Function], Function]:
+    """Options of how maps are made, of commands that draw or scan again; for `default` see `options_of`."""
     helps = {
         "scans": "Scans that make a map: the sample's own, and those before it on the flight.",
         "scan_spacing_m": "Metres flown from scan to scan.",
         "fusion": "How they make one map.",
         "map_ahead_m": "Where the map's middle lies from the sensor: metres forward, to the left, and up.",
     }
-    return options_of(Mapper, **helps)(function)
+    return options_of(Mapper, default=default, **helps)
 
 
 def mapping_given(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -127,14 +130,16 @@ def was_given(name: str) -> bool:
     return context is not None and context.get_parameter_source(name) is not ParameterSource.DEFAULT
 
 
-def _option(config: type, name: str, text: str, prefix: str) -> Callable[[Function], Function]:
+def _option(
+    config: type, name: str, text: str, prefix: str, shown: str | Literal[True]
+) -> Callable[[Function], Function]:
     (item,) = (item for item in dataclasses.fields(config) if item.name == name)
     kind = typing.get_type_hints(config)[name]
     flag = "--" + prefix + name.removesuffix("_m").removesuffix("_mps").replace("_", "-")
     if kind is bool:
         flags = f"{flag}/--no-{flag[2:]}" if item.default else flag
         return click.option(flags, name, is_flag=True, default=item.default, show_default=bool(item.default), help=text)
-    more: dict[str, Any] = {"default": item.default, "show_default": True, "help": text}
+    more: dict[str, Any] = {"default": item.default, "show_default": shown, "help": text}
     if typing.get_origin(kind) is Literal:
         choices = {str(choice): choice for choice in typing.get_args(kind)}
         more |= {"type": click.Choice(list(choices)), "default": str(item.default)}

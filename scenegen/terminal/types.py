@@ -1,6 +1,6 @@
 """Types of options and arguments: what is wrong with one is told before anything begins."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +12,20 @@ from lidarsim.registry import Registry
 
 
 class Named(click.ParamType):
-    """The name of something in a registry, or a user's own as module:Object, or, with `file`, a file that ends so."""
+    """The name of something in a registry, or a user's own as module:Object, or, with `file`, a file that ends so.
 
-    def __init__(self, registry: Registry, *, file: str | None = None):
-        self.registry, self.name, self.file = registry, registry.what, file
+    `others` are endings of files that another option takes, each with that option.
+    """
+
+    def __init__(self, registry: Registry, *, file: str | None = None, others: Mapping[str, str] | None = None):
+        self.registry, self.name, self.file, self.others = registry, registry.what, file, others or {}
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """The name, if it can be one; a user's own is imported later."""
         if self.file is not None and value.endswith(self.file):
             return str(value)
+        if option := self.others.get(Path(value).suffix):
+            self.fail(f"{value} is a file; give it as {option} {value}", param, ctx)
         if ":" not in value and value not in self.registry.known:
             self.fail(self.registry.unknown(value), param, ctx)
         return str(value)

@@ -13,6 +13,7 @@ import torch
 
 import scenegen.model.training.run_folder
 from scenegen import __main__ as cli
+from scenegen.model.config import LossConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.points import write_points
 from scenegen.terminal import stops
@@ -31,7 +32,7 @@ def one_thread() -> None:
 
 
 def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, said, _ = run(capsys, "train", "--epochs", 2, *QUICK)
+    code, said, _ = run(capsys, "train", "--epochs", 2, "--lambda-occupancy", 0.7, *QUICK)
     assert code == 0
     assert said.count("epoch ") == 3
     assert "best: epoch" in said
@@ -39,6 +40,13 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())
     assert settings["command"].startswith("scenegen train --epochs 2")
     assert settings["settings"]["network"]["width"] == 4
+    code, _, _ = run(
+        capsys, "train", "--weights", "runs/proposed", "--maps", 1, "--beta", 2, "--out", "runs/tuned", *QUICK[2:]
+    )
+    tuned = json.loads((here / "runs" / "tuned" / "config.json").read_text())["settings"]["loss"]
+    assert (code, LossConfig(**tuned)) == (0, LossConfig(occupancy=0.7, beta_m=2)), (
+        "the network's own, but for what is given"
+    )
     code, said, _ = run(capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu")
     assert (code, said) == (0, "written: predictions.h5\n")
     code, said, _ = run(capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu")

@@ -13,6 +13,10 @@ BAD_RECIPES = {
         "[world]: unknown parameter 'densty'; did you mean 'density'?",
     ),
     "unknown table": ("[wrld]\ndensity = [0.1, 0.2]", "unknown table 'wrld'"),
+    "a parameter in no table": (
+        "density = [0.1, 0.2]",
+        "density stands in no table; expected it below the line [world]",
+    ),
     "falling range": ("[world]\ndensity = [0.3, 0.2]", "expected [low, high]"),
     "wrong type": ("[flight]\nviewpoints = 'five'", "viewpoints = 'five'"),
     "share above one": ("[world]\nround_share = 1.5", "round_share = 1.5: expected a finite number from 0 to 1"),

@@ -98,6 +98,8 @@ def test_a_scene_gives_training_samples_of_one_world(tmp_path: Path, capsys: pyt
 BAD_USE = {
     "an unknown kind": (("--kind", "piller"), "did you mean 'pillar'?"),
     "an unknown kind without --kind": (("piller",), "did you mean 'pillar'?"),
+    "a scene without its option": (("room.xml",), "room.xml is a file; give it as --scene room.xml"),
+    "a recipe as a kind": (("--kind", "a/b.toml"), "a/b.toml is a file; give it as --recipe a/b.toml"),
     "a kind given twice": (("pillar", "--kind", "pillar"), "the kind is given twice"),
     "no kind": ((), "give --kind, --scene or --recipe"),
     "a negative count": (("--kind", "pillar", "--n", "-5"), "-5"),
@@ -156,7 +158,10 @@ BAD_SCENES = {
         "cannot see geom ghost",
     ),
     "only a plane": ('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>', "flight_bounds"),
-    "no room to fly": (BOX.format(name="a", x=0, more=""), "no flight fits between the solids"),
+    "no room to fly": (
+        BOX.format(name="a", x=0, more=""),
+        "no flight fits between the solids: give the scene other <numeric flight_bounds>",
+    ),
     "far away": (
         "<mujoco><worldbody>" + '<geom size="1" pos="5000000 0 0"/>' * 2 + "</worldbody></mujoco>",
         "'5000000', expected numbers up to 1e+06",

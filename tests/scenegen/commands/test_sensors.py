@@ -149,7 +149,8 @@ REFUSED = {
     "a sequence from one place": (("scan", "room.xml", "--pose", "1,2,0.5,0", "--every", 1), 2, "goes with --flight"),
     "a sensor beside a recipe's": (("generate", "--recipe", "small.toml", "--lidar", "mine.toml"), 1, "leave one of"),
     "a lever arm in a dataset": (("generate", "--recipe", "arm.toml"), 1, "lever_arm_m"),
-    "a name of the catalogue's": (("sensors", "taken.toml"), 1, "a name of its own"),
+    "a name of the catalogue's": (("sensors", "taken.toml"), 1, 'take that one with sensor = "livox-avia"'),
+    "a sensor of no family": (("sensors", "nameless.toml"), 1, 'say which sensor it is, sensor = "spinning"'),
     "a family's name": (("sensors", "family.toml"), 1, "that of a family; give your sensor a name of its own"),
     "noise that nobody knows": (("sensors", "noisy.toml"), 1, "did you mean 'range'"),
     "noise that stands for itself": (("sensors", "circle.toml"), 1, "comes with none for 'datasheet'"),
@@ -180,6 +181,7 @@ REFUSED = {
 def test_what_cannot_be_ends_in_one_line(what: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "arm.toml").write_text((here / "bare.toml").read_text() + f"[lidar]\n{LIDAR}lever_arm_m = [0, 0, 0.3]")
     (here / "taken.toml").write_text(LIDAR.replace('"mine"', '"livox-avia"'))
+    (here / "nameless.toml").write_text(LIDAR.replace('sensor = "spinning"', ""))
     (here / "family.toml").write_text(LIDAR.replace('"mine"', '"spinning"'))
     (here / "noisy.toml").write_text(LIDAR.replace("range:0.02", "rnage:0.02"))
     (here / "circle.toml").write_text(LIDAR.replace("range:0.02", "datasheet"))

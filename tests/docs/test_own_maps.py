@@ -1,0 +1,27 @@
+"""Recorded maps of a user's own are trained on as the page says."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidarsim import GridSpec
+from scenegen.model.checkpoint import load_network
+from tests.command_line import ROOT
+
+
+def test_the_documented_maps_train(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a smaller grid and network."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    page = (ROOT / "docs" / "training.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"```python\n(# recorded.py.*?)```", page, re.DOTALL)
+    for name in ("train", "val"):
+        occupancy = rng.random((4, 16, 16, 16)) < 0.1
+        np.savez(f"{name}.npz", observed=occupancy & (rng.random(occupancy.shape) < 0.5), occupancy=occupancy)
+    small = 'TrainConfig(maps=8, network=NetworkConfig(width=4), precision="float32")'
+    text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))").replace("TrainConfig(maps=5000)", small)
+    exec("from scenegen.model.config import NetworkConfig\n" + text, {})
+    network, grid, about = load_network(tmp_path / "runs" / "yard" / "best.safetensors")
+    assert (network.config.width, grid, about["settings"]["kinds"]) == (4, GridSpec(shape=(16, 16, 16)), ["yard"])
