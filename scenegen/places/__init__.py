@@ -20,6 +20,8 @@ from scenegen.errors import DatasetError, PlaceError, printable
 Version = str | None
 """What tells two contents of an object apart; None where there is no object."""
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
+ONE_SLASH = re.compile(r"[a-z][a-z0-9+.-]+:/(?!/)", re.ASCII)
+"""What was meant for a place, and would be a folder of an odd name."""
 TRIES = 5
 """How often an object is put that comes and goes meanwhile."""
 
@@ -94,6 +96,8 @@ def folder_of(name: str) -> Path:
     """What a name stands for that a user gave for a dataset's folder: a place where it begins with a scheme, a path
     otherwise. Raises DatasetError for a name that cannot be."""
     if not is_remote(name):
+        if ONE_SLASH.match(name):
+            raise DatasetError(f"{printable(name)}: expected two slashes, {printable(name.replace('/', '//', 1))}")
         return Path(name)
     place_of(name)
     return PlacePath(name)

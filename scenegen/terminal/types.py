@@ -53,10 +53,10 @@ class DatasetPath(click.ParamType):
     def convert(self, value: Any, param: Any, ctx: Any) -> Path | str:
         """A path as it is, or a name with a scheme, if it can be one."""
         from scenegen.dataset.locate import check_name
-        from scenegen.places import is_remote
+        from scenegen.places import folder_of, is_remote
 
         if not is_remote(value):
-            return Path(value)
+            return folder_of(value)
         check_name(value)
         return str(value)
 

@@ -57,7 +57,7 @@ def asked() -> list[str]:
     return places.place_of(NAME).log  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("path", ["s3:/bucket/x", "./s3://b", "S3://b/x", "data", "", "a b://c", "s3:"])
+@pytest.mark.parametrize("path", ["./s3:/b", "./s3://b", "S3://b/x", "data", "", "a b://c", "s3:"])
 def test_a_path_stays_a_path(path: str) -> None:
     assert not is_remote(path)
     assert not is_remote(Path("s3://bucket/x"))
@@ -70,6 +70,11 @@ def test_a_path_stays_a_path(path: str) -> None:
 def test_a_name_that_cannot_be_is_refused(name: str) -> None:
     with pytest.raises(DatasetError, match="expected a name such as s3://bucket/folder"):
         folder_of(name)
+
+
+def test_one_slash_is_no_folder() -> None:
+    with pytest.raises(DatasetError, match="s3:/bucket/x: expected two slashes, s3://bucket/x"):
+        folder_of("s3:/bucket/x")
 
 
 def test_credentials_in_a_name_are_refused_and_not_repeated() -> None:
