@@ -104,7 +104,8 @@ def train(
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, where, precision, group)
         course = Course(maps, config)
-        saved, stopped = time.monotonic(), f"stopped; the same command goes on with {out}"
+        saved = drawn = time.monotonic()
+        stopped = f"stopped; the same command goes on with {out}"
         while (first := progress.epoch * course.round) < (end := course.end(progress.decay)):
             stalled = progress.epoch - progress.best_epoch > config.patience
             if stalled and config.schedule == "cosine":
@@ -153,8 +154,13 @@ def train(
                     folder.save_best(network, maps.grid, {**about, "settings": settings, "figures": row})
                 folder.write_rows(progress.rows)
                 folder.save(progress, network, optimizer)
+                if time.monotonic() - drawn > SAVE_EVERY_S:  # which takes as long as some maps
+                    folder.draw_rows(progress.rows)
+                    drawn = time.monotonic()
                 saved = time.monotonic()
             watcher.on_epoch(row)
+        if group.first:
+            folder.draw_rows(progress.rows)
         return progress.rows
 
 

@@ -187,16 +187,13 @@ class RunFolder:
         write_whole(self.path / CARD, card(self.path.name, about).encode())
 
     def write_rows(self, rows: list[dict[str, float]]) -> None:
-        """Write the figures of all epochs, and their picture where matplotlib is installed."""
+        """Write the figures of all epochs."""
         text = io.StringIO()
         names = dict.fromkeys(name for row in rows for name in row)  # a later version may know more metrics
         writer = csv.DictWriter(text, list(names), lineterminator="\n")
         writer.writeheader()
         writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
         write_whole(self.path / ROWS, text.getvalue().encode())
-        picture = draw_curve(rows)
-        if picture is not None:
-            write_whole(self.path / CURVE, picture)
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
@@ -204,6 +201,16 @@ class RunFolder:
         with SummaryWriter(str(self.path / "tensorboard")) as writer:
             for name, value in rows[-1].items():
                 writer.add_scalar(name.replace("_", "/", 1), value, int(rows[-1]["epoch"]))
+
+    def draw_rows(self, rows: list[dict[str, float]]) -> None:
+        """Draw the figures that `write_rows` wrote, where matplotlib is installed and they are not drawn yet."""
+        files = self.path / CURVE, self.path / ROWS
+        drawn, written = (file.stat().st_mtime_ns if file.exists() else 0 for file in files)
+        if drawn >= written:
+            return
+        picture = draw_curve(rows)
+        if picture is not None:
+            write_whole(self.path / CURVE, picture)
 
 
 def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
