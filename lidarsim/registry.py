@@ -17,6 +17,8 @@ from typing import Any
 
 MOST_NAMED = 100
 """Characters of a name that an error repeats."""
+MOST_SUGGESTED = 4
+"""Names of which an error asks whether one was meant."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class Registry:
     def unknown(self, name: str) -> str:
         """What to say of a `name` that is none."""
         near = [known for known in self.known if name and name.lower() in known]
-        near = near or difflib.get_close_matches(name[:MOST_NAMED], self.known, n=1)
+        if not 0 < len(near) <= MOST_SUGGESTED:
+            near = difflib.get_close_matches(name[:MOST_NAMED], self.known, n=1)
         hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(self.known)}"
         return f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)"
 

@@ -9,7 +9,7 @@ from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, FAMILIES, RASTER, SENSORS
 from scenegen.errors import RecipeError, printable, short
-from scenegen.tables import from_table, read_toml
+from scenegen.tables import field_names, from_table, read_toml
 
 
 def named_lidar(word: str) -> Sensor:
@@ -52,12 +52,12 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
             f"{where} name = {short(given['name'])}: is {whose}; give your sensor a name of its own, or take that one "
             f'with sensor = "{given["name"]}"'
         )
-    if "sensor" not in table and (odd := sorted(given.keys() - _parameters(found))):
-        for family in FAMILIES:
-            if given.keys() <= _parameters(SENSORS.find(family)):
-                raise RecipeError(
-                    f'{where} {odd[0]}: is no parameter of a raster; say which sensor it is, sensor = "{family}"'
-                )
+    if "sensor" not in table and (odd := sorted(given.keys() - field_names(found))):
+        fit = [f'"{family}"' for family in FAMILIES if given.keys() <= field_names(SENSORS.find(family))]
+        if fit:
+            raise RecipeError(
+                f"{where} {odd[0]}: is no parameter of a raster; say which sensor it is, sensor = {' or '.join(fit)}"
+            )
     made = from_table(found, given, where, folder)
     if isinstance(own := getattr(made, "noise", None), str) and own:
         try:
@@ -65,11 +65,6 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
         except ValueError as error:
             raise RecipeError(f"{where} {printable(error)}") from None
     return made
-
-
-def _parameters(sensor: Any) -> set[str]:
-    """Names of the fields of a sensor's dataclass."""
-    return {item.name for item in dataclasses.fields(sensor)}
 
 
 def beam_table(sensor: Sensor) -> BeamTable:

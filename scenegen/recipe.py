@@ -28,7 +28,7 @@ from scenegen.limits import (
 from scenegen.mapping import Mapper
 from scenegen.recipes import find_kind
 from scenegen.recipes.kind import WorldKind
-from scenegen.tables import check_name, from_table, read_toml
+from scenegen.tables import check_name, field_names, from_table, read_toml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,10 +210,8 @@ def make_recipe(
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
     tables = tables | ({"lidar": {}} if sensor is not None else {})
     for name, table in tables.items():
-        whose = [
-            f"[{part}]" for part, made in parts.items() if name in (item.name for item in dataclasses.fields(made))
-        ]
-        if whose and name not in parts:
+        whose = [f"[{part}]" for part, made in parts.items() if name in field_names(made)]
+        if whose and name not in parts and not isinstance(table, dict):
             raise RecipeError(f"{at}{name} stands in no table; expected it below the line {' or '.join(whose)}")
         check_name(name, tuple(sorted(parts)), "table", where)
         if not isinstance(table, dict):

@@ -30,7 +30,9 @@ class Sample:
     free: NDArray[np.bool_] = _stored(
         "bool", "grid", "voxels, less the observed ones, that a ray met on its way", derived=True
     )
-    occupancy: NDArray[np.bool_] = _stored("bool", "grid", "truth: voxels whose closed cube touches a solid")
+    occupancy: NDArray[np.bool_] = _stored(
+        "bool", "grid", "truth: voxels whose closed cube touches a solid, or its surface where the grid is hollow"
+    )
     tudf: NDArray[np.float32] = _stored(
         "<f4",
         "grid",

@@ -53,9 +53,14 @@ def from_table(part: Any, table: dict[str, Any], where: str, folder: Path) -> An
         raise RecipeError(f"{where} {printable(error)}") from None
 
 
+def field_names(part: Any) -> set[str]:
+    """What may stand in a table of the dataclass `part`."""
+    return {item.name for item in dataclasses.fields(part)}
+
+
 def check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None:
     """Raise RecipeError, with the nearest of the `known` names, for one that is none of them."""
     if name not in known:
         near = difflib.get_close_matches(str(name)[:100], known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        raise RecipeError(f"{where}: unknown {what} {short(name)}; {hint}")
+        raise RecipeError(f"{where}{': ' if where else ''}unknown {what} {short(name)}; {hint}")

@@ -16,8 +16,9 @@ from scenegen.model.training.loop import Step, optimizer_of
 
 SAMPLE_S, SAMPLE_BYTES = 0.006, 15e3
 """A sample of a compact dataset, one core: docs/log.md."""
-ROW_S, STUDIED_S = 0.08, 0.15
-"""A row of the bench, and one with its study, by map and core, planning included: docs/log.md."""
+ROW_S, STUDIED_S, UNLEARNED_S = 0.08, 0.15, 0.03
+"""A row of the bench, one with its study, and all of those that need no network, by map and core, planning included:
+docs/log.md."""
 RUN_BYTES = 10e6
 """What a run's folder takes."""
 
@@ -57,9 +58,13 @@ def estimate(config: ReproduceConfig, runs: Sequence[Run], *, device: str, worke
         map_s=each,
         train_s=maps * each / (1 if where.type == "cuda" else workers),
         generate_s=samples * SAMPLE_S / workers,
-        bench_s=tested * sum(STUDIED_S if run.share == 1 else ROW_S for run in runs) / workers,
+        bench_s=tested * (sum(map(_row_seconds, runs)) + len(worlds) * UNLEARNED_S) / workers,
         bytes=samples * SAMPLE_BYTES + len(runs) * RUN_BYTES,
     )
+
+
+def _row_seconds(run: Run) -> float:
+    return STUDIED_S if run.share == 1 else ROW_S
 
 
 def _map_seconds(device: torch.device) -> float:

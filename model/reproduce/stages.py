@@ -138,7 +138,7 @@ def _datasets(
     """Those of all kinds in `worlds`, made or gone on with; shards that are damaged are made again."""
     made = []
     for kind in KINDS:
-        recipe = make_recipe(kind, dict(ELSEWHERE[worlds].tables[kind]) if worlds else {}, where=f"{worlds} {kind}")
+        recipe = make_recipe(kind, dict(ELSEWHERE[worlds].tables[kind]) if worlds else {}, where=worlds)
         plan = plan_dataset(
             folder / worlds / kind, recipe, DrawnWorlds(recipe), seed=config.seed, counts=config.counts, compact=True
         )

@@ -55,11 +55,16 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
 def _check_alike(first: Dataset, other: Dataset) -> None:
     ours, theirs = (manifest.completed(one.manifest.parameters) for one in (first, other))
     for name in ALIKE:
-        if ours.get(name) != theirs.get(name):
-            raise DatasetError(
-                f"{other.folder}: {name} is {short(theirs.get(name))} there, and {short(ours.get(name))} in "
-                f"{first.folder}; merge datasets that share it"
-            )
+        ours_is, theirs_is = ours.get(name), theirs.get(name)
+        if ours_is == theirs_is:
+            continue
+        if isinstance(ours_is, dict) and isinstance(theirs_is, dict):
+            part = next(key for key in (*ours_is, *theirs_is) if ours_is.get(key) != theirs_is.get(key))
+            name, ours_is, theirs_is = f"{name}.{part}", ours_is.get(part), theirs_is.get(part)
+        raise DatasetError(
+            f"{other.folder}: {name} is {short(theirs_is)} there, and {short(ours_is)} in {first.folder}; merge "
+            "datasets that share it"
+        )
 
 
 def _plan(folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str, nothing: str) -> Plan:

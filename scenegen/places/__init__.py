@@ -20,7 +20,7 @@ from scenegen.errors import DatasetError, PlaceError, printable
 Version = str | None
 """What tells two contents of an object apart; None where there is no object."""
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
-ONE_SLASH = re.compile(r"[a-z][a-z0-9+.-]+:/(?!/)", re.ASCII)
+ONE_SLASH = re.compile(r"(hf|s3|gs|az|https?):/(?!/)")
 """What was meant for a place, and would be a folder of an odd name."""
 TRIES = 5
 """How often an object is put that comes and goes meanwhile."""

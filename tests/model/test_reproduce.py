@@ -5,6 +5,7 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,8 +15,9 @@ from scenegen.model.reproduce import stages
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.estimate import estimate
 from scenegen.model.reproduce.report import to_markdown
-from scenegen.model.reproduce.runs import ELSEWHERE, RUNS, SEEDS
+from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, RUNS, SEEDS
 from scenegen.model.reproduce.stages import STUDY, TEXT, begin, runs
+from scenegen.recipe import preset
 from tests.command_line import run as command
 
 
@@ -34,6 +36,13 @@ def test_runs_differ_in_what_they_are_for() -> None:
             assert (run.share, run.seed, run.worlds) == (other.share, other.seed, other.worlds)
             changed = ("network", "loss", "protocol", "samples")
             assert sum(getattr(run, name) != getattr(other, name) for name in changed) == 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_half_as_many_obstacles_are_half_of_the_presets(kind: str) -> None:
+    assert 2 * np.array(ELSEWHERE["sparse"].tables[kind]["world"]["density"]) == pytest.approx(
+        preset(kind).world.density
+    )
 
 
 def test_a_study_goes_on_with_its_own_settings_alone(tmp_path: Path) -> None:
