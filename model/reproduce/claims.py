@@ -49,9 +49,9 @@ BESIDE = (
     ("proposed-1", "tudf"),
     ("no-eikonal", "proposed"),
     ("no-eikonal", "occ"),
-    ("columns-4", "columns"),
-    ("columns-4", "occ"),
-    ("columns-4", "proposed-1"),
+    ("columns", "occ"),
+    ("columns", "proposed"),
+    ("columns", "proposed-1"),
 )
 """What is judged beside the paper's claims, by `BESIDE_BY`: the first before the second."""
 BESIDE_BY = ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success")

@@ -101,12 +101,8 @@ def _runs() -> tuple[Run, ...]:
     columns = Run(
         name="columns", asks="columns seen whole, free space", network={"variant": "columns", **both}, loss=level
     )
-    small = replace(columns, name="columns-4", asks="the same in batches of 4", protocol={"batch": 4})
     plain = replace(claimed[1], name="no-eikonal", asks="the paper's without the Eikonal term", loss={"eikonal": 0.0})
-    long = [
-        *(replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in claimed),
-        *(replace(run, name=f"{run.name}-s0") for run in (plain, columns, small)),
-    ]
+    long = [replace(run, name=f"{run.name}-s{seed}", seed=seed) for seed in SEEDS for run in (*claimed, plain, columns)]
     occ, proposed, proposed_1, tudf, columns = (
         replace(run, name=f"{run.name}-short", asks=f"{run.asks}, a part of the maps", share=SHORT)
         for run in (*claimed, columns)
