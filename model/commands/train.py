@@ -248,7 +248,7 @@ def _weights(options: dict[str, Any]) -> Path:
     except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
         loss = {}
     options |= vars(network.config)
-    options |= {name: value for name, value in loss.items() if not was_given(name)}
+    options |= {name: value for name, value in loss.items() if name not in options or not was_given(name)}
     return path
 
 

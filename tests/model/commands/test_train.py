@@ -13,6 +13,7 @@ import torch
 
 import scenegen.model.training.run_folder
 from scenegen import __main__ as cli
+from scenegen.model.checkpoint import load_network, save_network
 from scenegen.model.config import LossConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.points import write_points
@@ -40,11 +41,14 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())
     assert settings["command"].startswith("scenegen train --epochs 2")
     assert settings["settings"]["network"]["width"] == 4
+    network, grid, about = load_network(here / "runs" / "proposed" / "best.safetensors")
+    about["settings"]["loss"]["near_m"] = 0.9  # as runs from Python may have it; no option says it
+    save_network(here / "runs" / "proposed" / "best.safetensors", network, grid, about)
     code, _, _ = run(
         capsys, "train", "--weights", "runs/proposed", "--maps", 1, "--beta", 2, "--out", "runs/tuned", *QUICK[2:]
     )
     tuned = json.loads((here / "runs" / "tuned" / "config.json").read_text())["settings"]["loss"]
-    assert (code, LossConfig(**tuned)) == (0, LossConfig(occupancy=0.7, beta_m=2)), (
+    assert (code, LossConfig(**tuned)) == (0, LossConfig(occupancy=0.7, beta_m=2, near_m=0.9)), (
         "the network's own, but for what is given"
     )
     code, said, _ = run(capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu")
