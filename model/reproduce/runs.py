@@ -119,8 +119,6 @@ def _runs() -> tuple[Run, ...]:
         proposed_1,
         tudf,
         columns,
-        unlike(columns, "columns-4-short", "batches of 4", protocol={"batch": 4}),
-        unlike(occ, "occ-4", "batches of 4", protocol={"batch": 4}),
         unlike(proposed, "dual", "without CrossFusion", network={"variant": "dual"}),
         unlike(proposed_1, "dual-1", "without CrossFusion at λ_occ 1", network={"variant": "dual"}),
         unlike(proposed, "shared", "one decoder with two heads", network={"variant": "shared"}),
@@ -134,7 +132,6 @@ def _runs() -> tuple[Run, ...]:
         unlike(
             columns, "deep", "a plain large 3-D U-Net in its place", network={"variant": "shared", "width": 24, **both}
         ),
-        unlike(proposed, "proposed-no-eikonal", "without the Eikonal term", loss={"eikonal": 0.0}),
         unlike(
             proposed,
             "proposed-scaled",
@@ -157,7 +154,7 @@ def _runs() -> tuple[Run, ...]:
     ]
     fewer = [
         unlike(proposed_1, f"proposed-1-of-{name}", f"one of {name} samples", samples=1 / part)
-        for name, part in (("2", 2), ("10", 10), ("40", 40))
+        for name, part in (("10", 10), ("40", 40))
     ]
     there = [replace(occ, name=f"occ-{name}", asks=worlds.asks, worlds=name) for name, worlds in ELSEWHERE.items()]
     pairs = [(run, unlike(run, f"proposed-{run.worlds}", "the paper's network there", network={})) for run in there]
