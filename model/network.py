@@ -31,6 +31,11 @@ class Output(NamedTuple):
     tudf: Tensor | None
     """(B, X, Y, Z): metres, not negative, not truncated."""
 
+    @classmethod
+    def of(cls, found: Mapping[str, Tensor]) -> "Output":
+        """From what the heads give, by task."""
+        return cls(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
+
 
 class Network(nn.Module):
     """Maps a named batch, (B, X, Y, Z) for each of the network's inputs, to an `Output` (the paper, section "Coupled
@@ -66,16 +71,15 @@ class Network(nn.Module):
 
     def forward(self, batch: Mapping[str, Tensor]) -> Output:
         """See the class."""
+        features = self.features(batch)
+        found = {task: head(features.get(task, features.get("shared"))) for task, head in self.head.items()}  # eq. 6
+        return Output.of(found)
+
+    def features(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """What the heads read, by decoder or under ``shared``: (B, width or twice that, X/2, Y/2, Z/2)."""
         given = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
         if self.columns is not None and not self.decoder:
-            features = {"shared": self.columns(given)[0]}
-        else:
-            features = self._decoded(given)
-        found = {task: head(features.get(task, features.get("shared"))) for task, head in self.head.items()}  # eq. 6
-        return Output(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
-
-    def _decoded(self, given: Tensor) -> dict[str, Tensor]:
-        """What the decoders give of the finest level, by branch, (B, width or twice that, X/2, Y/2, Z/2)."""
+            return {"shared": self.columns(given)[0]}
         x, skips = self.preprocess(given), []
         for encode in self.encoder:
             x = encode(x)
@@ -179,17 +183,22 @@ class FinalUp(nn.Module):
     logit, and no probability ever passes the threshold.
     """
 
-    def __init__(self, below: int, width: int):
+    def __init__(self, below: int, width: int, fields: int = 1):
         super().__init__()
-        self.refine = nn.Sequential(*_convolution(below, width)[:-1], nn.LeakyReLU(0.1, inplace=True))
-        self.split = Conv3d(width, 8, 3, padding=1)
+        self.refine = nn.Sequential(*_convolution(below, fields * width)[:-1], nn.LeakyReLU(0.1, inplace=True))
+        self.split = Conv3d(fields * width, fields * 8, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
         """See the class."""
+        return self.each(x)[0]
+
+    def each(self, x: Tensor) -> list[Tensor]:
+        """The same for every field that this head gives."""
         x = self.refine(x)
         with torch.autocast(x.device.type, enabled=False):  # bf16 keeps distances to a centimetre: slopes need better
-            parts = self.split(x.float()).unflatten(1, (2, 2, 2))  # (B, i, j, k, x, y, z)
-        return parts.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2)
+            found = self.split(x.float())
+        cells = (parts.unflatten(1, (2, 2, 2)) for parts in found.split(8, dim=1))  # (B, i, j, k, x, y, z)
+        return [c.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2) for c in cells]
 
 
 def _convolution(below: int, width: int, stride: int = 1) -> list[nn.Module]:

@@ -15,8 +15,8 @@ import torch
 from lidarsim import GridSpec
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import NetworkConfig
-from scenegen.model.export import export_onnx
+from scenegen.model.config import VARIANTS, NetworkConfig, VariantName
+from scenegen.model.export import Traced, export_onnx
 from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, examine, load_onnx, read_graph
 from tests.conftest import Once
@@ -62,6 +62,19 @@ def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str,
     tolerance = 1e-4 if runtime == "onnxruntime" else 5e-2
     torch.testing.assert_close(found.logits, expected.logits, atol=tolerance, rtol=tolerance)
     torch.testing.assert_close(found.tudf, expected.tudf, atol=tolerance, rtol=tolerance)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_what_is_exported_is_the_network(variant: VariantName) -> None:
+    """Heads that read the same features are exported as one."""
+    torch.manual_seed(0)
+    network = Network(NetworkConfig(variant=variant, width=4, height=GRID.shape[2]))
+    network.train()(seen(2))  # whose statistics differ from head to head
+    maps = seen(2)["observed"]
+    with torch.no_grad():
+        found, expected = Traced(network).eval()(maps), network({"observed": maps})
+    for one, other in zip(found, (values for values in expected if values is not None), strict=True):
+        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
 
 
 def test_an_onnx_file_is_a_completer(exported: tuple[Path, Network]) -> None:
