@@ -19,7 +19,7 @@ from scenegen.errors import DatasetError, printable, short
 from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
-from scenegen.model.config import PROTOCOLS, NetworkConfig
+from scenegen.model.config import PROTOCOLS, LossConfig, NetworkConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.network import Network
 from scenegen.model.training.card import card
@@ -146,9 +146,11 @@ class RunFolder:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
             settings = dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
-            if isinstance(network := settings.get("network"), dict):  # runs of earlier commits name neither
+            if isinstance(network := settings.get("network"), dict):  # runs of earlier commits name none of these
                 network.setdefault("inputs", list(NetworkConfig().inputs))
                 network.setdefault("height", NetworkConfig().height)
+            if isinstance(loss := settings.get("loss"), dict):
+                loss.setdefault("jaccard", LossConfig().jaccard)
             return EARLIER | settings
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(
