@@ -22,6 +22,8 @@ from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, load_onnx
 from scenegen.model.training.device import autocast, resolve_precision
 
+INPUTS = {"columns": ("observed", "free")}
+"""What a variant is shown, where it is not `observed` alone: as the bundled one."""
 ROUNDS = 10
 BURST = 4
 """Maps that a way completes in a row; the first is not timed, for threads of the way before it still wait for work."""
@@ -38,12 +40,14 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="a picture of the table, PNG")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    print(f"{options.threads} threads, one map of {GRID.shape}, median of {ROUNDS} rounds in turn; (ratio to eager)")
+    print(f"{options.threads} threads, one map of {GRID.shape}, median of {ROUNDS} bursts in turn; (ratio to eager)")
     rows = {}
     for stride in options.stem_stride:
         for variant in options.variant:
-            network = Network(NetworkConfig(variant=variant, stem_stride=stride)).eval()
-            found = measure(runners(network, options.threads, compiled=not options.no_compile))
+            network = Network(
+                NetworkConfig(variant=variant, inputs=INPUTS.get(variant, ("observed",)), stem_stride=stride)
+            ).eval()
+            found = measure(runners(network, options.threads, compiled=not options.no_compile), network.config.inputs)
             rows[f"{variant}, stem {stride}"] = found
             cells = "  ".join(f"{name} {ms:6.1f} ms ({ms / found['eager']:.2f})" for name, ms in found.items())
             print(f"{variant:<9} stem {stride}:  {cells}", flush=True)
@@ -73,9 +77,11 @@ def runners(network: Network, threads: int, *, compiled: bool) -> dict[str, Call
 
 
 @torch.inference_mode()
-def measure(ways: dict[str, Callable[[dict[str, torch.Tensor]], Any]]) -> dict[str, float]:
-    """Median milliseconds of each; the ways take turns, so that all meet the same machine."""
-    maps = {"observed": (torch.rand(1, *GRID.shape, generator=torch.Generator().manual_seed(0)) < 0.02).float()}
+def measure(ways: dict[str, Callable[[dict[str, torch.Tensor]], Any]], inputs: tuple[str, ...]) -> dict[str, float]:
+    """Median milliseconds of each for one map of the `inputs`; the ways take turns, so that all meet the same
+    machine."""
+    noise = torch.Generator().manual_seed(0)
+    maps = {name: (torch.rand(1, *GRID.shape, generator=noise) < 0.02).float() for name in inputs}
     for run in ways.values():
         run(maps)
     times: dict[str, list[float]] = {name: [] for name in ways}

@@ -66,15 +66,17 @@ def card(name: str, about: Mapping[str, Any]) -> str:
 
 def _sure(about: Mapping[str, Any]) -> str:
     """What its probabilities are worth."""
-    weight = about["settings"]["loss"]["occupied_weight"]
+    loss = about["settings"]["loss"]
+    learned = f"with occupied voxels {loss['occupied_weight']:g} times as heavy as free ones"
+    learned += " and by the soft IoU, too" if loss.get("jaccard") else ""  # of which earlier commits know nothing
     held = about.get("calibration")
     if held is None:
-        return f"Its probabilities are not calibrated: occupied voxels weighed {weight:g} times as much as free ones."
+        return f"Its probabilities are not calibrated, but as they were learned, {learned}."
     temperature = "" if held["temperature"] is None else f", temperature {held['temperature']:.3f}"
     return (
-        f"`occupancy_probability` is as it was learned, with occupied voxels {weight:g} times as heavy as free ones; "
-        f"`probability`, bounds of distance and the risk of paths are calibrated, on {held['worlds']} worlds of "
-        f"validation{temperature}, down to a risk of {min(held['risks']):g}."
+        f"`occupancy_probability` is as it was learned, {learned}; `probability`, bounds of distance and the risk of "
+        f"paths are calibrated, on {held['worlds']} worlds of validation{temperature}, down to a risk of "
+        f"{min(held['risks']):g}."
     )
 
 

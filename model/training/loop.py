@@ -265,6 +265,11 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
         raise TrainingError(f"{len(maps)} training samples do not go round {processes} processes; use fewer")
     if config.batch % processes:
         raise TrainingError(f"--batch {config.batch} does not divide among {processes} processes; give a multiple")
+    if len(maps) < config.batch and len(maps) % processes:
+        raise TrainingError(
+            f"{len(maps)} training samples, fewer than --batch {config.batch}, do not divide among {processes} "
+            f"processes; give --batch {len(maps) // processes * processes}"
+        )
 
 
 def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -48,20 +49,31 @@ def exported(once: Once) -> tuple[Path, Network]:
 
 
 @pytest.mark.parametrize("runtime", RUNTIMES)
-@pytest.mark.parametrize("batch", [1, 3])
-def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str, batch: int) -> None:
-    """onnxruntime to rounding; OpenVINO to bfloat16's, which it uses where the processor has it."""
+def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str) -> None:
+    """For one map and for several; onnxruntime to rounding, OpenVINO to bfloat16's, where the processor has it."""
     pytest.importorskip(runtime)
     path, network = exported
-    maps = seen(batch)
-    with torch.no_grad():
-        expected = network(maps)
     forward, held = load_onnx(path, runtime=runtime, threads=1)
     assert (held.grid, held.about, held.config) == (GRID, {"seed": 0}, network.config)
-    found = forward(maps)
     tolerance = 1e-4 if runtime == "onnxruntime" else 5e-2
-    torch.testing.assert_close(found.logits, expected.logits, atol=tolerance, rtol=tolerance)
-    torch.testing.assert_close(found.tudf, expected.tudf, atol=tolerance, rtol=tolerance)
+    for batch in (1, 3, 1):
+        maps = seen(batch)
+        with torch.no_grad():
+            expected = network(maps)
+        found = forward(maps)
+        torch.testing.assert_close(found.logits, expected.logits, atol=tolerance, rtol=tolerance)
+        torch.testing.assert_close(found.tudf, expected.tudf, atol=tolerance, rtol=tolerance)
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_threads_get_the_answer_to_their_own_map(exported: tuple[Path, Network], runtime: str) -> None:
+    pytest.importorskip(runtime)
+    forward, _ = load_onnx(exported[0], runtime=runtime, threads=1)
+    asked = [seen(1) for _ in range(24)]
+    expected = [forward(maps) for maps in asked]
+    with ThreadPoolExecutor(4) as threads:
+        for found, alone in zip(threads.map(forward, asked), expected, strict=True):
+            assert torch.equal(found.logits, alone.logits)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -70,11 +82,19 @@ def test_what_is_exported_is_the_network(variant: VariantName) -> None:
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant=variant, width=4, height=GRID.shape[2]))
     network.train()(seen(2))  # whose statistics differ from head to head
-    maps = seen(2)["observed"]
+    maps, traced = seen(2)["observed"], Traced(network).eval()
+    assert (traced.heads is not None) == (variant in ("shared", "columns", "flat"))
     with torch.no_grad():
-        found, expected = Traced(network).eval()(maps), network({"observed": maps})
+        found, expected = traced(maps), network({"observed": maps})
     for one, other in zip(found, (values for values in expected if values is not None), strict=True):
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
+
+
+def test_a_network_of_one_input_takes_any_number_of_maps(tmp_path: Path) -> None:
+    """Tracing with one map would fix their number at one, in some networks and without a word."""
+    network = Network(NetworkConfig(variant="flat", width=4, height=GRID.shape[2])).eval()
+    export_onnx(network, GRID, tmp_path / "flat.onnx", about={})
+    read_graph((tmp_path / "flat.onnx").read_bytes())
 
 
 def test_an_onnx_file_is_a_completer(exported: tuple[Path, Network]) -> None:
@@ -134,6 +154,11 @@ def test_outputs_go_by_name_and_not_by_place(exported: tuple[Path, Network], tmp
     torch.testing.assert_close(swapped.tudf, straight.tudf)
 
 
+def fix_the_batch(model: Any) -> None:
+    for one in (*model.graph.input, *model.graph.output):
+        one.type.tensor_type.shape.dim[0].dim_value = 1
+
+
 def set_header(**values: object) -> Callable[[Any], None]:
     def change(model: Any) -> None:
         entry = next(entry for entry in model.metadata_props if entry.key == "scenegen")
@@ -187,6 +212,7 @@ def point_outside(model: Any) -> None:
     ("change", "said"),
     [
         (set_weight(np.nan), "holds NaN or infinity"),
+        (fix_the_batch, "takes a fixed number of maps at a time"),
         (rename_outputs, "expected free, observed to logits, tudf"),
         (expand_a_constant, "ConstantOfShape"),
         (let_values_decide_a_size, "operations that no export has"),

@@ -16,7 +16,7 @@ from scenegen.model.config import LossConfig
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.device import Group, autocast, device_name, resolve_precision
-from scenegen.model.training.loop import Step
+from scenegen.model.training.loop import Step, TrainingError, check_maps
 from tests.model.training.runs import SMALL, elsewhere
 
 
@@ -46,7 +46,7 @@ def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> 
     with Group(device) as group:
         maps = Maps(opened(folders, "train"), "train")
         torch.manual_seed(0)
-        config = dataclasses.replace(SMALL, loss=LossConfig(eikonal=1.0))
+        config = dataclasses.replace(SMALL, loss=LossConfig(eikonal=1.0, jaccard=1.0))
         network = Network(config.network).eval()  # or each process has statistics of its own
         optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
         learn = Step(network, optimizer, config, maps.grid, device, torch.float32, group)
@@ -54,6 +54,16 @@ def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> 
         batch["occupancy"][::2, :, :, 4:] = False  # so that the first process has fewer voxels near surfaces
         losses = learn({name: values[group.rank :: group.size] for name, values in batch.items()}, 1.0)
         save_tensors(out / f"{group.rank} of {group.size}", network.state_dict(), losses)
+
+
+def test_processes_get_equal_shares(folders: list[Path]) -> None:
+    """Samples that are fewer than a batch are one, which has to divide, too."""
+    maps = Maps(opened(folders, "train"), "train")
+    processes = len(maps) - 1
+    config = dataclasses.replace(SMALL, batch=2 * processes)
+    with pytest.raises(TrainingError, match=f"do not divide among {processes} processes; give --batch {processes}$"):
+        check_maps(maps, maps, config, processes)
+    check_maps(maps, maps, dataclasses.replace(SMALL, batch=processes), processes)
 
 
 def free_port() -> int:
