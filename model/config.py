@@ -128,8 +128,8 @@ class LossConfig:
     """lambda_eik (paper)."""
     occupied_weight: float = number(5.0, least=0)
     """w^o of occupied voxels; free ones have 1 (paper)."""
-    jaccard: float = number(0.0, least=0)
-    """Weight of 1 - the soft IoU beside the cross-entropy (ours; the paper has none)."""
+    lovasz: float = number(0.0, least=0)
+    """Weight of the IoU's Lovász hinge beside the cross-entropy (ours; the paper has none)."""
     near_weight: float = number(2.0, least=0)
     """w^t of voxels near a surface; others have 1 (paper)."""
     near_m: float = number(0.5, least=0)

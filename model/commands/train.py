@@ -115,7 +115,7 @@ class Weighted(click.ParamType):
     LossConfig,
     eikonal="Weight of the Eikonal term among distances.",
     occupied_weight="Weight of an occupied voxel; a free one has 1.",
-    jaccard="Weight of 1 - soft IoU beside the cross-entropy.",
+    lovasz="Weight of the IoU's Lovász hinge beside the cross-entropy.",
     beta_m="Where the Smooth-L1 loss turns from a parabola into a line, metres.",
 )
 @options_of(

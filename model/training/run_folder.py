@@ -150,7 +150,7 @@ class RunFolder:
                 network.setdefault("inputs", list(NetworkConfig().inputs))
                 network.setdefault("height", NetworkConfig().height)
             if isinstance(loss := settings.get("loss"), dict):
-                loss.setdefault("jaccard", LossConfig().jaccard)
+                loss.setdefault("lovasz", LossConfig().lovasz)
             return EARLIER | settings
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(
