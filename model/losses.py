@@ -79,14 +79,16 @@ def lovasz_loss(logits: Tensor, occupancy: Tensor) -> Tensor:
 
 
 def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
-    """The hinge of one map, from (voxels,) each; 0 where there are no errors."""
+    """The hinge of one map, from (voxels,) each; 0 where there are no errors.
+
+    With a set of voxels wrong, 1 - IoU is its size over that of the union with the occupied ones.
+    """
     errors = 1 - torch.where(occupied, margins, -margins)
     held = errors > 0
     errors, order = errors[held].sort(descending=True)
-    missed = occupied[held][order]
-    true = occupied.sum()
-    both, either = true - missed.cumsum(0), true + (~missed).cumsum(0)  # of the largest so many errors made
-    lost = 1 - both / either
+    beside = ~occupied[held][order]
+    wrong = torch.arange(1, len(errors) + 1, device=errors.device)
+    lost = wrong / (occupied.sum() + beside.cumsum(0))
     return errors @ lost.diff(prepend=lost.new_zeros(1))
 
 
