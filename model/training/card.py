@@ -68,7 +68,7 @@ def _sure(about: Mapping[str, Any]) -> str:
     """What its probabilities are worth."""
     loss = about["settings"]["loss"]
     learned = f"with occupied voxels {loss['occupied_weight']:g} times as heavy as free ones"
-    learned += " and by the Lovász hinge of the IoU, too" if loss.get("lovasz") else "" 
+    learned += " and by the Lovász hinge of the IoU, too" if loss.get("lovasz") else ""
     held = about.get("calibration")
     if held is None:
         return f"Its probabilities are not calibrated, but as they were learned, {learned}."

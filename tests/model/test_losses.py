@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from scenegen.model.losses import eikonal_loss, jaccard_loss, occupancy_loss, regression_loss  # noqa: E402
+from scenegen.model.losses import eikonal_loss, lovasz_loss, occupancy_loss, regression_loss  # noqa: E402
 
 SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
 WEIGHTS = [5.0, 1.0, 0.3, 12.5]
@@ -32,13 +32,18 @@ def cross_entropy(logits: np.ndarray, occupancy: np.ndarray, weight: float) -> f
     return -(w * (o * -np.logaddexp(0, -x) + (1 - o) * -np.logaddexp(0, x))).sum() / x.size
 
 
-def soft_iou_missed(logits: np.ndarray, occupancy: np.ndarray) -> float:
-    """1 - the mean over maps of (1 + sum o p) / (1 + sum (o + p - o p)), with p of logit x - log(.85 / .15)."""
-    missed = []
-    for x, o in zip(logits.astype(np.float64), occupancy.astype(np.float64), strict=True):
-        p = 1 / (1 + np.exp(-(x - math.log(0.85 / 0.15))))
-        missed.append(1 - (1 + (o * p).sum()) / (1 + (o + p - o * p).sum()))
-    return float(np.mean(missed))
+def lovasz_hinge(logits: np.ndarray, occupancy: np.ndarray) -> float:
+    """The mean over maps of the integral over t > 0 of 1 - IoU, where the voxels whose error is t or more are wrong."""
+    found = []
+    for x, o in zip(logits.astype(np.float64), occupancy, strict=True):
+        errors = np.maximum(1 - (x - math.log(0.85 / 0.15)) * np.where(o, 1, -1), 0)
+        total, below = 0.0, 0.0
+        for level in np.unique(errors[errors > 0]):
+            said = o ^ (errors >= level)
+            total += (level - below) * (1 - (said & o).sum() / (said | o).sum())
+            below = level
+        found.append(total)
+    return float(np.mean(found))
 
 
 def weighted_smooth_l1(predicted: np.ndarray, tudf: np.ndarray, near_m: float, weight: float, beta_m: float) -> float:
@@ -108,11 +113,11 @@ def test_the_occupancy_loss_is_the_papers(weight: float) -> None:
         assert value(found) == pytest.approx(cross_entropy(logits, occupancy, weight), rel=1e-6)
 
 
-def test_the_jaccard_loss_is_what_it_says() -> None:
+def test_the_lovasz_loss_is_its_integral_over_sets() -> None:
     for seed in range(5):
         logits, occupancy, _, _ = random_case(seed)
-        found = jaccard_loss(torch.from_numpy(logits), torch.from_numpy(occupancy))
-        assert value(found) == pytest.approx(soft_iou_missed(logits, occupancy), rel=1e-6)
+        found = lovasz_loss(torch.from_numpy(logits), torch.from_numpy(occupancy))
+        assert value(found) == pytest.approx(lovasz_hinge(logits, occupancy), rel=1e-6)
 
 
 @pytest.mark.parametrize(("near_m", "near_weight", "beta_m"), REGRESSIONS)
@@ -141,7 +146,7 @@ def test_gradients_are_the_finite_differences_of_the_equations(seed: int) -> Non
     space = {"voxel_m": 0.2, "truncation_m": 2.0}
     for loss, equation, at in (
         (lambda x: occupancy_loss(x, truth, occupied_weight=5), lambda x: cross_entropy(x, occupancy, 5), logits),
-        (lambda x: jaccard_loss(x, truth), lambda x: soft_iou_missed(x, occupancy), logits),
+        (lambda x: lovasz_loss(x, truth), lambda x: lovasz_hinge(x, occupancy), logits),
         (
             lambda x: regression_loss(x, field, **near),
             lambda x: weighted_smooth_l1(x, tudf, *near.values()),
@@ -237,14 +242,14 @@ def test_an_undecided_map_costs_a_bit_a_voxel_and_five_where_occupied() -> None:
         assert value(found) == pytest.approx(weights / 24 * math.log(2), rel=1e-6)
 
 
-def test_a_sure_map_loses_the_iou_that_is_measured_and_an_empty_one_nothing() -> None:
+def test_a_map_one_beside_the_threshold_loses_twice_the_iou_that_is_measured_and_an_empty_one_nothing() -> None:
     truth = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
     truth[0, 0] = True  # 12 voxels, of which 8 are found, and 4 beside them
     found = truth.clone()
     found[0, 0, 2], found[0, 1, 0] = False, True
-    logits = torch.where(found, 50.0, -50.0)
-    assert value(jaccard_loss(logits, truth)) == pytest.approx(1 - 9 / 17, rel=1e-6)
-    assert value(jaccard_loss(torch.full(truth.shape, -50.0), torch.zeros_like(truth))) == pytest.approx(0, abs=1e-6)
+    logits = math.log(0.85 / 0.15) + torch.where(found, 1.0, -1.0)
+    assert value(lovasz_loss(logits, truth)) == pytest.approx(2 * (1 - 8 / 16), rel=1e-6)
+    assert value(lovasz_loss(torch.full(truth.shape, -50.0), torch.zeros_like(truth))) == 0
 
 
 @pytest.mark.parametrize("near_m", [0.2, 0.5, 0.6, 0.7, 1.4])

@@ -16,8 +16,8 @@ from tests.model.test_losses import (  # noqa: E402
     cross_entropy,
     eikonal,
     finite_differences,
+    lovasz_hinge,
     random_case,
-    soft_iou_missed,
     value,
     weighted_smooth_l1,
 )
@@ -27,7 +27,7 @@ from tests.model.test_losses import (  # noqa: E402
 CONFIGS = [
     LossConfig(),
     LossConfig(occupancy=0.3, tudf=0.7, eikonal=0.9, occupied_weight=3, near_weight=4, near_m=0.8, beta_m=0.2),
-    LossConfig(occupancy=2.0, tudf=5.0, eikonal=0.0, near_weight=1.0, jaccard=0.6),
+    LossConfig(occupancy=2.0, tudf=5.0, eikonal=0.0, near_weight=1.0, lovasz=0.6),
     LossConfig(occupancy=0.0, tudf=0.4, eikonal=3.0, occupied_weight=0.5),
 ]
 
@@ -45,9 +45,9 @@ def test_the_objective_is_the_weighted_sum(config: LossConfig, heads: str, voxel
     wanted, loss = {}, 0.0
     if output.logits is not None:
         wanted["occupancy"] = cross_entropy(logits, occupancy, config.occupied_weight)
-        if config.jaccard:
-            wanted["jaccard"] = soft_iou_missed(logits, occupancy)
-        loss += config.occupancy * (wanted["occupancy"] + config.jaccard * wanted.get("jaccard", 0))
+        if config.lovasz:
+            wanted["lovasz"] = lovasz_hinge(logits, occupancy)
+        loss += config.occupancy * (wanted["occupancy"] + config.lovasz * wanted.get("lovasz", 0))
     if output.tudf is not None:
         near = (config.near_m, config.near_weight, config.beta_m)
         wanted["regression"] = weighted_smooth_l1(predicted, tudf, *near)
@@ -76,7 +76,7 @@ def test_the_objective_pulls_at_both_heads_by_their_weights() -> None:
 
 def test_the_default_weights_are_the_papers() -> None:
     wanted = {"occupancy": 0.1, "tudf": 1.0, "eikonal": 0.05, "occupied_weight": 5, "near_weight": 2, "near_m": 0.5}
-    assert dataclasses.asdict(LossConfig()) == {**wanted, "beta_m": 1.0, "jaccard": 0.0}
+    assert dataclasses.asdict(LossConfig()) == {**wanted, "beta_m": 1.0, "lovasz": 0.0}
 
 
 @pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(LossConfig)])

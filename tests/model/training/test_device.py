@@ -46,7 +46,7 @@ def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> 
     with Group(device) as group:
         maps = Maps(opened(folders, "train"), "train")
         torch.manual_seed(0)
-        config = dataclasses.replace(SMALL, loss=LossConfig(eikonal=1.0, jaccard=1.0))
+        config = dataclasses.replace(SMALL, loss=LossConfig(eikonal=1.0, lovasz=1.0))
         network = Network(config.network).eval()  # or each process has statistics of its own
         optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
         learn = Step(network, optimizer, config, maps.grid, device, torch.float32, group)

@@ -85,11 +85,11 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(
 
 
 def test_a_run_that_an_earlier_commit_began_goes_on(folders: list[Path], begun: Path, tmp_path: Path) -> None:
-    """Its settings name no inputs, nor the weight of the soft IoU."""
+    """Its settings name no inputs, nor the weight of the Lovász hinge."""
     out = shutil.copytree(begun, tmp_path / "run")
     held = json.loads((out / "config.json").read_text())
     assert held["settings"]["network"].pop("inputs") == ["observed"]
-    assert held["settings"]["loss"].pop("jaccard") == 0
+    assert held["settings"]["loss"].pop("lovasz") == 0
     (out / "config.json").write_text(json.dumps(held))
     told: list[int] = []
     watcher = Watcher(on_step=lambda maps, loss: told.append(maps))
