@@ -245,7 +245,10 @@ def _weights(options: dict[str, Any]) -> Path:
     path = locate(options["weights"])
     network, _, about = load_network(path)
     try:
-        loss = vars(LossConfig(**about["settings"]["loss"]))
+        said = about["settings"]["loss"]  # earlier commits had other terms
+        loss = vars(
+            LossConfig(**{item.name: said[item.name] for item in dataclasses.fields(LossConfig) if item.name in said})
+        )
     except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
         loss = {}
     options |= vars(network.config)
