@@ -178,7 +178,7 @@ class TrainConfig:
     """Which network of a run is kept: that of the lowest validation loss, of the lowest occupancy loss, or the last
     (ours)."""
     augment: bool = True
-    """Whether maps are turned and mirrored about the sensor at random (ours)."""
+    """Whether maps are turned about the sensor at random, and mirrored where its rays allow it (ours)."""
     seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"

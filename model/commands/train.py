@@ -120,7 +120,7 @@ class Weighted(click.ParamType):
 )
 @options_of(
     TrainConfig,
-    augment="Turn and mirror maps about the sensor at random.",
+    augment="Turn maps about the sensor at random, and mirror them where its rays allow it.",
     precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
     compile="Run the network through torch.compile.",
 )

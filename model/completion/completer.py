@@ -174,7 +174,7 @@ class Completer:
 
     def _checked(self, name: str, maps: Maps) -> Tensor:
         """An input as a tensor, if it can be one."""
-        given = maps if isinstance(maps, Tensor) else torch.from_numpy(np.ascontiguousarray(maps))
+        given = maps if isinstance(maps, Tensor) else _numbers(name, maps)
         if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
             raise ValueError(
                 f"{name} has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, *{self.grid.shape}): "
@@ -197,6 +197,14 @@ class Completer:
         return probability, tudf
 
 
+def _numbers(name: str, maps: Any) -> Tensor:
+    """An array as a tensor. Raises ValueError for what is none."""
+    try:
+        return torch.from_numpy(np.ascontiguousarray(maps))
+    except TypeError:
+        raise ValueError(f"{name} is of type {type(maps).__name__}; expected a sample, or a map as an array") from None
+
+
 @cache
 def opened_once(name: str, device: str, batch: int) -> Completer:
     """A network for a task of many, on one thread of a processor: each process opens it once, and by itself."""
@@ -210,6 +218,8 @@ def unlike(name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | No
     learned = (about.get("lidar") or entry_of(Lidar()), {"mapping": about.get("mapping") or plain["mapping"]})
     met = (entry_of(lidar), plain if mapping is None else described(mapping))
     sensor, maps = (differences(*both) for both in zip(learned, met, strict=True))
+    if sensor and any("sensor" in one for one in (learned[0], met[0])):  # tables of rays have nothing else to compare
+        sensor = [f"sensor is {_titled(learned[0])} there, {_titled(met[0])} asked for"]
     known = about.get("noise") or [""]
     faults = [f"noise is {' or '.join(one or 'none' for one in known)} there, {noise or 'none'} asked for"]
     if noise in known:
@@ -219,6 +229,12 @@ def unlike(name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | No
     said = "; ".join(sensor + faults + maps)[:MOST_SAID].replace("there", "in training").replace("asked for", "here")
     what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
     return f"{name} was trained on {what}, so expect worse completions: {printable(said)}"
+
+
+def _titled(entry: Mapping[str, Any]) -> str:
+    """The sensor of a manifest's entry in words."""
+    rays = " × ".join(map(str, entry.get("shape") or [entry.get("rows"), entry.get("columns")]))
+    return f"{entry.get('made_by') or entry.get('sensor', 'a raster')} of {rays} rays"
 
 
 def called(name: str | Path, path: Path) -> str:

@@ -147,12 +147,12 @@ def predict_scan(
     used = f"{inside} of {len(points)} points used, {len(points) - len(returned)} without a return, " + (
         f"{len(returned) - inside} outside the map"
     )
-    used += "".join(f"; {INPUTS[name].untold}" for name in completer.inputs if INPUTS[name].untold)
     if not inside:
+        extent = " × ".join(f"{metres:g}" for metres in completer.grid.extent_m)
         raise DatasetError(
-            f"{scan}: {used}, a map of {completer.grid.extent_m} m around the sensor at {place.tolist()}; "
-            "give --sensor, and metres"
+            f"{scan}: {used}, which is {extent} m around the sensor at {place.tolist()}; give --sensor, and metres"
         )
+    used += "".join(f"; {INPUTS[name].untold}" for name in completer.inputs if INPUTS[name].untold)
     maps = of_scan(completer.inputs, seen)
     prediction = completer(maps)
     if out.suffix == ".ply":

@@ -73,6 +73,12 @@ def calibrate(
         if trials:
             check_middle(dataset, "give --trials 0")
     indices = [spread(len(one.split(split)), samples or len(one.split(split))) for one in datasets]
+    several = [{one.split(split)[n].world for n in chosen} for one, chosen in zip(datasets, indices, strict=True)]
+    if (worlds := sum(map(len, several))) < LEAST_WORLDS:
+        raise DatasetError(
+            f"{', '.join(str(folder) for folder in folders)}: {worlds} worlds in split {split}, expected "
+            f"{LEAST_WORLDS} at least; generate a larger one"
+        )
 
     def look(what: str, at: Look) -> list[Any]:
         """What `at` makes of every map, summed by world."""
@@ -89,11 +95,6 @@ def calibrate(
 
     maps = look("voxels", partial(_count, weight, grid))
     counted = [scores for scores, _ in maps]
-    if len(counted) < LEAST_WORLDS:
-        raise DatasetError(
-            f"{', '.join(str(folder) for folder in folders)}: {len(counted)} worlds in split {split}, expected "
-            f"{LEAST_WORLDS} at least; generate a larger one"
-        )
     predicted = "occupancy" in network.config.tasks
     chances = fit.CHANCES if predicted else ()
     risks, margins = fit.fit_margins(np.stack(counted), fit.near_bins(grid, chances))

@@ -59,10 +59,10 @@ class Course:
         """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass after the other, or a
         stream's own, in which no map comes twice."""
         found: list[list[tuple[int, int]]] = []
-        config, grid = self._config, self._maps.grid
+        config = self._config
         if self._order is not None:
             numbers = range(first, first + count)
-            return [stream_batch(self._order, grid, n, seed=config.seed, augment=config.augment) for n in numbers]
+            return [stream_batch(self._order, self._maps, n, seed=config.seed, augment=config.augment) for n in numbers]
         while len(found) < count:
             epoch, step = divmod(first + len(found), self._pass)
             keys = epoch_batches(self._maps, batch=config.batch, seed=config.seed, epoch=epoch, augment=config.augment)

@@ -9,13 +9,15 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from lidarsim import GridSpec
+from lidarsim import GridSpec, Sensor
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.gather.survey import check_disjoint
+from scenegen.mapping import Mapper
 from scenegen.model.inputs import INPUTS, SYMMETRIES, of_sample, turned
 from scenegen.sample import Sample
 from scenegen.streaming.batches import Batches
@@ -26,6 +28,9 @@ from scenegen.truth import distance_field
 LOADERS = 8
 """Loader processes, and any number that divides this, among which a stream's batches are dealt so that each flight is
 drawn once. The order of batches is the same for any number."""
+
+SAME_RAY = 1e-6
+"""How far two rays of one direction may be apart, as unit vectors: what rounding takes."""
 
 Batch = dict[str, Tensor]
 """A named batch: the network's inputs and the true ``occupancy``, (B, *grid.shape) each."""
@@ -64,7 +69,7 @@ class SplitSamples:
         self.weight = weight
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
         self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
-        self.mapping, self.noise = dataset.manifest.mapping, dataset.manifest.noise_stages
+        self.mapping, self.noises = dataset.manifest.mapping, (dataset.manifest.noise_stages,)
         self._split = dataset.split(split)
         self._count = len(self._split)
         if share < 1:
@@ -113,6 +118,8 @@ class Maps(Dataset):
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
         self.grid = sources[0].grid
+        self.mirrored = is_mirrored(sources[0].lidar)
+        """Whether a map's mirror image is one, too, that the sensor could have seen."""
         self._start = np.cumsum([0, *map(len, sources)])
         given = [getattr(source, "weight", None) for source in sources]
         self.shares: list[Fraction] | None = None
@@ -179,15 +186,26 @@ class Maps(Dataset):
 
 
 def check_alike(sources: Sequence[Samples]) -> None:
-    """Raise DatasetError unless all `sources` have one grid and one sensor."""
+    """Raise DatasetError unless all `sources` have one grid and one sensor, and make maps of scans in one way."""
     first = sources[0]
     for other in sources[1:]:
-        for what in ("grid", "lidar"):
-            if getattr(other, what) != getattr(first, what):
+        for what in ("grid", "lidar", "mapping"):
+            there, here = (getattr(one, what, Mapper()) for one in (first, other))
+            if here != there:
                 raise DatasetError(
-                    f"{other.name}: its {what} is {getattr(other, what)}, that of {first.name} is "
-                    f"{getattr(first, what)}; one network takes one {what}: train on datasets that share it"
+                    f"{other.name}: its {what} is {here}, that of {first.name} is {there}; "
+                    f"one network takes one {what}: train on datasets that share it"
                 )
+
+
+def is_mirrored(sensor: Sensor) -> bool:
+    """Whether the rays of `sensor` are their own mirror image, left and right of the body.
+
+    Any sensor that is turned about the vertical sees what is turned; of what is mirrored, only such a one sees the
+    mirror image.
+    """
+    rays = sensor.directions_body.reshape(-1, 3)
+    return bool((KDTree(rays).query(rays * (1, -1, 1))[0] < SAME_RAY).all())
 
 
 def _check_different(sources: Sequence[Samples]) -> None:
@@ -210,7 +228,7 @@ def epoch_batches(
     order = rng.permutation(len(maps))
     if maps.shares is not None:
         order = np.concatenate(_weighted(maps, seed=seed, epoch=epoch))[order]
-    keys = _turned(order.tolist(), maps.grid, augment, rng=rng)
+    keys = _turned(order.tolist(), maps, augment, rng=rng)
     count = max(len(keys) // batch, 1)
     return [keys[n * batch : (n + 1) * batch] for n in range(count)]
 
@@ -229,17 +247,19 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
     return found
 
 
-def stream_batch(order: Batches, grid: GridSpec, number: int, *, seed: int, augment: bool) -> list[tuple[int, int]]:
-    """Batch `number` of a stream's order: keys of `Maps`, whose symmetries depend on `seed` and `number` alone."""
+def stream_batch(order: Batches, maps: Maps, number: int, *, seed: int, augment: bool) -> list[tuple[int, int]]:
+    """Batch `number` of a stream's order: keys of `maps`, whose symmetries depend on `seed` and `number` alone."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 0)))
-    return _turned(order[number], grid, augment, rng=rng)
+    return _turned(order[number], maps, augment, rng=rng)
 
 
-def _turned(indices: list[int], grid: GridSpec, augment: bool, *, rng: np.random.Generator) -> list[tuple[int, int]]:
+def _turned(indices: list[int], maps: Maps, augment: bool, *, rng: np.random.Generator) -> list[tuple[int, int]]:
     """Every index with a symmetry that is drawn, or, unless `augment`, with that which changes nothing."""
     turns = rng.integers(SYMMETRIES, size=len(indices)) if augment else np.zeros(len(indices), dtype=int)
-    if augment and grid.shape[0] != grid.shape[1]:
+    if maps.grid.shape[0] != maps.grid.shape[1]:
         turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
+    if not maps.mirrored:
+        turns = turns % (SYMMETRIES // 2)
     return list(zip(indices, turns.tolist(), strict=True))
 
 

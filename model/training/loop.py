@@ -97,7 +97,7 @@ def train(
         versions = software() | {"python": platform.python_version()} | {name: installed(name) for name in PACKAGES}
         about = {"command": command, "commit": commit(), "versions": versions, "device": device_name(where)}
         about["lidar"] = entry_of(maps.sources[0].lidar)
-        noises = sorted({getattr(source, "noise", "") for source in maps.sources})
+        noises = sorted({noise for source in maps.sources for noise in getattr(source, "noises", ("",))})
         about |= {"noise": noises} if any(noises) else {}
         about |= mapping_entry(getattr(maps.sources[0], "mapping", Mapper()))
         group.first_alone(lambda: folder.open({"settings": settings, **about}))

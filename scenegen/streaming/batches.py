@@ -70,6 +70,8 @@ class Batches(Iterator[list[int]]):
         return (rows * self._row + view).tolist()
 
     def __iter__(self) -> "Batches":
+        if self._place.done == self._count:  # a pass that ended: the next begins anew
+            self._place.done = 0
         self._stream.expect(self._from(self._place.done))
         return self
 

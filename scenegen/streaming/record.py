@@ -34,7 +34,7 @@ def pack(sample: Sample, kind: np.dtype) -> bytes:
     return isal.isal_zlib.compress(record.tobytes(), LEVEL)
 
 
-def unpack(packed: bytes, kind: np.dtype, grid: GridSpec) -> Sample:
+def unpack(packed: bytes, kind: np.dtype, grid: GridSpec, lidar: Sensor) -> Sample:
     """The sample of a record; arrays of its own, which may be written to. Raises ValueError for bytes that are none."""
     try:
         content = isal.isal_zlib.decompressobj().decompress(packed, kind.itemsize + 1)
@@ -42,23 +42,26 @@ def unpack(packed: bytes, kind: np.dtype, grid: GridSpec) -> Sample:
         raise ValueError(f"cannot be unpacked: {error}") from None
     if len(content) != kind.itemsize:
         raise ValueError(f"{len(content)} bytes, expected {kind.itemsize}")
-    return _Drawn.of(np.frombuffer(content, kind)[0], grid)
+    return _Drawn.of(np.frombuffer(content, kind)[0], grid, lidar)
 
 
 class _Drawn(LazySample):
     """A sample whose fields are unpacked, and whose distances derived, when first asked for."""
 
     @classmethod
-    def of(cls, record: Any, grid: GridSpec) -> Sample:
+    def of(cls, record: Any, grid: GridSpec, lidar: Sensor) -> Sample:
         """The sample of a record."""
         sample = cls.__new__(cls)
-        sample.__dict__.update(_record=record, _grid=grid)
+        sample.__dict__.update(_record=record, _grid=grid, _lidar=lidar)
         return sample
 
     @property
     def names(self) -> tuple[str, ...]:
         """See `Sample.names`."""
         return fields_of(2 if "earlier_ranges" in self._record.dtype.names else 1, labels=False)
+
+    def _sensor(self) -> Sensor:
+        return self._lidar
 
     def find(self, name: str) -> Any:
         """See `LazySample.find`."""

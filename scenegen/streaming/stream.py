@@ -45,12 +45,10 @@ class Stream(Sequence[Sample]):
     def __init__(
         self, mixture: Mixture, *, seed: int, split: str, samples: int, workers: int, cache: Path | str | None
     ):
-        _check_whole("seed", seed, 0, MOST_SEED)
-        _check_whole("samples", samples, 1, MOST_SAMPLES)
-        _check_whole("workers", workers, 0, MOST_WORKERS)
-        self.seed, self.split, self.workers = seed, split, workers
+        self.seed, self.split = _whole("seed", seed, 0, MOST_SEED), split
+        self.workers = _whole("workers", workers, 0, MOST_WORKERS)
         self.mixture = mixture
-        self._samples = samples
+        self._samples = _whole("samples", samples, 1, MOST_SAMPLES)
         parts = [
             {"drawn": part.described(software=False), "units": units}
             for part, units in zip(mixture.components, mixture.units, strict=True)
@@ -61,7 +59,8 @@ class Stream(Sequence[Sample]):
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
         self.mapping = mixture.components[0].recipe.mapping
-        self.noise = mixture.components[0].recipe.noise.spelled()
+        self.noises = tuple(dict.fromkeys(part.recipe.noise.spelled() for part in mixture.components))
+        """That of every part, as manifests spell it."""
         self._record = record_type(self.grid, self.lidar, self.mapping.scans)
         caches = () if cache is None else tuple(self._cache(Path(cache), part) for part in mixture.components)
         self._make = Maker(mixture, caches, self._record)
@@ -86,7 +85,7 @@ class Stream(Sequence[Sample]):
         """Several samples, as torch asks for a batch: their units are made by all workers at once."""
         places = [self.mixture.place(self._checked(index)) for index in indices]
         self._prepare(dict.fromkeys(slot for slot, _ in places))
-        return [unpack(self._unit(slot)[view], self._record, self.grid) for slot, view in places]
+        return [unpack(self._unit(slot)[view], self._record, self.grid, self.lidar) for slot, view in places]
 
     def __iter__(self) -> "Reader":
         return Reader(self)
@@ -234,13 +233,15 @@ def stream_of(
     engine: str,
 ) -> Stream:
     """See `scenegen.stream`."""
-    _check_whole("seed", seed, 0, MOST_SEED)
+    seed = _whole("seed", seed, 0, MOST_SEED)
     parts = parts_of(worlds)
     components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
     mixture = Mixture(components, [weight for _, weight in parts])
     return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers, cache=cache)
 
 
-def _check_whole(name: str, value: Any, least: int, most: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+def _whole(name: str, value: Any, least: int, most: int) -> int:
+    """`value` as a number of Python's. Raises DatasetError."""
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= most:
         raise DatasetError(f"stream: {name} = {short(value)}: expected a whole number from {least} to {most}")
+    return int(value)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from lidarsim import GridSpec, Lidar
+from lidarsim.sensors import SENSORS
 from scenegen.dataset.sensor import entry_of
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, unlike
@@ -99,9 +100,10 @@ def test_a_completion_that_is_no_number_ends_in_one_line(tmp_path: Path) -> None
         (np.zeros((16, 8), bool), r"expected \(16, 24, 8\)"),
         (np.full(GRID.shape, 0.5), "other than 0 and 1"),
         (np.zeros((0, *GRID.shape), bool), "no map"),
+        (None, "observed is of type NoneType; expected a sample"),
     ],
 )
-def test_other_maps_are_refused(tmp_path: Path, wrong: np.ndarray, named: str) -> None:
+def test_other_maps_are_refused(tmp_path: Path, wrong: np.ndarray | None, named: str) -> None:
     save(tmp_path / "net.safetensors")
     completer = Completer.from_pretrained(tmp_path / "net.safetensors")
     with pytest.raises(ValueError, match=named):
@@ -189,6 +191,14 @@ def test_a_network_says_where_a_sensor_is_not_that_of_its_training() -> None:
     said = unlike("net", {}, own)
     assert said.startswith("net was trained on another sensor")
     assert "rows is 16 in training, 8 here; max_range_m is 10.0 in training, 30.0 here" in said
+
+
+def test_a_network_names_a_sensor_that_is_a_table_of_rays() -> None:
+    ouster = SENSORS.find("ouster-os1-64")
+    said = unlike("net", {}, ouster)
+    assert said.endswith("sensor is a raster of 16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here")
+    said = unlike("net", {"lidar": entry_of(ouster)}, Lidar())
+    assert said.endswith("sensor is ouster-os1-64 of 64 × 1024 rays in training, a raster of 16 × 120 rays here")
 
 
 def test_a_network_says_where_noise_is_not_that_of_its_training() -> None:

@@ -95,7 +95,9 @@ def test_a_loader_process_that_dies_is_named(folders: list[Path], monkeypatch: p
 def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_path: Path) -> None:
     other_grid = make_dataset(tmp_path / "grid", grid={"shape": (16, 16, 16)})
     other_sensor = make_dataset(tmp_path / "sensor", lidar={"rows": 4})
-    for wrong, named in ((other_grid, "its grid is"), (other_sensor, "its lidar is"), (folders[0], "the same samples")):
+    fused = make_dataset(tmp_path / "fused", mapping={"scans": 2})
+    refused = {other_grid: "its grid", other_sensor: "its lidar", fused: "its mapping", folders[0]: "the same samples"}
+    for wrong, named in refused.items():
         with pytest.raises(DatasetError, match=named):
             Maps(opened([folders[0], wrong], "train"), "train")
     with pytest.raises(DatasetError, match="no dataset given"):

@@ -113,6 +113,7 @@ def test_batches_go_on_where_a_state_says_with_any_ranks() -> None:
     resumed = stream.batches(4, loaders=2)
     resumed.load_state_dict(json.loads(state))
     assert begun + list(resumed) == list(stream.batches(4, loaders=2))
+    assert list(resumed) == list(stream.batches(4, loaders=2)), "a pass that ended begins anew"
     half = stream.batches(4, rank=1, ranks=2, loaders=2)
     half.load_state_dict(json.loads(state))
     assert next(half) == stream.batches(4, loaders=2)[7][1::2]
