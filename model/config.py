@@ -16,6 +16,8 @@ BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
 DEFAULT_NETWORK = "columns"
 """The one of them that completes where none is named."""
+POINTS_NETWORK = "proposed"
+"""The one that completes scans of points then: it takes observed voxels alone, and misses nothing of them."""
 LEVELS = 3
 TASKS = ("tudf", "occupancy")
 SHARED = ("shared",)

@@ -8,7 +8,7 @@ import rich_click as click
 
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
-from scenegen.model.config import DEFAULT_NETWORK
+from scenegen.model.config import DEFAULT_NETWORK, POINTS_NETWORK
 from scenegen.terminal.options import (
     device_option,
     on_option,
@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 @click.option(
     "--weights",
     type=Weights(),
-    default=DEFAULT_NETWORK,
-    show_default=True,
-    help="A bundled name, a file, a run's folder, hf://…",
+    help="A bundled name, a file, a run's folder, hf://…  "
+    f"[default: {DEFAULT_NETWORK}; of points alone, {POINTS_NETWORK}]",
 )
 @split_option("test", help="The split of a dataset that is completed.")
 @click.option(
@@ -53,7 +52,7 @@ if TYPE_CHECKING:
 @quiet_option
 def complete(
     source: Path | str,
-    weights: str,
+    weights: str | None,
     split: str,
     out: Path | None,
     sensor: tuple[float, float, float],
@@ -83,11 +82,13 @@ def complete(
     elsewhere = was_given("on") or was_given("workers")
     chosen = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if chosen.type == "cpu" else 1) if elsewhere else None
-    completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
     found = locate(source, shown=not quiet)
+    scans = [] if (found / NAME).exists() else scans_in(found) if found.is_dir() else [found]
+    usual = POINTS_NETWORK if scans else DEFAULT_NETWORK
+    completer = Completer.from_pretrained(weights or usual, device=chosen, batch=batch)
     if execute is not None and found.exists() and not (found / NAME).exists():
         raise DatasetError(f"{found}: --on and --workers complete a dataset's split; leave them out for scans")
-    if found.is_dir() and not (found / NAME).exists() and (scans := scans_in(found)):
+    if found.is_dir() and scans:
         _complete_all(completer, found, scans, out or Path(f"{found.resolve().name}.completed"), sensor, quiet)
         return
     out = out or (Path("predictions.h5") if found.is_dir() else found.with_suffix(".completed.h5"))
@@ -113,7 +114,7 @@ def complete(
     else:
         used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())
         if not quiet:
-            say(f"{found}: {used}")
+            say(f"{found}: {used}; completed by {completer.name}")
     if not quiet and missing:
         say(f"{missing} samples are for the other ranks to complete; the last one writes {out}")
     elif not quiet:
