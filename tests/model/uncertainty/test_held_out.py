@@ -5,9 +5,9 @@ import pytest
 
 pytest.importorskip("torch")
 
-import scenegen  # noqa: E402
-from scenegen.model.completion.completer import Completer  # noqa: E402
-from scenegen.model.evaluation.visibility import UNOBSERVED, classify  # noqa: E402
+import scenegen
+from scenegen.model.completion.completer import Completer
+from scenegen.model.evaluation.visibility import UNOBSERVED, classify
 
 
 def test_the_bundled_network_keeps_its_bounds_on_new_worlds() -> None:
