@@ -26,7 +26,7 @@ class Counted:
     class grid:  # noqa: N801
         shape = (80, 80, 40)
 
-    shares = None
+    shares, mirrored = None, True
 
     def __init__(self, count: int):
         self._count = count
