@@ -29,10 +29,10 @@ from scenegen.terminal import stops
 stops.answer()
 stops.answer_hanging()
 library = ctypes.PyDLL(None)  # keeps Python's lock, as h5py does
-numbers = (ctypes.c_char * (1 << 27))()
+letters = ctypes.create_string_buffer(b"a" * (1 << 22))  # of which any two strings take long to compare
 print("ready", flush=True)
 while True:
-    library.qsort(numbers, 1 << 24, 8, ctypes.cast(library.strcmp, ctypes.c_void_p))
+    library.qsort(letters, 1 << 19, 8, ctypes.cast(library.strcmp, ctypes.c_void_p))
 """
 NOTED = """
 import time
