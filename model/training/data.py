@@ -45,7 +45,7 @@ class Samples(Protocol):
     has these, and travels to processes that read."""
 
     grid: GridSpec
-    lidar: Any
+    lidar: Sensor
     name: str
     """Where the samples are from, for errors."""
     kind: str
