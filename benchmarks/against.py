@@ -1,10 +1,11 @@
-"""What a sample costs here and in another checkout: processor milliseconds, shard by shard in turn, and their ratio.
+"""What a sample costs here and in another checkout: processor milliseconds, shard by shard in turn,
+and their ratio.
 
     git worktree add /tmp/before 59ac7f1
     python benchmarks/against.py /tmp/before [--kind pillar] [--shards 10] [--engine analytic]
 
-Both write the same shards with the same Python and the same libraries, and in turn, so that a busy machine slows both.
-It ends with 1 where their samples differ.
+Both write the same shards with the same Python and the same libraries, and in turn, so that a busy
+machine slows both. It ends with 1 where their samples differ.
 """
 
 import argparse
@@ -17,25 +18,31 @@ import time
 from pathlib import Path
 from typing import Any
 
+import measuring
+
 HERE = Path(__file__).parents[1]
 
 
 def serve(kind: str, engine: str) -> None:
-    """Write the shards whose numbers come through the standard input, and answer a line of JSON for each: processor
-    seconds, samples, bytes, and the samples' digests."""
+    """Write the shards whose numbers come through the standard input, and answer a line of JSON for
+    each: processor seconds, samples, bytes, and the samples' digests."""
     import scenegen.workers
     from scenegen.dataset.build import plan_dataset
     from scenegen.dataset.shard import write_shard
     from scenegen.recipe import preset
     from scenegen.source import DrawnWorlds
 
-    if keep_memory := getattr(scenegen.workers, "keep_memory", None):  # as the command does, in checkouts that have it
+    if keep_memory := getattr(
+        scenegen.workers, "keep_memory", None
+    ):  # as the command does, in checkouts that have it
         keep_memory()
     recipe = preset(kind)
     counts = {"train": 100_000, "val": 0, "test": 0}
     chosen: dict[str, Any] = {"engine": engine} if engine else {}
     with tempfile.TemporaryDirectory() as folder:
-        plan = plan_dataset(Path(folder), recipe, DrawnWorlds(recipe), seed=0, counts=counts, **chosen)
+        plan = plan_dataset(
+            Path(folder), recipe, DrawnWorlds(recipe), seed=0, counts=counts, **chosen
+        )
         for line in sys.stdin:
             begin = time.process_time()
             report = write_shard(plan.shards[int(line)])
@@ -45,9 +52,20 @@ def serve(kind: str, engine: str) -> None:
 
 def start(checkout: Path, kind: str, engine: str) -> "subprocess.Popen[str]":
     """A process that runs `serve` with the packages of `checkout`."""
-    command = [sys.executable, __file__, str(checkout), "--serve", "--kind", kind, "--engine", engine]
+    command = [
+        sys.executable,
+        __file__,
+        str(checkout),
+        "--serve",
+        "--kind",
+        kind,
+        "--engine",
+        engine,
+    ]
     environment = {**os.environ, "PYTHONPATH": str(checkout)}
-    return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
 
 
 def ask(process: "subprocess.Popen[str]", shard: int) -> Any:
@@ -73,7 +91,8 @@ def compare(checkout: Path, kind: str, shards: int, engine: str) -> bool:
                     seconds[side], sizes[side] = seconds[side] + spent, sizes[side] + size
     there, here = (spent / samples * 1e3 for spent in seconds)
     print(
-        f"{kind}: {there:.2f} ms a sample there, {here:.2f} here, {there / here:.2f} times as fast; stored size "
+        f"{kind}: {there:.2f} ms a sample there, {here:.2f} here, {there / here:.2f} times as "
+        f"fast; stored size "
         f"{sizes[1] / sizes[0] - 1:+.2%}; samples {'equal' if same else 'DIFFER'}"
     )
     return same
@@ -81,18 +100,22 @@ def compare(checkout: Path, kind: str, shards: int, engine: str) -> bool:
 
 def main() -> None:
     """Parse and compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = measuring.options(__doc__)
     parser.add_argument("checkout", type=Path, help="the other checkout's folder")
     parser.add_argument("--kind", choices=("pillar", "geometric"), help="one kind instead of both")
-    parser.add_argument("--shards", type=int, default=10, help="shards of 100 samples to write on either side")
+    parser.add_argument(
+        "--shards", type=int, default=10, help="shards of 100 samples to write on either side"
+    )
     parser.add_argument("--engine", default="", help="what casts the rays here, if not the default")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = measuring.parse(parser, kind="pillar", shards=1)
     if options.serve:
         serve(options.kind, options.engine)
         return
     kinds = [options.kind] if options.kind else ["pillar", "geometric"]
-    same = [compare(options.checkout.resolve(), kind, options.shards, options.engine) for kind in kinds]
+    same = [
+        compare(options.checkout.resolve(), kind, options.shards, options.engine) for kind in kinds
+    ]
     sys.exit(0 if all(same) else 1)
 
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 
 def draw(path: Path, rows: Mapping[str, Mapping[str, float]], title: str, *, stacked: bool) -> None:
-    """Write to `path` a bar for every row: its parts, milliseconds, end to end where `stacked`, else side by side."""
+    """Write to `path` a bar for every row: its parts, milliseconds, end to end where `stacked`,
+    else side by side."""
     from matplotlib.figure import Figure
 
     parts = list(dict.fromkeys(part for row in rows.values() for part in row))
@@ -17,7 +18,13 @@ def draw(path: Path, rows: Mapping[str, Mapping[str, float]], title: str, *, sta
         values = [row.get(part, 0.0) for row in rows.values()]
         at = [m if stacked else m + (n - (len(parts) - 1) / 2) * thick for m in range(len(rows))]
         axes.barh(
-            at, values, thick, left=left if stacked else None, label=part, color=f"C{n % 10}", hatch="/" * (n // 10)
+            at,
+            values,
+            thick,
+            left=left if stacked else None,
+            label=part,
+            color=f"C{n % 10}",
+            hatch="/" * (n // 10),
         )
         left = [a + b for a, b in zip(left, values, strict=True)]
     axes.set_yticks(range(len(rows)), list(rows))

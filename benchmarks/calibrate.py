@@ -1,10 +1,13 @@
-"""Worlds against the paper: what depends on no network, for one variant of a recipe after the other.
+"""Worlds against the paper: what depends on no network, for one variant of a recipe after the
+other.
 
-    python benchmarks/calibrate.py pillar --vary world.density=[0.03,0.10] --vary flight.altitude_m=[3,5]
+    python benchmarks/calibrate.py pillar --vary world.density=[0.03,0.10] --vary
+    flight.altitude_m=[3,5]
     python benchmarks/calibrate.py geometric --faces box --safety 1.25
 
-Draws validation worlds, plans on the truth's map and on the returns', and prints a row to set beside the paper's Table
-II. Test worlds are never looked at. A `--vary` may have several values, separated by `;`: all combinations are run.
+Draws validation worlds, plans on the truth's map and on the returns', and prints a row to set
+beside the paper's Table II. Test worlds are never looked at. A `--vary` may have several values,
+separated by `;`: all combinations are run.
 """
 
 import argparse
@@ -14,6 +17,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import measuring
 import numpy as np
 
 from scenegen.dataset.build import build, plan_dataset
@@ -27,19 +31,33 @@ from scenegen.recipe import make_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
 
-COLUMNS = ("length", "min clear", "avg clear", "success", "way-pts", "excluded", "occupied", "rejected")
+COLUMNS = (
+    "length",
+    "min clear",
+    "avg clear",
+    "success",
+    "way-pts",
+    "excluded",
+    "occupied",
+    "rejected",
+)
 
 
 def main() -> None:
     """Parse, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = measuring.options(__doc__)
     parser.add_argument("kind", choices=kind_names())
-    parser.add_argument("--vary", action="append", default=[], help="table.parameter=VALUE;VALUE…, values as in TOML")
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        help="table.parameter=VALUE;VALUE…, values as in TOML",
+    )
     parser.add_argument("--samples", type=int, default=150, help="validation maps, five a world")
     parser.add_argument("--trials", type=int, default=600)
     parser.add_argument("--faces", default=PlanConfig().goal_faces)
     parser.add_argument("--safety", type=float, default=PlanConfig().safety_m)
-    options = parser.parse_args()
+    options = measuring.parse(parser, samples=5, trials=10)
     print(f"{'':44}" + "".join(f"{name:>14}" for name in COLUMNS))
     for name, row in PLANNING[options.kind].items():
         cells = [row[key] for key in ("length", "min_clearance", "avg_clearance", "success")]
@@ -65,7 +83,10 @@ def _measure(options: argparse.Namespace, tables: dict[str, Any], label: str) ->
     with tempfile.TemporaryDirectory() as folder:
         counts = {"train": 0, "val": options.samples, "test": 0}
         summary = build(
-            plan_dataset(Path(folder), recipe, DrawnWorlds(recipe), seed=1, counts=counts, shard_samples=50), workers=2
+            plan_dataset(
+                Path(folder), recipe, DrawnWorlds(recipe), seed=1, counts=counts, shard_samples=50
+            ),
+            workers=2,
         )
         dataset = Dataset(folder)
         occupied = [float(sample.occupancy.mean()) for sample in dataset.split("val")[::5]]

@@ -1,14 +1,15 @@
 """The bundled networks where they were never trained: other sensors, noise, and other worlds.
 
-    python benchmarks/elsewhere.py --data /tmp/elsewhere     # makes docs/results/elsewhere.json and .md
+    python benchmarks/elsewhere.py --data /tmp/elsewhere     # makes docs/results/elsewhere.json and
+    .md
     python benchmarks/elsewhere.py --maps 5 --out /tmp/try   # a quick look
 
-Worlds are drawn and flown once; every sensor sees them again from the same poses (`scenegen rescan`), so that its rows
-are pairs, map by map, with those of the sensor of training. What was made in `--data` is used again. Exported networks
-(`scenegen export columns -o columns.onnx`, then `--weights columns.onnx`) take a fifth of the time.
+Worlds are drawn and flown once; every sensor sees them again from the same poses (`scenegen
+rescan`), so that its rows are pairs, map by map, with those of the sensor of training. What was
+made in `--data` is used again. Exported networks (`scenegen export columns -o columns.onnx`, then
+`--weights columns.onnx`) take a fifth of the time.
 """
 
-import argparse
 import json
 import tempfile
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import measuring
 import mujoco
 import numpy as np
 
@@ -55,7 +57,12 @@ SENSORS_SEEN = (
     ("realsense-d435", "datasheet"),
 )
 """Sensors and noise; the first is that of training."""
-SEEN = ("observed voxels", "of these not occupied", "unknown voxels", "occupied voxels taken for free")
+SEEN = (
+    "observed voxels",
+    "of these not occupied",
+    "unknown voxels",
+    "occupied voxels taken for free",
+)
 PLACES = {name: list(METRICS).index(name) for name in ("iou", "near_rmse", "precision", "recall")}
 IOU = PLACES["iou"]
 TABLES: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
@@ -68,7 +75,8 @@ TABLES: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Scaffold(WorldKind):
-    """Thin beams, level and crossing, at any height on slender posts: hardly a solid like those of the presets."""
+    """Thin beams, level and crossing, at any height on slender posts: hardly a solid like those of
+    the presets."""
 
     version: ClassVar[int] = 1
     crowded_by: ClassVar[tuple[str, ...]] = ("beam_density",)
@@ -86,13 +94,20 @@ class Scaffold(WorldKind):
         """See `WorldKind.add_to`."""
         self.add_ground(spec)
         count = round(rng.uniform(*self.beam_density) * self.size_m[0] * self.size_m[1])
-        low, high = zip(*((0.0, edge) for edge in self.size_m[:2]), (0.5, 8.0), (0.0, np.pi), strict=True)
+        low, high = zip(
+            *((0.0, edge) for edge in self.size_m[:2]), (0.5, 8.0), (0.0, np.pi), strict=True
+        )
         x, y, z, yaw = rng.uniform(low, high, (count, 4)).T
-        half = np.stack([rng.uniform(*span, count) for span in (self.half_length_m, *[self.half_edge_m] * 2)], axis=1)
+        half = np.stack(
+            [rng.uniform(*span, count) for span in (self.half_length_m, *[self.half_edge_m] * 2)],
+            axis=1,
+        )
         turn = yaw_quaternion(yaw)
         box = np.full(count, int(mujoco.mjtGeom.mjGEOM_BOX))
         spec.add_geoms(box, half, np.stack([x, y, z], axis=1), turn)
-        along = np.stack([1 - 2 * turn[:, 3] ** 2, 2 * turn[:, 0] * turn[:, 3]], axis=1)  # cos and sin of yaw
+        along = np.stack(
+            [1 - 2 * turn[:, 3] ** 2, 2 * turn[:, 0] * turn[:, 3]], axis=1
+        )  # cos and sin of yaw
         for end in (-0.9, 0.9):
             foot = np.stack([x, y], axis=1) + end * half[:, :1] * along
             spec.add_geoms(
@@ -105,26 +120,42 @@ class Scaffold(WorldKind):
 
 def main() -> None:
     """Make the datasets, measure, and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--maps", type=int, default=60, help="test maps of every kind of world, five a flight")
+    parser = measuring.options(__doc__)
+    parser.add_argument(
+        "--maps", type=int, default=60, help="test maps of every kind of world, five a flight"
+    )
     parser.add_argument("--trials", type=int, default=240, help="planning trials of every dataset")
-    parser.add_argument("--data", type=Path, help="folder of the datasets  [default: one that is removed again]")
+    parser.add_argument(
+        "--data", type=Path, help="folder of the datasets  [default: one that is removed again]"
+    )
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=WORLDS)
     parser.add_argument(
-        "--weights", action="append", help="a network, as `scenegen bench` takes it  [default: all bundled]"
+        "--sensors", type=int, default=len(SENSORS_SEEN), help="so many, that of training first"
     )
-    given = parser.parse_args()
-    methods: list[Method] = [Completed(Returns()), Completed(Extrude()), *map(Pretrained, given.weights or bundled())]
+    parser.add_argument(
+        "--weights",
+        action="append",
+        help="a network, as `scenegen bench` takes it  [default: all bundled]",
+    )
+    given = measuring.parse(
+        parser, maps=5, trials=5, weights=["columns"], worlds=[SCAFFOLD], sensors=2
+    )
+    methods: list[Method] = [
+        Completed(Returns()),
+        Completed(Extrude()),
+        *map(Pretrained, given.weights or bundled()),
+    ]
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
-        for worlds in WORLDS:
+        for worlds in given.worlds:
             title = worlds.rpartition(":")[2].lower()
             original = drawn(worlds, folder / title, given.maps)
             found[title] = {}
             usual: DatasetResult | None = None
-            for sensor, noise in SENSORS_SEEN:
+            for sensor, noise in SENSORS_SEEN[: given.sensors]:
                 name = " ".join(filter(None, ("default" if sensor == RASTER else sensor, noise)))
                 seen = again(original, folder / f"{title} {name.replace(':', '')}", sensor, noise)
                 config = BenchConfig(trials=given.trials)
@@ -159,33 +190,43 @@ def again(original: Dataset, folder: Path, sensor: str, noise: str | None) -> Da
     if (sensor, noise) == SENSORS_SEEN[0]:
         return original
     lidar = SENSORS.find(sensor) if sensor != RASTER else None
-    build(plan_rescan(original, folder, lidar=lidar, chain=named_noise(noise, lidar or original.lidar)))
+    build(
+        plan_rescan(
+            original, folder, lidar=lidar, chain=named_noise(noise, lidar or original.lidar)
+        )
+    )
     return Dataset(folder)
 
 
 def flights(dataset: Dataset) -> np.ndarray:
-    """The flight of every sample, (N,): what intervals draw again. A drawn world has one; a scene has several."""
+    """The flight of every sample, (N,): what intervals draw again. A drawn world has one; a scene
+    has several."""
     each = dataset.manifest.recipe.flight.viewpoints
     samples = dataset.split("test")
-    return np.unique([(one.world, one.viewpoint // each) for one in samples], axis=0, return_inverse=True)[1]
+    return np.unique(
+        [(one.world, one.viewpoint // each) for one in samples], axis=0, return_inverse=True
+    )[1]
 
 
 def figures(dataset: Dataset, result: DatasetResult, usual: DatasetResult) -> dict[str, Any]:
-    """What the sensor sees and what every method makes of it, with intervals; and how much IoU over the whole map it
-    loses against the `usual` sensor, map by map."""
-    rng = np.random.default_rng(0)
+    """What the sensor sees and what every method makes of it, with intervals; and how much IoU over
+    the whole map it loses against the `usual` sensor, map by map."""
     flight = flights(dataset)
     seen = np.array([what_is_seen(sample) for sample in dataset.split("test")])
-    said: dict[str, Any] = {"seen": {name: figure(seen[:, n], flight, rng=rng) for n, name in enumerate(SEEN)}}
+    said: dict[str, Any] = {
+        "seen": {name: figure(seen[:, n], flight) for n, name in enumerate(SEEN)}
+    }
     for name, method in result.methods.items():
         rows = {region: method.reconstruction[:, n] for n, region in enumerate(REGIONS)}
         before = usual.methods[name].reconstruction[:, 0, IOU]
         said[name] = {
-            region: {metric: figure(found[:, place], flight, rng=rng) for metric, place in PLACES.items()}
+            region: {metric: figure(found[:, place], flight) for metric, place in PLACES.items()}
             for region, found in rows.items()
         }
-        said[name]["iou_lost"] = figure(before - rows["map"][:, IOU], flight, rng=rng)
-        said[name]["success"] = figure([trial.success for trial in method.trials], result.trial_worlds, rng=rng)
+        said[name]["iou_lost"] = figure(before - rows["map"][:, IOU], flight)
+        said[name]["success"] = figure(
+            [trial.success for trial in method.trials], result.trial_worlds, "outcome"
+        )
     return said
 
 
@@ -194,7 +235,12 @@ def what_is_seen(sample: Sample) -> tuple[float, ...]:
     parts = (sample.observed, sample.observed & ~sample.occupancy, ~(sample.observed | sample.free))
     observed, wrong, unknown = (int(part.sum()) for part in parts)
     occupied, freed = int(sample.occupancy.sum()), int((sample.free & sample.occupancy).sum())
-    return observed, wrong / max(observed, 1), unknown / sample.observed.size, freed / max(occupied, 1)
+    return (
+        observed,
+        wrong / max(observed, 1),
+        unknown / sample.observed.size,
+        freed / max(occupied, 1),
+    )
 
 
 def tables(report: dict[str, Any]) -> list[str]:
@@ -208,7 +254,10 @@ def tables(report: dict[str, Any]) -> list[str]:
             lines.append(line(sensor, (f"{count:.0f}", *(f"{share:.1%}" for share in shares))))
         for title, of in TABLES.items():
             lines += ["", f"{title}:", "", *head(methods)]
-            lines += [line(sensor, (shown(of(found[name])) for name in methods)) for sensor, found in sensors.items()]
+            lines += [
+                line(sensor, (shown(of(found[name])) for name in methods))
+                for sensor, found in sensors.items()
+            ]
     return lines
 
 

@@ -1,20 +1,21 @@
-"""What commands cost on a folder of very many samples: processor time, wall time, memory of the largest process.
+"""What commands cost on a folder of very many samples: processor time, wall time, memory of the
+largest process.
 
-    python benchmarks/folders.py --samples 20000 [--shard-samples 20] [--folder data/tiny] [--workers 2]
+    python benchmarks/folders.py --samples 20000 [--shard-samples 20] [--folder data/tiny]
+    [--workers 2]
 
-It makes a dataset of tiny maps in small shards, as sound as any, or goes on with that in --folder; runs every command
-on it in a process of its own; and prints what each took, and what a million samples would take, computed from that as
-if all of it beyond the first line, which any command takes, grew with the number of samples.
+It makes a dataset of tiny maps in small shards, as sound as any, or goes on with that in --folder;
+runs every command on it in a process of its own; and prints what each took, and what a million
+samples would take, computed from that as if all of it beyond the first line, which any command
+takes, grew with the number of samples.
 """
 
-import argparse
-import os
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
+
+import measuring
+from measuring import Cost
 
 from scenegen.dataset.manifest import NAME
 
@@ -28,38 +29,37 @@ grid = {shape = [16, 16, 16]}
 """
 
 
-def measured(*words: str) -> tuple[float, float, float]:
-    """Processor seconds of a command and its processes, seconds by the clock, and megabytes of the largest of them.
-
-    Raises RuntimeError where it fails.
-    """
-    begin = time.perf_counter()
-    process = subprocess.Popen([sys.executable, *words], stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(process.pid, 0)
-    if status:
-        raise RuntimeError(f"{' '.join(words)}: ended with status {status}")
-    return used.ru_utime + used.ru_stime, time.perf_counter() - begin, used.ru_maxrss / 1024
-
-
-def command(*words: object) -> Callable[[], tuple[float, float, float]]:
+def command(*words: object) -> Callable[[], Cost]:
     """A command of scenegen, to be measured."""
-    return lambda: measured("-m", "scenegen", *map(str, words))
+    return lambda: measuring.run("-m", "scenegen", *words)[0]
 
 
 def main() -> None:
     """Make the dataset, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = measuring.options(__doc__)
     parser.add_argument("--samples", type=int, default=20_000)
     parser.add_argument("--shard-samples", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--folder", type=Path, help="where the dataset is kept; else in a folder that is removed")
-    asked = parser.parse_args()
+    parser.add_argument(
+        "--folder", type=Path, help="where the dataset is kept; else in a folder that is removed"
+    )
+    asked = measuring.parse(parser, samples=20, shard_samples=10, workers=1)
     with tempfile.TemporaryDirectory() as here:
         folder = asked.folder or Path(here, "d")
         recipe = Path(here, "tiny.toml")
         recipe.write_text(RECIPE)
         test = asked.samples // 10
-        words = ["generate", "--recipe", recipe, "--n", asked.samples - 2 * test, "--val", test, "--test", test]
+        words = [
+            "generate",
+            "--recipe",
+            recipe,
+            "--n",
+            asked.samples - 2 * test,
+            "--val",
+            test,
+            "--test",
+            test,
+        ]
         words += ["--compact", "--shard-samples", asked.shard_samples, "--quiet", "--out", folder]
         words += ["--workers", asked.workers]
         command(*words)()  # the kernels compile
@@ -77,59 +77,93 @@ manifest.write(folder, manifest.assemble(there.parameters, [], complete=False))
 if sys.argv[2] == "noted":
     noted.write(folder, there.fingerprint, [folder / entry.file for entry in there.shards], there.shards)
 """
-"""Takes the list of shards out of a manifest, and writes it down as one job's of many, if asked to."""
+"""Takes the list of shards out of a manifest, and writes it down as one job's of many, if asked
+to."""
 
 
 def _measure(folder: Path, again: list[object], samples: int, workers: int, here: Path) -> None:
     size = (folder / NAME).stat().st_size
     files = [path.stat().st_size for path in folder.iterdir()]
-    print(f"{samples} samples of {sum(files) / samples / 1e3:.1f} KB, {len(files)} files; {NAME} has {size} bytes")
+    some = min(100, len(list(folder.glob("*.h5"))))
+    print(
+        f"{samples} samples of {sum(files) / samples / 1e3:.1f} KB, {len(files)} files; {NAME} "
+        f"has {size} bytes"
+    )
 
     def unlisted() -> None:
-        measured("-c", FORGET, str(folder), "")
+        measuring.run("-c", FORGET, folder, "")
 
     def left_to_the_last_job() -> None:
-        measured("-c", FORGET, str(folder), "noted")
+        measuring.run("-c", FORGET, folder, "noted")
 
-    rows: list[tuple[str, Callable[[], None], Callable[[], tuple[float, float, float]]]] = [
+    rows: list[tuple[str, Callable[[], None], Callable[[], Cost]]] = [
         ("nothing: `scenegen --version`", lambda: None, command("--version")),
         (
             "open, read one sample",
             lambda: None,
-            lambda: measured("-c", f"import scenegen; scenegen.load({str(folder)!r})[0].ranges"),
+            lambda: measuring.run(
+                "-c", f"import scenegen; scenegen.load({str(folder)!r})[0].ranges"
+            )[0],
         ),
         ("resume, listed", lambda: None, command(*again)),
         ("resume, unlisted", unlisted, command(*again)),
         ("last job of many, noted", left_to_the_last_job, command(*again)),
-        ("a range job of 100 shards", lambda: None, command(*again, "--split-range", "0:100")),
+        (
+            f"a range job of {some} shards",
+            lambda: None,
+            command(*again, "--split-range", f"0:{some}"),
+        ),
         ("inspect", lambda: None, command("inspect", folder)),
         ("inspect --all", lambda: None, command("inspect", folder, "--all", "--workers", workers)),
-        ("verify --quick", lambda: None, command("verify", folder, "--quick", "--quiet", "--workers", workers)),
+        (
+            "verify --quick",
+            lambda: None,
+            command("verify", folder, "--quick", "--quiet", "--workers", workers),
+        ),
         (
             "take --split train",
             lambda: None,
-            command("take", folder, "--split", "train", "--quiet", "-o", here / "a", "--workers", workers),
+            command(
+                "take",
+                folder,
+                "--split",
+                "train",
+                "--quiet",
+                "-o",
+                here / "a",
+                "--workers",
+                workers,
+            ),
         ),
         (
             "take --split test",
             lambda: None,
-            command("take", folder, "--split", "test", "--quiet", "-o", here / "b", "--workers", workers),
+            command(
+                "take", folder, "--split", "test", "--quiet", "-o", here / "b", "--workers", workers
+            ),
         ),
         (
             "merge",
             lambda: None,
-            command("merge", here / "a", here / "b", "--quiet", "-o", here / "c", "--workers", workers),
+            command(
+                "merge", here / "a", here / "b", "--quiet", "-o", here / "c", "--workers", workers
+            ),
         ),
     ]
     idle = 0.0
-    print(f"\n| {workers} workers | processor s, clock s | a million samples, processor s | largest process, MB |")
+    print(
+        f"\n| {workers} workers | processor s, clock s | a million samples, processor s | largest "
+        f"process, MB |"
+    )
     print("|---|---|---|---|")
     for name, prepare, run in rows:
         prepare()
         used, seconds, memory = run()
         idle = idle or used
         of_million = (used - idle) * 1e6 / samples
-        print(f"| {name} | {used:.1f}, {seconds:.1f} | {of_million:.0f} | {memory:.0f} |", flush=True)
+        print(
+            f"| {name} | {used:.1f}, {seconds:.1f} | {of_million:.0f} | {memory:.0f} |", flush=True
+        )
 
 
 if __name__ == "__main__":

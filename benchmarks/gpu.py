@@ -1,23 +1,26 @@
-"""What a GPU does: rays a second, and samples a second with voxels and exact truth, in many different worlds at once.
+"""What a GPU does: rays a second, and samples a second with voxels and exact truth, in many
+different worlds at once.
 
     python benchmarks/gpu.py [--worlds 1024] [--seconds 3] [--json]
 
-A sample is the preset's sensor and grid at the first pose of a flight, every one in a world of its own. Worlds are
-drawn and packed on the processor before the clock runs. The three-solid scene is a ball, a box and an upright cylinder
-of 1 m, 4 m from the sensor, which turns 65 536 rays all around, from 64 poses. What is timed is first held to the
-processor's, bit by bit, in sixteen worlds. Times are the wall clock's, over as many launches as fit the seconds given.
+A sample is the preset's sensor and grid at the first pose of a flight, every one in a world of its
+own. Worlds are drawn and packed on the processor before the clock runs. The three-solid scene is a
+ball, a box and an upright cylinder of 1 m, 4 m from the sensor, which turns 65 536 rays all around,
+from 64 poses. What is timed is first held to the processor's, bit by bit, in sixteen worlds. Times
+are the wall clock's, over as many launches as fit the seconds given.
 
-Published, by others on their own scenes: 231 million rays a second (mujoco-lidar, JAX), 328 million (OmniPerception, on
-an RTX 4090). Without a GPU there is nothing to measure: one line says so, and the exit status is 1.
+Published, by others on their own scenes: 231 million rays a second (mujoco-lidar, JAX), 328 million
+(OmniPerception, on an RTX 4090). Without a GPU there is nothing to measure: one line says so, and
+the exit status is 1.
 """
 
-import argparse
 import json
 import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
+import measuring
 import mujoco
 import numpy as np
 
@@ -68,9 +71,12 @@ class Batch:
         self.worlds = Worlds(solids, device=device)
         self.packed_ms = 1e3 * (time.perf_counter() - begin) / len(solids)
         origins = np.array([pose.position for pose in poses])
-        rays = np.array([rotate(pose.quaternion, lidar.directions_body).reshape(-1, 3) for pose in poses])
+        rays = np.array(
+            [rotate(pose.quaternion, lidar.directions_body).reshape(-1, 3) for pose in poses]
+        )
         self.origins, self.rays, self.corners = (
-            on_device(values, wp.vec3d, self.worlds.device) for values in (origins, rays, grid.origin_at(origins))
+            on_device(values, wp.vec3d, self.worlds.device)
+            for values in (origins, rays, grid.origin_at(origins))
         )
 
     def cast(self) -> Any:
@@ -85,7 +91,14 @@ class Batch:
         from scenegen.truth import gpu
 
         ranges = self.cast()
-        seen = voxelize(ranges, self.origins, self.rays, self.lidar.max_range_m, grid=self.grid, corners=self.corners)
+        seen = voxelize(
+            ranges,
+            self.origins,
+            self.rays,
+            self.lidar.max_range_m,
+            grid=self.grid,
+            corners=self.corners,
+        )
         occupancy = gpu.rasterize(self.worlds, self.grid, self.corners)
         return [ranges, *seen, occupancy, gpu.distance_field(occupancy, self.grid)]
 
@@ -97,44 +110,67 @@ class Batch:
             scan = lidarsim.cast(AnalyticEngine(solids), self.lidar, pose)
             seen = lidarsim.voxelize(scan, self.grid)
             occupancy = rasterize(solids, self.grid, seen.origin)
-            true = [scan.ranges.reshape(-1), seen.observed, seen.free, occupancy, distance_field(occupancy, self.grid)]
+            true = [
+                scan.ranges.reshape(-1),
+                seen.observed,
+                seen.free,
+                occupancy,
+                distance_field(occupancy, self.grid),
+            ]
             count += sum(
-                int((one[p].astype(other.dtype) != other).sum()) for one, other in zip(found, true, strict=True)
+                int((one[p].astype(other.dtype) != other).sum())
+                for one, other in zip(found, true, strict=True)
             )
         return count
 
 
-def preset_batch(kind: str, worlds: int, device: str = "cuda") -> Batch:
+def preset_batch(kind: str, worlds: int, device: str) -> Batch:
     """The first view of so many flights of a preset."""
     recipe = preset(kind)
     source = DrawnWorlds(recipe)
-    units = [draw_unit(source, recipe, seed=0, split="train", unit=n, derived=False) for n in range(worlds)]
+    units = [
+        draw_unit(source, recipe, seed=0, split="train", unit=n, derived=False)
+        for n in range(worlds)
+    ]
     poses = [Pose(unit.samples[0].position, unit.samples[0].quaternion) for unit in units]
     return Batch([unit.world.solids for unit in units], poses, recipe.lidar, recipe.grid, device)
 
 
-def three_solids(device: str = "cuda") -> Batch:
-    """64 sensors among three solids."""
+def three_solids(sensors: int, device: str) -> Batch:
+    """So many sensors among three solids."""
     solids = solids_of(mujoco.MjModel.from_xml_string(THREE))
     lidar = Lidar(rows=64, columns=1024, vertical_fov_deg=90.0)
-    poses = [Pose.level((0, 0, 0), 2 * np.pi * n / 64) for n in range(64)]
-    return Batch([solids] * 64, poses, lidar, preset("pillar").grid, device)
+    poses = [Pose.level((0, 0, 0), 2 * np.pi * n / sensors) for n in range(sensors)]
+    return Batch([solids] * sensors, poses, lidar, preset("pillar").grid, device)
 
 
 def main() -> None:
     """Print a table, or one line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--worlds", type=int, default=1024, help="different worlds at once, of each preset")
+    parser = measuring.options(__doc__)
+    parser.add_argument(
+        "--worlds", type=int, default=1024, help="different worlds at once, of each preset"
+    )
+    parser.add_argument("--sensors", type=int, default=64, help="poses among three solids")
+    parser.add_argument("--kind", nargs="+", choices=kind_names(), default=kind_names())
     parser.add_argument("--seconds", type=float, default=3.0, help="for each figure")
-    parser.add_argument("--json", action="store_true", help="one line, in rays and samples a second")
-    given = parser.parse_args()
-    if missing := WarpEngine.missing():
+    parser.add_argument(
+        "--json", action="store_true", help="one line, in rays and samples a second"
+    )
+    parser.add_argument("--device", default="cuda", help="cpu: Warp's, for want of another")
+    given = measuring.parse(parser, kind=["pillar"], worlds=1, sensors=1, seconds=0, device="cpu")
+    if given.device != "cpu" and (missing := WarpEngine.missing()):
         sys.exit(f"nothing measured: this {missing}")
     figures: dict[str, dict[str, float]] = {}
-    for name in ("three solids", *kind_names()):
-        batch = three_solids() if name == "three solids" else preset_batch(name, given.worlds)
+    for name in ("three solids", *given.kind):
+        if name == "three solids":
+            batch = three_solids(given.sensors, given.device)
+        else:
+            batch = preset_batch(name, given.worlds, given.device)
         differing = batch.differing()
-        launches, samples = per_second(batch.cast, given.seconds), per_second(batch.sample, given.seconds)
+        launches, samples = (
+            per_second(batch.cast, given.seconds),
+            per_second(batch.sample, given.seconds),
+        )
         figures[name] = {
             "rays": launches * batch.rays.size,
             "samples": samples * len(batch.poses),
@@ -147,8 +183,10 @@ def main() -> None:
     print(f"{batch.worlds.device}: {given.worlds} different worlds of each preset at once")
     for name, one in figures.items():
         print(
-            f"  {name:14} {one['rays'] / 1e6:9.1f} M rays/s  {one['samples']:9.0f} samples/s with truth  "
-            f"{one['packed_ms']:.2f} ms to pack a world  {one['differing']:.0f} values differ from the processor's"
+            f"  {name:14} {one['rays'] / 1e6:9.1f} M rays/s  {one['samples']:9.0f} samples/s with "
+            f"truth  "
+            f"{one['packed_ms']:.2f} ms to pack a world  {one['differing']:.0f} values differ "
+            f"from the processor's"
         )
     for name, rays in PUBLISHED.items():
         print(f"  {name:26} {rays / 1e6:.0f} M rays/s, published")

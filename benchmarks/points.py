@@ -2,13 +2,12 @@
 
     python benchmarks/points.py data/geometric data/pillar --weights columns
 
-The same test maps three times: the sample with all that its rays say; its points alone, which say nothing of rays
-without a return; its observed voxels alone, each a point at its centre. Differences are paired by map, with 95 %
-intervals over worlds.
+The same test maps three times: the sample with all that its rays say; its points alone, which say
+nothing of rays without a return; its observed voxels alone, each a point at its centre. Differences
+are paired by map, with 95 % intervals over worlds.
 """
 
-import argparse
-
+import measuring
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +15,9 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.completer import Completer
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.reconstruction import measure_whole
-from scenegen.model.evaluation.statistics import summarize
-from scenegen.model.inputs import PointScan, centres, of_sample, of_scan
+from scenegen.model.evaluation.statistics import figure
+from scenegen.model.evaluation.tables import interval
+from scenegen.model.inputs import PointScan, centres, channels
 from scenegen.truth import distance_field
 
 SHOWN = ("iou", "recall", "near_rmse")
@@ -25,11 +25,11 @@ SHOWN = ("iou", "recall", "near_rmse")
 
 def main() -> None:
     """Print a line for each dataset and way."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = measuring.options(__doc__)
     parser.add_argument("datasets", nargs="+")
     parser.add_argument("--weights", default="columns")
     parser.add_argument("--maps", type=int, default=60)
-    options = parser.parse_args()
+    options = measuring.parse(parser, maps=2)
     completer = Completer.from_pretrained(options.weights)
     columns = [list(METRICS).index(name) for name in SHOWN]
     for folder in options.datasets:
@@ -41,21 +41,20 @@ def main() -> None:
             cells = [f"{what} {found[:, way, m].mean():.3f}" for m, what in enumerate(SHOWN)]
             if way:
                 lost = [
-                    summarize(found[:, way, m] - found[:, 0, m], worlds, rng=np.random.default_rng(0))
-                    for m in range(len(SHOWN))
+                    figure(found[:, way, m] - found[:, 0, m], worlds) for m in range(len(SHOWN))
                 ]
-                cells += [f"({one.mean:+.3f} [{one.low:+.3f}, {one.high:+.3f}])" for one in lost]
+                cells += [f"({one['mean']:+.3f} {interval(one, '+.3f')})" for one in lost]
             print(f"{split.dataset.manifest.kind:10} {name:13}", *cells)
 
 
 def _measured(completer: Completer, split: Split, number: int) -> list[NDArray[np.float64]]:
     """The metrics of one map, (3, metrics)."""
     sample, grid = split[number], split.dataset.grid
-    scan = PointScan(points=sample.points(), sensor=sample.position, grid=grid)
+    scan = PointScan(points=sample.points(), position=sample.position, grid=grid)
     ways = [
-        of_sample(completer.inputs, sample, grid, split.dataset.lidar),
-        of_scan(completer.inputs, scan),
-        of_scan(completer.inputs, centres(sample.observed, grid)),
+        channels(completer.inputs, sample, grid, split.dataset.lidar),
+        channels(completer.inputs, scan, grid),
+        channels(completer.inputs, centres(sample.observed, grid), grid),
     ]
     truth = distance_field(sample.occupancy, grid)
     return [measure_whole(completer(maps), sample.occupancy, truth, grid) for maps in ways]

@@ -1,31 +1,31 @@
-"""What rays cost: engines side by side among spheres, boxes and cylinders of any attitude, in one run.
+"""What rays cost: engines side by side among spheres, boxes and cylinders of any attitude, in one
+run.
 
     python benchmarks/rays.py [--json] [--repeats 12] [--counts 50 200]
     python benchmarks/rays.py --casts 100000    # does memory grow with the number of casts?
 
-A scan is the default sensor's, 1920 rays up to 10 m, from six poses. Times are the processor time of all threads, of
-which each engine has one, the best of several turns in which the engines alternate, so that other work on the machine
-weighs on all of them alike. `mj_multiRay` is MuJoCo's own function without anything of ours. Peers are measured where
-they are installed: `mujoco-lidar` on the processor, and `open3d` and `embreex`, both Embree, on the same solids as
-meshes, curved ones to 1 cm (with `trimesh`), building excluded.
+A scan is the default sensor's, 1920 rays up to 10 m, from six poses. Times are the processor time
+of all threads, of which each engine has one, the best of several turns in which the engines
+alternate, so that other work on the machine weighs on all of them alike. `mj_multiRay` is MuJoCo's
+own function without anything of ours. Peers are measured where they are installed: `mujoco-lidar`
+on the processor, and `open3d` and `embreex`, both Embree, on the same solids as meshes, curved ones
+to 1 cm (with `trimesh`), building excluded.
 
 With `--json`, one line: milliseconds a scan by count of solids and by engine.
 """
 
-import argparse
 import ctypes
 import functools
 import importlib
 import importlib.util
 import json
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import measuring
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -46,14 +46,21 @@ Rays = NDArray[np.float64]
 
 
 def world(count: int) -> tuple[mujoco.MjModel, float]:
-    """Solids of 0.2 to 0.8 m in a square, and its side, metres: 40, or more so that no more than one stands on 2 m²."""
+    """Solids of 0.2 to 0.8 m in a square, and its side, metres: 40, or more so that no more than
+    one stands on 2 m²."""
     rng, spec = np.random.default_rng(0), mujoco.MjSpec()
     side = 40.0 * max(1.0, (count / 800) ** 0.5)
-    shapes = [mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER]
+    shapes = [
+        mujoco.mjtGeom.mjGEOM_SPHERE,
+        mujoco.mjtGeom.mjGEOM_BOX,
+        mujoco.mjtGeom.mjGEOM_CYLINDER,
+    ]
     for number in range(count):
         turn = rng.normal(size=4)
         size, place = rng.uniform(0.2, 0.8, 3), rng.uniform([0, 0, 0], [side, side, 5])
-        spec.worldbody.add_geom(type=shapes[number % 3], size=size, pos=place, quat=turn / np.linalg.norm(turn))
+        spec.worldbody.add_geom(
+            type=shapes[number % 3], size=size, pos=place, quat=turn / np.linalg.norm(turn)
+        )
     spec.memory = max(1 << 20, 256 * count)
     return spec.compile(), side
 
@@ -77,7 +84,18 @@ def raw(model: mujoco.MjModel) -> Callable[[Rays, Rays], Rays]:
         ranges, geoms = np.empty(directions.shape[:2]), np.empty(count, np.int32)
         for origin, rays, found in zip(origins, directions, ranges, strict=True):
             mujoco.mj_multiRay(
-                model, data, origin, rays.reshape(-1), None, True, -1, geoms, found, None, count, MAX_RANGE_M
+                model,
+                data,
+                origin,
+                rays.reshape(-1),
+                None,
+                True,
+                -1,
+                geoms,
+                found,
+                None,
+                count,
+                MAX_RANGE_M,
             )
             found[(geoms < 0) | (found > MAX_RANGE_M)] = np.inf
         return ranges
@@ -85,8 +103,11 @@ def raw(model: mujoco.MjModel) -> Callable[[Rays, Rays], Rays]:
     return cast
 
 
-def peers(model: mujoco.MjModel, solids: Solids, lidar: Lidar) -> dict[str, Callable[[Rays, Rays], Any]]:
-    """Others' ray casters, where they are installed: ranges (P, n) for origins and directions as `raw` takes them."""
+def peers(
+    model: mujoco.MjModel, solids: Solids, lidar: Lidar
+) -> dict[str, Callable[[Rays, Rays], Any]]:
+    """Others' ray casters, where they are installed: ranges (P, n) for origins and directions as
+    `raw` takes them."""
     found: dict[str, Callable[[Rays, Rays], Any]] = {}
     if importlib.util.find_spec("mujoco_lidar"):
         found["mujoco-lidar"] = _mujoco_lidar(model, lidar)
@@ -101,7 +122,8 @@ def peers(model: mujoco.MjModel, solids: Solids, lidar: Lidar) -> dict[str, Call
 
 
 def _mujoco_lidar(model: mujoco.MjModel, lidar: Lidar) -> Callable[[Rays, Rays], Any]:
-    """Its processor back end, which is `mj_multiRay`; it takes the angles of the rays and the pose of the sensor."""
+    """Its processor back end, which is `mj_multiRay`; it takes the angles of the rays and the pose
+    of the sensor."""
     module = importlib.import_module("mujoco_lidar.core_cpu.mjlidar_cpu")
     caster, data = module.MjLidarCPU(model, cutoff_dist=MAX_RANGE_M), mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -122,8 +144,11 @@ def _mujoco_lidar(model: mujoco.MjModel, lidar: Lidar) -> Callable[[Rays, Rays],
 
 
 def _open3d(triangles: Rays) -> Callable[[Rays, Rays], Any]:
-    """Embree with watertight tests. It knows no limit of range; what lies beyond the limit is cut off after."""
-    bundled = importlib.util.find_spec("libusb_package")  # its library wants a libusb, where the system has none
+    """Embree with watertight tests. It knows no limit of range; what lies beyond the limit is cut
+    off after."""
+    bundled = importlib.util.find_spec(
+        "libusb_package"
+    )  # its library wants a libusb, where the system has none
     for folder in bundled.submodule_search_locations or () if bundled else ():
         ctypes.CDLL(str(next(Path(folder).glob("libusb*.so*"))), mode=ctypes.RTLD_GLOBAL)
     open3d = importlib.import_module("open3d")
@@ -143,13 +168,19 @@ def _open3d(triangles: Rays) -> Callable[[Rays, Rays], Any]:
 def _embreex(triangles: Rays) -> Callable[[Rays, Rays], Any]:
     """Embree, with the limit of range."""
     scene = importlib.import_module("embreex.rtcore_scene").EmbreeScene()
-    held = importlib.import_module("embreex.mesh_construction").TriangleMesh(scene, triangles.astype(np.float32))
+    held = importlib.import_module("embreex.mesh_construction").TriangleMesh(
+        scene, triangles.astype(np.float32)
+    )
 
     def cast(origins: Rays, directions: Rays, held: Any = held) -> Rays:
-        starts = np.broadcast_to(origins[:, None], directions.shape).reshape(-1, 3).astype(np.float32)
+        starts = (
+            np.broadcast_to(origins[:, None], directions.shape).reshape(-1, 3).astype(np.float32)
+        )
         rays = directions.reshape(-1, 3).astype(np.float32)
         limits = np.full(len(rays), MAX_RANGE_M, np.float32)
-        ranges = scene.run(starts, rays, dists=limits, query="DISTANCE").reshape(directions.shape[:2])
+        ranges = scene.run(starts, rays, dists=limits, query="DISTANCE").reshape(
+            directions.shape[:2]
+        )
         return np.where(ranges < MAX_RANGE_M, ranges, np.inf)
 
     return cast
@@ -160,7 +191,9 @@ def meshed(solids: Solids) -> Rays:
     import trimesh
 
     parts = []
-    for shape, size, place, turn in zip(solids.shape, solids.size, solids.position, solids.rotation, strict=True):
+    for shape, size, place, turn in zip(
+        solids.shape, solids.size, solids.position, solids.rotation, strict=True
+    ):
         corners = int(np.ceil(np.pi / np.arccos(1 - CURVE_M / size[0])))  # around a circle
         if shape == BOX:
             part = trimesh.creation.box(2 * size)
@@ -184,9 +217,12 @@ def best_ms(tasks: dict[str, Callable[[], Any]], repeats: int) -> dict[str, floa
     return least
 
 
-def measure(count: int, repeats: int) -> tuple[dict[str, float], dict[str, float], dict[str, int], int]:
-    """Milliseconds a scan by engine, milliseconds of building, rays whose range is not `mj_multiRay`'s in float32 (for
-    a peer on meshes: not to 10 cm, which are 1 cm and an angle of 84°), and rays."""
+def measure(
+    count: int, repeats: int
+) -> tuple[dict[str, float], dict[str, float], dict[str, int], int]:
+    """Milliseconds a scan by engine, milliseconds of building, rays whose range is not
+    `mj_multiRay`'s in float32 (for a peer on meshes: not to 10 cm, which are 1 cm and an angle of
+    84°), and rays."""
     model, side = world(count)
     solids, lidar = solids_of(model), Lidar()
     origins, directions = rays_of(lidar, side)
@@ -201,7 +237,9 @@ def measure(count: int, repeats: int) -> tuple[dict[str, float], dict[str, float
     tasks: dict[str, Callable[[], Any]] = {
         name: functools.partial(cast, origins, directions) for name, cast in casters.items()
     }
-    ranges = {name: np.minimum(task(), 2 * MAX_RANGE_M).astype(np.float32) for name, task in tasks.items()}
+    ranges = {
+        name: np.minimum(task(), 2 * MAX_RANGE_M).astype(np.float32) for name, task in tasks.items()
+    }
     differ = {
         name: int((abs(found - ranges["mj_multiRay"]) > (0.0 if n < exact else 10 * CURVE_M)).sum())
         for n, (name, found) in enumerate(ranges.items())
@@ -250,18 +288,15 @@ print(time.process_time() - begin)
 """
 
 
-def first_scan() -> str:
+def first_scan(repeats: int) -> str:
     """Seconds of a process's first scan."""
-    seconds = [
-        float(subprocess.run([sys.executable, "-c", FIRST_SCAN], capture_output=True, check=True, text=True).stdout)
-        for _ in range(3)
-    ]
+    seconds = [float(measuring.run("-c", FIRST_SCAN)[1]) for _ in range(repeats)]
     return f"the first scan of a process, kernels cached: {min(seconds):.2f} s (numba is loaded for it)"
 
 
 def growth(casts: int) -> str:
-    """By how much the memory of a process grows with so many casts in a world that moves, each engine, the first tenth
-    excepted."""
+    """By how much the memory of a process grows with so many casts in a world that moves, each
+    engine, the first tenth excepted."""
     model, side = world(200)
     origins, directions = rays_of(Lidar(rows=4, columns=8), side)
     solids, data = solids_of(model), mujoco.MjData(model)
@@ -269,7 +304,9 @@ def growth(casts: int) -> str:
     analytic, ours, found = AnalyticEngine(solids), MujocoEngine(model, data), []
     for turn in range(casts + 1):
         if turn in (casts // 10, casts):
-            found.append(int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize())
+            found.append(
+                int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+            )
         analytic.move(solids)
         analytic.hits(origins, directions, MAX_RANGE_M)
         ours.cast(origins[:1], directions[:1], MAX_RANGE_M)
@@ -278,12 +315,16 @@ def growth(casts: int) -> str:
 
 def main() -> None:
     """Print tables, or one line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="one line: milliseconds a scan by count and engine")
+    parser = measuring.options(__doc__)
+    parser.add_argument(
+        "--json", action="store_true", help="one line: milliseconds a scan by count and engine"
+    )
     parser.add_argument("--repeats", type=int, default=12)
     parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="how many solids")
-    parser.add_argument("--casts", type=int, help="cast so many scans, and say how memory grew; nothing else")
-    given = parser.parse_args()
+    parser.add_argument(
+        "--casts", type=int, help="cast so many scans, and say how memory grew; nothing else"
+    )
+    given = measuring.parse(parser, counts=[50], repeats=1)
     if given.casts:
         print(growth(given.casts))
         return
@@ -292,7 +333,7 @@ def main() -> None:
         return
     for count in given.counts:
         report(count, given.repeats)
-    print(f"\n{large_sensor()}\n{first_scan()}")
+    print(f"\n{large_sensor()}\n{first_scan(min(given.repeats, 3))}")
 
 
 if __name__ == "__main__":

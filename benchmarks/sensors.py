@@ -1,11 +1,10 @@
-"""What a sample of each family of sensors costs, and what noise, labels and several scans add: CPU time, whole shards,
-interleaved.
+"""What a sample of each family of sensors costs, and what noise, labels and several scans add: CPU
+time, whole shards, interleaved.
 
 python benchmarks/sensors.py --kind pillar --samples 20 --rounds 3
 python benchmarks/sensors.py --only default --only scans --samples 100 --rounds 5
 """
 
-import argparse
 import dataclasses
 import json
 import math
@@ -13,6 +12,8 @@ import statistics
 import tempfile
 import time
 from pathlib import Path
+
+import measuring
 
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import SENSORS
@@ -38,7 +39,9 @@ def cost_ms(recipe: Recipe, samples: int) -> float:
     """CPU milliseconds a sample of a shard, drawn and written."""
     with tempfile.TemporaryDirectory() as folder:
         counts = {"train": samples, "val": 0, "test": 0}
-        plan = plan_dataset(Path(folder), recipe, DrawnWorlds(recipe), seed=0, counts=counts, shard_samples=samples)
+        plan = plan_dataset(
+            Path(folder), recipe, DrawnWorlds(recipe), seed=0, counts=counts, shard_samples=samples
+        )
         begin = time.thread_time()
         write_shard(plan.shards[0])
         return 1e3 * (time.thread_time() - begin) / samples
@@ -48,24 +51,36 @@ def recipes(kind: str) -> dict[str, Recipe]:
     """What is measured, by name; the default first."""
     plain = preset(kind)
     sensors = {name: dataclasses.replace(plain, lidar=SENSORS.find(name)) for name in SENSOR_NAMES}
-    noises = {f"noise {text}": dataclasses.replace(plain, noise=Noise.parse(text)) for text in CHAINS}
+    noises = {
+        f"noise {text}": dataclasses.replace(plain, noise=Noise.parse(text)) for text in CHAINS
+    }
     labels = {"labels": dataclasses.replace(plain, labels=labels_by("name", ()))}
-    mappings = {name: dataclasses.replace(plain, mapping=mapping) for name, mapping in MAPPINGS.items()}
+    mappings = {
+        name: dataclasses.replace(plain, mapping=mapping) for name, mapping in MAPPINGS.items()
+    }
     return {"default": plain, **sensors, **noises, **labels, **mappings}
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = measuring.options(__doc__)
     parser.add_argument("--kind", default="pillar", choices=kind_names())
     parser.add_argument("--samples", type=int, default=20)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--only", action="append", help="rows whose names hold this word; repeatable")
+    parser.add_argument(
+        "--only", action="append", help="rows whose names hold this word; repeatable"
+    )
     parser.add_argument("--json", action="store_true")
-    given = parser.parse_args()
+    given = measuring.parse(
+        parser, samples=5, rounds=1, only=["default", "avia", "grazing", "labels", "ahead"]
+    )
     asked = recipes(given.kind)
     if given.only:
-        asked = {name: recipe for name, recipe in asked.items() if any(word in name for word in given.only)}
+        asked = {
+            name: recipe
+            for name, recipe in asked.items()
+            if any(word in name for word in given.only)
+        }
     for recipe in asked.values():
         cost_ms(recipe, recipe.flight.viewpoints)  # compiles, where nothing is cached
     spent: dict[str, list[float]] = {name: [] for name in asked}
@@ -74,7 +89,10 @@ def main() -> None:
             spent[name].append(cost_ms(recipe, given.samples))
     rows = {}
     for name, recipe in asked.items():
-        milliseconds, rays = statistics.median(spent[name]), recipe.mapping.scans * math.prod(recipe.lidar.shape)
+        milliseconds, rays = (
+            statistics.median(spent[name]),
+            recipe.mapping.scans * math.prod(recipe.lidar.shape),
+        )
         rows[name] = {
             "ms_a_sample": round(milliseconds, 2),
             "rays": rays,
@@ -84,7 +102,10 @@ def main() -> None:
         print(json.dumps(rows))
         return
     for name, row in rows.items():
-        print(f"{name:24} {row['ms_a_sample']:9.2f} ms a sample  {row['rays']:7} rays  {row['us_a_ray']:7.3f} us a ray")
+        print(
+            f"{name:24} {row['ms_a_sample']:9.2f} ms a sample  {row['rays']:7} rays  "
+            f"{row['us_a_ray']:7.3f} us a ray"
+        )
 
 
 if __name__ == "__main__":

@@ -1,20 +1,22 @@
-"""What verifying costs: samples per second and core, by the clock and by processor time, and what each check takes.
+"""What verifying costs: samples per second and core, by the clock and by processor time, and what
+each check takes.
 
     python benchmarks/verify.py data/pillar [data/geometric ...] [--workers 1]
 
-Every dataset is verified in a process of its own, once to load its files into memory and then once in full and once
-with `--quick`. By the clock, start-up is included; processor time is that of all processes together, and is what to
-compare on a machine that does other work. Memory is that of the largest process.
+Every dataset is verified in a process of its own, once to load its files into memory and then once
+in full and once with `--quick`. By the clock, start-up is included; processor time is that of all
+processes together, and is what to compare on a machine that does other work. Memory is that of the
+largest process.
 """
 
 import argparse
 import json
 import resource
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
+
+import measuring
 
 
 def measure(folder: Path, *, quick: bool, workers: int) -> dict[str, Any]:
@@ -24,12 +26,12 @@ def measure(folder: Path, *, quick: bool, workers: int) -> dict[str, Any]:
     begin = time.perf_counter()
     report = verify(folder, quick=quick, workers=workers)
     seconds = time.perf_counter() - begin
-    usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    usage = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return {
         "samples": report.samples,
         "failed": report.failed,
         "seconds": seconds,
-        "processor": sum(one.ru_utime + one.ru_stime for one in usage),
+        "processor": measuring.processor_s(),
         "megabytes": max(one.ru_maxrss for one in usage) / 1e3,
         "checks": {check.name: check.seconds for check in report.checks},
     }
@@ -37,24 +39,37 @@ def measure(folder: Path, *, quick: bool, workers: int) -> dict[str, Any]:
 
 def main() -> None:
     """Print a table for every dataset."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = measuring.options(__doc__)
     parser.add_argument("datasets", nargs="+", type=Path)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--one", choices=["full", "quick"], help=argparse.SUPPRESS)
-    given = parser.parse_args()
+    given = measuring.parse(parser)
     if given.one:
-        print(json.dumps(measure(given.datasets[0], quick=given.one == "quick", workers=given.workers)))
+        print(
+            json.dumps(
+                measure(given.datasets[0], quick=given.one == "quick", workers=given.workers)
+            )
+        )
         return
     for folder in given.datasets:
         for path in folder.iterdir():
             path.read_bytes()
         for mode in ("full", "quick"):
-            command = [sys.executable, __file__, str(folder), "--workers", str(given.workers), "--one", mode]
-            found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+            words = [__file__, folder, "--workers", given.workers, "--one", mode]
+            found = json.loads(measuring.run(*words)[1])
             rate = found["samples"] / found["seconds"] / given.workers
-            print(f"\n{folder}, {mode}: {found['samples']} samples, failed: {', '.join(found['failed']) or 'none'}")
-            print(f"  by the clock        {rate:6.0f} samples a second and core ({found['seconds']:.1f} s)")
-            print(f"  by processor time   {found['samples'] / found['processor']:6.0f} samples a second")
+            print(
+                f"\n{folder}, {mode}: {found['samples']} samples, failed: "
+                f"{', '.join(found['failed']) or 'none'}"
+            )
+            print(
+                f"  by the clock        {rate:6.0f} samples a second and core "
+                f"({found['seconds']:.1f} s)"
+            )
+            print(
+                f"  by processor time   {found['samples'] / found['processor']:6.0f} samples a "
+                f"second"
+            )
             print(f"  largest process     {found['megabytes']:6.0f} MB")
             for name, seconds in found["checks"].items():
                 print(f"  {name:12} {1e3 * seconds / found['samples']:8.3f} ms a sample")

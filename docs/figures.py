@@ -1,7 +1,7 @@
 """Draw the study of a bench's report, or all of `scenegen reproduce`, again.
 
-python docs/figures.py bench/report.json [docs/pictures]     needs the extra `train`; writes the pictures' *.png
-python docs/figures.py study/study.json docs/pictures
+python docs/figures.py bench/report.json [docs/pictures]     needs the extra `train`; writes the
+pictures' *.png python docs/figures.py study/study.json docs/pictures
 """
 
 import json

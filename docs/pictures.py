@@ -59,7 +59,9 @@ def solid_meshes(solids: Solids) -> list[Any]:
         mesh = {
             SPHERE: lambda size=size: pv.Sphere(radius=size[0]),
             BOX: lambda size=size: pv.Box(np.stack([-size, size], 1).ravel()),
-            CYLINDER: lambda size=size: pv.Cylinder(direction=(0, 0, 1), radius=size[0], height=2 * size[1]),
+            CYLINDER: lambda size=size: pv.Cylinder(
+                direction=(0, 0, 1), radius=size[0], height=2 * size[1]
+            ),
         }[int(shape)]()
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = rotation, position
@@ -85,12 +87,18 @@ def draw_sample(unit: Unit, recipe: Recipe, path: Path) -> None:
             scalars="metres",
             cmap=HEIGHTS if column < 2 else "magma",
             show_scalar_bar=False,
-            clim=(sample.origin[2], sample.origin[2] + grid.extent_m[2]) if column < 2 else (0, grid.truncation_m),
+            clim=(sample.origin[2], sample.origin[2] + grid.extent_m[2])
+            if column < 2
+            else (0, grid.truncation_m),
         )
         plotter.add_mesh(pv.Sphere(radius=0.2, center=sample.position), color="crimson")
         if column == 0:
             plotter.add_mesh(pv.PolyData(points), color="black", point_size=2)
-        plotter.camera_position = [tuple(np.add(sample.position, (17, -22, 19))), tuple(sample.position), (0, 0, 1)]
+        plotter.camera_position = [
+            tuple(np.add(sample.position, (17, -22, 19))),
+            tuple(sample.position),
+            (0, 0, 1),
+        ]
     plotter.screenshot(path)
     plotter.close()
 
@@ -107,7 +115,9 @@ def distance_slice(tudf: np.ndarray, origin: np.ndarray, voxel_m: float) -> Any:
     """The level of voxels just below the sensor, with their distances as scalars."""
     level = tudf.shape[2] // 2 - 1
     place = np.add(origin, (0, 0, level * voxel_m))
-    image = pv.ImageData(dimensions=(tudf.shape[0] + 1, tudf.shape[1] + 1, 2), spacing=(voxel_m,) * 3, origin=place)
+    image = pv.ImageData(
+        dimensions=(tudf.shape[0] + 1, tudf.shape[1] + 1, 2), spacing=(voxel_m,) * 3, origin=place
+    )
     image.cell_data["metres"] = tudf[:, :, level].ravel(order="F")
     return image
 

@@ -8,7 +8,8 @@ A page asks for a table by two comments, between which it goes:
     <!-- parameters of scenegen.flight:Flight -->
     <!-- end -->
 
-`<!-- sensors -->` asks for the catalogue of sensors in the same way, and `<!-- stages -->` for the stages of noise.
+`<!-- sensors -->` asks for the catalogue of sensors in the same way, and `<!-- stages -->` for the
+stages of noise.
 """
 
 import ast
@@ -20,11 +21,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lidarsim.noise import STAGES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import CATALOGUE, SENSORS
+from lidarsim.sensors.device import angles_deg
 
 PAGES = Path(__file__).parent
 ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)", re.S)
@@ -41,38 +41,60 @@ def meanings(kind: type) -> dict[str, str]:
         assert isinstance(body, ast.ClassDef)
         for item, after in zip(body.body, body.body[1:], strict=False):
             match item, after:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(
+                    value=ast.Constant(value=str(text))
+                ):
                     found[name] = " ".join(text.split())
     return found
 
 
 def table(kind: type) -> str:
-    """The parameters of a dataclass: name, default, the values allowed, and the meaning. Fields that are such
-    dataclasses themselves are left out: they have tables of their own."""
+    """The parameters of a dataclass: name, default, the values allowed, and the meaning. Fields
+    that are such dataclasses themselves are left out: they have tables of their own."""
     said = meanings(kind)
     lines = ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
     for item in dataclasses.fields(kind):
         if item.default_factory is dataclasses.MISSING:
-            allowed = str(item.metadata.get(BOUNDS, Bounds())).replace("a finite number", "").replace("a ", "").strip()
-            cells = (f"`{item.name}`", _value(item.default), allowed, said[item.name].replace("|", "/"))
+            allowed = (
+                str(item.metadata.get(BOUNDS, Bounds()))
+                .replace("a finite number", "")
+                .replace("a ", "")
+                .strip()
+            )
+            cells = (
+                f"`{item.name}`",
+                _value(item.default),
+                allowed,
+                said[item.name].replace("|", "/"),
+            )
             lines.append(f"| {' | '.join(cells)} |")
     for name in ("flight", "accept"):
         for parameter, value in getattr(kind, f"{name}_defaults", {}).items():
-            lines.append(f"| `[{name}] {parameter}` | {_value(value)} | | The preset of this kind differs here. |")
+            lines.append(
+                f"| `[{name}] {parameter}` | {_value(value)} | | The preset of this kind differs "
+                f"here. |"
+            )
     return "\n".join(lines) + "\n"
 
 
 def sensors() -> str:
-    """The catalogue: name with a link to its picture, rays of a scan, angles and range, and the figures' source."""
-    lines = ["| sensor | rays a scan | elevations, range | source |", "|---|---|---|---|"]
+    """The catalogue: name with a link to its picture, rays of a scan, angles and range, where its
+    figures are from and what they were held against, and how far a unit may be from them."""
+    heads = ("sensor", "rays a scan, elevations, range", "figures from · held against", "error")
+    lines = [f"| {' | '.join(heads)} |", "|---|---|---|---|"]
     for name in CATALOGUE:
         sensor = SENSORS.find(name)
-        x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
-        height = np.degrees(np.arctan2(z, np.hypot(x, y)))
+        height = angles_deg(sensor.directions_body)[0].round(2)
         rays, last = " × ".join(map(str, sensor.shape)), float(sensor.times_s.max())
         seconds = f"in {last:.2g} s" if last else "at once"
-        angles = f"{height.min():.1f}° … {height.max():.1f}°, {sensor.min_range_m:g} … {sensor.max_range_m:g} m"
-        lines.append(f"| [{name}](pictures/sensors/{name}.png) | {rays}, {seconds} | {angles} | {sensor.source} |")
+        reach = f"{sensor.min_range_m:g} … {sensor.max_range_m:g} m"
+        cells = (
+            f"[{name}](pictures/sensors/{name}.png)",
+            f"{rays}, {seconds}, {height.min():g}° … {height.max():g}°, {reach}",
+            f"{sensor.source} · {sensor.checked}",
+            sensor.error,
+        )
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -81,7 +103,9 @@ def stages() -> str:
     lines = ["| stage | values, in this order | what it does |", "|---|---|---|"]
     for name in STAGES.known:
         kind = STAGES.find(name)
-        values = ", ".join(f"`{item.name}` {_value(item.default).strip('`')}" for item in dataclasses.fields(kind))
+        values = ", ".join(
+            f"`{item.name}` {_value(item.default).strip('`')}" for item in dataclasses.fields(kind)
+        )
         does = " ".join((inspect.getdoc(kind) or "").replace("``", "`").split()).replace("|", "/")
         lines.append(f"| `{name}` | {values} | {does} |")
     return "\n".join(lines) + "\n"

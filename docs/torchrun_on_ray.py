@@ -1,9 +1,10 @@
 """torchrun on several nodes of a Ray cluster, one torchrun a node:
 
-python docs/torchrun_on_ray.py --nodes 2 --processes 4 --gpus 4 -- $(which scenegen) train data/pillar --batch 64
+python docs/torchrun_on_ray.py --nodes 2 --processes 4 --gpus 4 -- $(which scenegen) train
+data/pillar --batch 64
 
-Words after -- are torchrun's, the program first. They run in this folder, which every node needs by the same path. Ends
-with 1 where a node's torchrun does. Ctrl-C ends all of them.
+Words after -- are torchrun's, the program first. They run in this folder, which every node needs by
+the same path. Ends with 1 where a node's torchrun does. Ctrl-C ends all of them.
 """
 
 import argparse
@@ -39,15 +40,21 @@ def launch(options: list[str], words: list[str], folder: Path) -> int:
 
 def main() -> int:
     """Begin them all, and wait."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--address", default="auto", help="HOST:PORT of the cluster's head; auto for this machine's")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--address", default="auto", help="HOST:PORT of the cluster's head; auto for this machine's"
+    )
     parser.add_argument("--nodes", type=int, default=2)
     parser.add_argument("--processes", type=int, default=1, help="on every node")
     parser.add_argument("--gpus", type=int, default=0, help="of every node")
     parser.add_argument("words", nargs="+")
     given = parser.parse_args()
     ray.init(address=given.address, logging_level="ERROR")
-    group = placement_group([{"CPU": given.processes, "GPU": given.gpus}] * given.nodes, strategy="STRICT_SPREAD")
+    group = placement_group(
+        [{"CPU": given.processes, "GPU": given.gpus}] * given.nodes, strategy="STRICT_SPREAD"
+    )
 
     def on(node: int) -> dict[str, object]:
         strategy = PlacementGroupSchedulingStrategy(group, placement_group_bundle_index=node)
@@ -58,7 +65,9 @@ def main() -> int:
     common = ["--nnodes", str(given.nodes), "--nproc-per-node", str(given.processes)]
     common += ["--master-addr", host, "--master-port", str(port)]
     running = [
-        ray.remote(launch).options(**on(node)).remote([*common, "--node-rank", str(node)], given.words, Path.cwd())
+        ray.remote(launch)
+        .options(**on(node))
+        .remote([*common, "--node-rank", str(node)], given.words, Path.cwd())
         for node in range(given.nodes)
     ]
     try:

@@ -2,10 +2,11 @@
 
     python docs/tutorial.py          # writes docs/tutorial.ipynb
     python docs/tutorial.py --check  # ends with 1 where the notebook is not what would be written
-    python docs/tutorial.py --run    # runs all in an empty folder; writes the page's outputs and pictures, too
+    python docs/tutorial.py --run    # runs all in an empty folder; writes the page's outputs and
+    pictures, too
 
-In the page, a block `sh` holds commands, a block `python` goes on where the one before it ended, and a block `text` is
-what the block before it printed. A picture is a file that some block made.
+In the page, a block `sh` holds commands, a block `python` goes on where the one before it ended,
+and a block `text` is what the block before it printed. A picture is a file that some block made.
 """
 
 import contextlib
@@ -31,12 +32,15 @@ PICTURE = re.compile(rf"!\[[^\]]*\]\({PICTURES.as_posix()}/([\w.-]+)\)")
 
 def commands(page: str) -> list[list[str]]:
     """The words of every command line of the page, `scenegen` first."""
-    lines = [line for kind, text in BLOCK.findall(page) if kind == "sh" for line in text.splitlines()]
+    lines = [
+        line for kind, text in BLOCK.findall(page) if kind == "sh" for line in text.splitlines()
+    ]
     return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 
 def notebook(page: str) -> dict[str, Any]:
-    """The page as a notebook (nbformat 4.5): prose as it is, commands after an exclamation mark, and no outputs."""
+    """The page as a notebook (nbformat 4.5): prose as it is, commands after an exclamation mark,
+    and no outputs."""
     cells: list[dict[str, Any]] = []
     end = 0
     for found in [*BLOCK.finditer(page), None]:
@@ -46,10 +50,16 @@ def notebook(page: str) -> dict[str, Any]:
         if found and found[1] != "text":
             code = found[2].strip()
             source = re.sub(r"^(?=scenegen )", "!", code, flags=re.M) if found[1] == "sh" else code
-            cells.append({"cell_type": "code", "source": source, "outputs": [], "execution_count": None})
+            cells.append(
+                {"cell_type": "code", "source": source, "outputs": [], "execution_count": None}
+            )
         end = found.end() if found else end
     for number, cell in enumerate(cells):
-        cell |= {"id": f"cell-{number}", "metadata": {}, "source": cell["source"].splitlines(keepends=True)}
+        cell |= {
+            "id": f"cell-{number}",
+            "metadata": {},
+            "source": cell["source"].splitlines(keepends=True),
+        }
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     return {"cells": cells, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
 
@@ -66,7 +76,10 @@ def run(page: str, folder: Path) -> str:
     """
     names: dict[str, Any] = {"__name__": "__main__"}
     # the command of this very interpreter, whatever else is installed
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    environment = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+    }
     printed = ""
 
     def done(found: re.Match[str]) -> str:
@@ -81,7 +94,12 @@ def run(page: str, folder: Path) -> str:
             printed = said.getvalue()
         else:
             ran = subprocess.run(
-                ["bash", "-ec", text], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True
+                ["bash", "-ec", text],
+                cwd=folder,
+                env=environment,
+                stdout=subprocess.PIPE,
+                text=True,
+                check=True,
             )
             printed = ran.stdout
         return found[0]

@@ -63,11 +63,13 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> Any:
-    """What `__all__` lists, imported when it is first asked for: the command line needs `lidarsim.parameters` alone,
-    without numpy and MuJoCo."""
+    """What `__all__` lists, imported when it is first asked for: the command line needs
+    `lidarsim.parameters` alone, without numpy and MuJoCo."""
     for module, names in _PLACES.items():
         if name in names:
             found = importlib.import_module(f"lidarsim.{module}")
-            globals().update({each: getattr(found, each) for each in names})  # of `voxelize`, the function stays
+            globals().update(
+                {each: getattr(found, each) for each in names}
+            )  # of `voxelize`, the function stays
             return globals()[name]
     raise AttributeError(f"module 'lidarsim' has no attribute {name!r}")

@@ -1,9 +1,10 @@
-"""A sensor on a body of a running simulation: it goes where the body goes, and sees what has moved."""
+"""A sensor on a body of a running simulation: it goes where the body goes, and sees what has
+moved."""
 
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -20,8 +21,9 @@ from lidarsim.solids.model import ModelSolids, check_forwarded
 
 HERE = Pose.level((0.0, 0.0, 0.0))
 Unseen = Literal["nothing", "body", "tree"]
-"""What a sensor does not see of its carrier: nothing; the body's own geoms, as `bodyexclude` of MuJoCo's rays; or those
-of the whole tree of bodies that moves with it, such as a robot with its arms and wheels."""
+"""What a sensor does not see of its carrier: nothing; the body's own geoms, as `bodyexclude` of
+MuJoCo's rays; or those of the whole tree of bodies that moves with it, such as a robot with its
+arms and wheels."""
 
 
 def attach(
@@ -35,29 +37,42 @@ def attach(
 ) -> "Attached":
     """Mount `sensor` (a `Lidar` unless given) on a body of `model`, or one on each of several.
 
-    `offset` is the sensor's pose in the body's frame, one for all or one for each; with several offsets and one body,
-    all of them are on that. Shapes, sizes and colours are read now, places at every scan. `threads` as for
-    `AnalyticEngine`. Raises ValueError for a body that the model does not have, for counts that do not fit, and as
-    `ModelSolids` does.
+    `offset` is the sensor's pose in the body's frame, one for all or one for each; with several
+    offsets and one body, all of them are on that. Shapes, sizes and colours are read now, places at
+    every scan. `threads` as for `AnalyticEngine`. Raises ValueError for a body that the model does
+    not have, for counts that do not fit, and as `ModelSolids` does.
     """
     offsets = [offset] if isinstance(offset, Pose) else list(offset)
     names = [body] if isinstance(body, str) else list(body)
     count = max(len(offsets), len(names))
     if {len(offsets), len(names)} - {1, count}:
-        raise ValueError(f"attach: {len(names)} bodies and {len(offsets)} offsets, expected as many, or one of either")
+        raise ValueError(
+            f"attach: {len(names)} bodies and {len(offsets)} offsets, expected as many, or one of "
+            f"either"
+        )
     bodies = [_numbered(model, name) for name in names] * (count // len(names))
-    if unseen not in Unseen.__args__:  # type: ignore[attr-defined]
-        raise ValueError(f"attach: unseen = {unseen!r}, expected one of {', '.join(Unseen.__args__)}")  # type: ignore[attr-defined]
-    return Attached(model, bodies, sensor or Lidar(), offsets * (count // len(offsets)), unseen=unseen, threads=threads)
+    if unseen not in get_args(Unseen):
+        raise ValueError(
+            f"attach: unseen = {unseen!r}, expected one of {', '.join(get_args(Unseen))}"
+        )
+    return Attached(
+        model,
+        bodies,
+        sensor or Lidar(),
+        offsets * (count // len(offsets)),
+        unseen=unseen,
+        threads=threads,
+    )
 
 
 class Attached:
     """A sensor on each of M bodies of a model, made by `attach`. It serves one thread at a time.
 
-    Every method reads where bodies and geoms are from the data that it is given, refits the hierarchy to what has
-    moved, and casts the rays of all M sensors at once. After ``mj_step``, MuJoCo's own places are those from which the
-    step began: ``mj_kinematics(model, data)`` brings them up to date. All methods raise ValueError for data that were
-    never forwarded, or in which a geom's place is no number.
+    Every method reads where bodies and geoms are from the data that it is given, refits the
+    hierarchy to what has moved, and casts the rays of all M sensors at once. After ``mj_step``,
+    MuJoCo's own places are those from which the step began: ``mj_kinematics(model, data)`` brings
+    them up to date. All methods raise ValueError for data that were never forwarded, or in which a
+    geom's place is no number.
     """
 
     def __init__(
@@ -90,29 +105,41 @@ class Attached:
         return tuple(found)
 
     def cast(self, data: mujoco.MjData) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Metres (M, *shape), inf where nothing is within the sensor's range, and the numbers of the geoms met, -1
-        where none."""
+        """Metres (M, *shape), inf where nothing is within the sensor's range, and the numbers of
+        the geoms met, -1 where none."""
         engine = self._follow(data)
-        return engine.nearest(*self._rays(self.poses(data)), self.sensor.max_range_m, through=self._through)
+        return engine.nearest(
+            *self._rays(self.poses(data)), self.sensor.max_range_m, through=self._through
+        )
 
     def hits(self, data: mujoco.MjData) -> Hits:
         """What `cast` gives, with points and normals, all (M, *shape)."""
         engine = self._follow(data)
-        return engine.hits(*self._rays(self.poses(data)), self.sensor.max_range_m, through=self._through)
+        return engine.hits(
+            *self._rays(self.poses(data)), self.sensor.max_range_m, through=self._through
+        )
 
     def scans(self, data: mujoco.MjData) -> tuple[Scan, ...]:
         """One scan a sensor."""
         ranges = self.cast(data)[0].astype(np.float32)
-        return tuple(Scan(one, pose, self.sensor) for one, pose in zip(ranges, self.poses(data), strict=True))
+        return tuple(
+            Scan(one, pose, self.sensor) for one, pose in zip(ranges, self.poses(data), strict=True)
+        )
 
     def scan(self, data: mujoco.MjData) -> Scan:
         """The scan of a single sensor. Raises ValueError where there are several."""
         if len(self._bodies) > 1:
-            raise ValueError(f"scan: {len(self._bodies)} sensors are attached; call scans, which gives one for each")
+            raise ValueError(
+                f"scan: {len(self._bodies)} sensors are attached; call scans, which gives one for "
+                f"each"
+            )
         return self.scans(data)[0]
 
-    def observe(self, data: mujoco.MjData, noise: Noise, *, rng: np.random.Generator) -> tuple[Returns, ...]:
-        """What the M sensors return with `noise`, each by a stream of its own. Raises ValueError as stages do."""
+    def observe(
+        self, data: mujoco.MjData, noise: Noise, *, rng: np.random.Generator
+    ) -> tuple[Returns, ...]:
+        """What the M sensors return with `noise`, each by a stream of its own. Raises ValueError as
+        stages do."""
         scans, engine, albedo = self.scans(data), self._engine, albedo_of(self._model)
         assert engine is not None
         past: list[Any] = [_Past(engine, int(carrier)) for carrier in self._through]
@@ -132,7 +159,9 @@ class Attached:
     def _rays(self, poses: Sequence[Pose]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Origins (M, 3) and directions (M, *shape, 3)."""
         rays = self.sensor.directions_body
-        return np.array([pose.position for pose in poses]), np.array([rotate(pose.quaternion, rays) for pose in poses])
+        return np.array([pose.position for pose in poses]), np.array(
+            [rotate(pose.quaternion, rays) for pose in poses]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +171,17 @@ class _Past:
     engine: AnalyticEngine
     carrier: int
 
-    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
+    def cast(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
+    ) -> NDArray[np.float64]:
         """See `Engine.cast`."""
         return self.hits(origins, directions, max_range_m).ranges
 
     def hits(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Hits:
         """See `AnalyticEngine.hits`."""
-        return self.engine.hits(origins, directions, max_range_m, through=[self.carrier] * len(np.asarray(origins)))
+        return self.engine.hits(
+            origins, directions, max_range_m, through=[self.carrier] * len(np.asarray(origins))
+        )
 
 
 def _numbered(model: mujoco.MjModel, name: str) -> int:
@@ -157,6 +190,10 @@ def _numbered(model: mujoco.MjModel, name: str) -> int:
     if found < 0:
         names = [model.body(n).name for n in range(model.nbody)]
         near = difflib.get_close_matches(name, names, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(filter(None, names))[:100]}"
+        hint = (
+            f"did you mean {near[0]!r}?"
+            if near
+            else f"it has {', '.join(filter(None, names))[:100]}"
+        )
         raise ValueError(f"attach: the model has no body {name!r}; {hint}")
     return found

@@ -1,9 +1,10 @@
 """Sine, cosine, exponential and logarithm whose bits are the same on every processor.
 
-The mathematical library and numpy choose among several implementations by what the processor offers (FMA, AVX-512), and
-these differ in the last bit. Here everything is made of + - * / and rounding to whole numbers, which IEEE 754 makes
-exact to the bit. Sums are carried as two float64, a number and what rounding cut off it (Dekker 1971), about 100 bits,
-so that results are the float64 nearest to the true value but for one in some 10^12.
+The mathematical library and numpy choose among several implementations by what the processor offers
+(FMA, AVX-512), and these differ in the last bit. Here everything is made of + - * / and rounding to
+whole numbers, which IEEE 754 makes exact to the bit. Sums are carried as two float64, a number and
+what rounding cut off it (Dekker 1971), about 100 bits, so that results are the float64 nearest to
+the true value but for one in some 10^12.
 """
 
 import math
@@ -22,7 +23,8 @@ TERMS = 28
 
 
 def sin_cos(angle: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sine and cosine of angles (...) in radians, up to 10^9 in magnitude; NaN for what is not finite."""
+    """Sine and cosine of angles (...) in radians, up to 10^9 in magnitude; NaN for what is not
+    finite."""
     given = np.asarray(angle, dtype=np.float64)
     sine, cosine = np.empty(given.shape), np.empty(given.shape)
     _sin_cos(np.ravel(given), sine.reshape(-1), cosine.reshape(-1))
@@ -131,7 +133,8 @@ def _exp(value, result):
 
 @kernel
 def _log(value, result):
-    """log(m 2^k) = k log 2 + 2 artanh((m - 1) / (m + 1)) with m from 0.7 to 1.4, by the series of artanh."""
+    """log(m 2^k) = k log 2 + 2 artanh((m - 1) / (m + 1)) with m from 0.7 to 1.4, by the series of
+    artanh."""
     for n in range(len(value)):
         x = value[n]
         if not 0.0 < x < math.inf:

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.parameters import check, number
 
 MOST_EDGE = 8192
-"""Voxels along an axis: distances are computed on rows of whole slices, padded by the truncation."""
+"""Voxels along an axis: distances are computed on rows of whole slices, padded by the
+truncation."""
 MOST_REACH = 1000
 """Voxels in the truncation: its square, counted in voxels, then fits 32 bits twice over."""
 
@@ -29,13 +30,15 @@ class GridSpec:
     truncation_m: float = number(2.0, above=0)
     """Distance at which distance fields on this grid saturate, metres."""
     hollow: bool = False
-    """Whether truth on this grid is of surfaces alone: voxels that lie wholly inside one solid are not occupied."""
+    """Whether truth on this grid is of surfaces alone: voxels that lie wholly inside one solid are
+    not occupied."""
 
     def __post_init__(self) -> None:
         check(self)
         if self.truncation_m > MOST_REACH * self.voxel_m:
             raise ValueError(
-                f"truncation_m = {self.truncation_m}: expected {MOST_REACH} voxels of {self.voxel_m} m at most"
+                f"truncation_m = {self.truncation_m}: expected {MOST_REACH} voxels of "
+                f"{self.voxel_m} m at most"
             )
 
     @property
@@ -48,11 +51,14 @@ class GridSpec:
         return np.asarray(position, dtype=np.float64) - self.extent_m / 2
 
     def index(self, points: ArrayLike, origin: ArrayLike) -> NDArray[np.int64]:
-        """Indices (..., 3) of the voxels that hold `points` (..., 3), world metres; they may lie outside the grid."""
+        """Indices (..., 3) of the voxels that hold `points` (..., 3), world metres; they may lie
+        outside the grid."""
         relative = np.asarray(points, dtype=np.float64) - np.asarray(origin, dtype=np.float64)
         return np.floor(relative / self.voxel_m).astype(np.int64)
 
     def centres(self, origin: ArrayLike) -> NDArray[np.float64]:
         """Voxel centres, (*shape, 3), world metres."""
-        steps = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in self.shape), indexing="ij"), axis=-1)
+        steps = np.stack(
+            np.meshgrid(*(np.arange(n) + 0.5 for n in self.shape), indexing="ij"), axis=-1
+        )
         return np.asarray(origin, dtype=np.float64) + steps * self.voxel_m

@@ -1,10 +1,12 @@
-"""`kernel`: numba's njit, imported with the first call of a kernel, and with a cache that cannot go stale.
+"""`kernel`: numba's njit, imported with the first call of a kernel, and with a cache that cannot go
+stale.
 
-Numba keys a cached kernel on its own file alone, so a kernel that calls one in another file would go on running the
-old callee after an update. Here the cache lies in a folder named after numba's version and the content of every file
-with kernels; a constant that a kernel uses must therefore stand in such a file. The folder is made under the
-environment's SCENEGEN_CACHE, XDG_CACHE_HOME or ~/.cache, in that order, and used only where nobody but this user may
-write: numba unpickles what lies there.
+Numba keys a cached kernel on its own file alone, so a kernel that calls one in another file would
+go on running the old callee after an update. Here the cache lies in a folder named after numba's
+version and the content of every file with kernels; a constant that a kernel uses must therefore
+stand in such a file. The folder is made under the environment's SCENEGEN_CACHE, XDG_CACHE_HOME or
+~/.cache, in that order, and used only where nobody but this user may write: numba unpickles what
+lies there.
 """
 
 import hashlib
@@ -30,7 +32,8 @@ def kernel(function: F) -> F:
 
 
 class _Kernel:
-    """A function that becomes numba's when it is first called, or when a kernel that calls it is compiled."""
+    """A function that becomes numba's when it is first called, or when a kernel that calls it is
+    compiled."""
 
     def __init__(self, function: Callable[..., Any]):
         update_wrapper(self, function)
@@ -52,13 +55,18 @@ class _Kernel:
 
 
 def _compiled(function: Callable[..., Any]) -> Any:
-    """`function` as numba's dispatcher, which compiles it for each type of arguments that it meets."""
+    """`function` as numba's dispatcher, which compiles it for each type of arguments that it
+    meets."""
     numba = _numba()
     package = function.__module__.split(".")[0]
-    kept = not cache_trouble(package)  # else compiled anew by every process: slower to start, but right
+    kept = not cache_trouble(
+        package
+    )  # else compiled anew by every process: slower to start, but right
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder(package))
     try:
-        return numba.njit(cache=kept, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+        return numba.njit(cache=kept, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(
+            function
+        )
     finally:
         numba.config.CACHE_DIR = previous
 
@@ -83,22 +91,50 @@ def cache_folder(package: str) -> Path:
 
     digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
     roots = {Path(__file__).parent, Path(sys.modules[package].__file__ or __file__).parent}
-    walks = (walk for root in roots for walk in os.walk(root, followlinks=True))
-    for path in sorted(Path(folder, name) for folder, _, names in walks for name in names if name.endswith(".py")):
+    for path in sources(*roots):
         content = path.read_bytes()
         if b"lidarsim.jit" in content:
             digest.update(content)
     return cache_root() / "scenegen" / "kernels" / f"{package}-{digest.hexdigest()[:16]}"
 
 
+def sources(*roots: Path) -> list[Path]:
+    """Every Python file below `roots`, in order."""
+    walks = (walk for root in roots for walk in os.walk(root, followlinks=True))
+    return sorted(
+        Path(folder, name) for folder, _, names in walks for name in names if name.endswith(".py")
+    )
+
+
 @cache
 def cache_trouble(package: str) -> str:
-    """Why the kernels of `package` cannot be kept; empty where they can, and the folder for them is made.
+    """Why the kernels of `package` cannot be kept; empty where they can, and the folder for them is
+    made."""
+    folder = cache_folder(package)
+    if trouble := folder_trouble(folder):
+        return trouble
+    try:
+        foreign = next((item for item in folder.rglob("*") if not is_ours(item.lstat())), None)
+    except OSError as error:
+        return f"{error.filename}: {error.strerror}"
+    if foreign is not None:
+        return f"{foreign} belongs to another user"
+    return "" if os.access(folder, os.W_OK) else f"no permission to write to {folder}"
 
-    The cache's root and every folder from there on must be this user's or root's. Nobody else may write to them, but
-    to a root such as /tmp, where each may move only what is his.
+
+def is_ours(found: os.stat_result) -> bool:
+    """Whether a file belongs to this user or to root."""
+    return found.st_uid in (os.geteuid(), ROOT)
+
+
+def folder_trouble(folder: Path) -> str:
+    """Why what lies in a `folder` of the cache cannot be trusted; empty where it can, and the
+    folder is made.
+
+    The cache's root and every folder from there on must be this user's or root's. Nobody else may
+    write to them, but to a root such as /tmp, where each may move only what is his.
     """
-    folder, root, ours = cache_folder(package), cache_root(), (os.geteuid(), ROOT)
+    root = cache_root()
     try:
         for level in reversed([folder, *folder.parents]):
             if not level.exists():
@@ -108,16 +144,13 @@ def cache_trouble(package: str) -> str:
             found = level.lstat()
             if not stat.S_ISDIR(found.st_mode):
                 return f"{level} is no folder"
-            if found.st_uid not in ours:
+            if not is_ours(found):
                 return f"{level} belongs to another user"
             if found.st_mode & 0o022 and not (level == root and found.st_mode & stat.S_ISVTX):
                 return f"others may write to {level} (chmod go-w)"
-        foreign = next((item for item in folder.rglob("*") if item.lstat().st_uid not in ours), None)
-        if foreign is not None:
-            return f"{foreign} belongs to another user"
-        return "" if os.access(folder, os.W_OK) else f"no permission to write to {folder}"
     except OSError as error:
         return f"{error.filename}: {error.strerror}"
+    return ""
 
 
 def cache_root() -> Path:

@@ -1,4 +1,5 @@
-"""One way to check a parameter: its bounds stand beside its default, and are checked when the dataclass is made.
+"""One way to check a parameter: its bounds stand beside its default, and are checked when the
+dataclass is made.
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
@@ -58,29 +59,45 @@ class Bounds:
     def words(self, *, whole: bool, count: int = 1) -> str:
         """The bounds in words, of one number or of each of `count`."""
         what = f"{'whole' if whole else 'finite'} number"
-        rising = "[low, high] with low <= high," if self.rising and count == 2 else _COUNTED.get(count, str(count))
+        rising = (
+            "[low, high] with low <= high,"
+            if self.rising and count == 2
+            else _COUNTED.get(count, str(count))
+        )
         parts = [f"a {what}" if count == 1 else f"{rising} {what}s"]
         if math.isfinite(self.least) and math.isfinite(self.most):
             parts.append(f"from {self.least:.12g} to {self.most:.12g}")
         else:
-            bounds = {"above": self.above, "at least": self.least, "below": self.below, "at most": self.most}
-            said = [f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)]
+            bounds = {
+                "above": self.above,
+                "at least": self.least,
+                "below": self.below,
+                "at most": self.most,
+            }
+            said = [
+                f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)
+            ]
             parts += [" and ".join(said)] if said else []
         return " ".join(parts)
 
 
 def number(default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
-    """A dataclass field with a `default`, whose value, or each number in it, keeps `bounds`; see `Bounds`."""
+    """A dataclass field with a `default`, whose value, or each number in it, keeps `bounds`; see
+    `Bounds`."""
     return field(default=default, metadata={BOUNDS: Bounds(**bounds)})
 
 
-def check(parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name, value: Bounds()) -> None:
-    """Raise ValueError, naming the field, where a value in the dataclass `parameters` is not of the type that its
-    annotation says (numbers, bool, str, Literal, and tuples or unions of these) or is not within its bounds.
+def check(
+    parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name, value: Bounds()
+) -> None:
+    """Raise ValueError, naming the field, where a value in the dataclass `parameters` is not of the
+    type that its annotation says (numbers, bool, str, Literal, and tuples or unions of these) or is
+    not within its bounds.
 
-    A field without bounds of its own has those that `otherwise` gives for its name and value; by default, its numbers
-    must be finite. An angle in degrees that is a multiple of 15 in radians is refused: 6.283 is a turn, and no 6.283°.
-    Values of the right kind become the annotated type: a list a tuple, a whole float an int.
+    A field without bounds of its own has those that `otherwise` gives for its name and value; by
+    default, its numbers must be finite. An angle in degrees that is a multiple of 15 in radians is
+    refused: 6.283 is a turn, and no 6.283°. Values of the right kind become the annotated type: a
+    list a tuple, a whole float an int.
     """
     kind_of: type = type(parameters)
     hints = _hints(kind_of)
@@ -91,18 +108,31 @@ def check(parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name
         try:
             value = _read(given, kind, bounds)
         except _UnfitError:
-            such = f", such as {shown(item.default)}" if isinstance(item.default, tuple) and item.default else ""
-            raise ValueError(f"{item.name} = {shown(given)}: expected {_words(kind, bounds)}{such}") from None
+            such = (
+                f", such as {shown(item.default)}"
+                if isinstance(item.default, tuple) and item.default
+                else ""
+            )
+            raise ValueError(
+                f"{item.name} = {shown(given)}: expected {_words(kind, bounds)}{such}"
+            ) from None
         if item.name.endswith("_deg") and isinstance(value, float) and (turn := _radians(value)):
-            raise ValueError(f"{item.name} = {shown(given)}: is {turn} degrees in radians; expected degrees")
+            raise ValueError(
+                f"{item.name} = {shown(given)}: is {turn} degrees in radians; expected degrees"
+            )
         if value is not given:
             object.__setattr__(parameters, item.name, value)
 
 
 def _radians(value: float) -> int:
-    """The multiple of 15 degrees that `value` is in radians, to a thousandth; 0 for none up to a turn."""
+    """The multiple of 15 degrees that `value` is in radians, to a thousandth; 0 for none up to a
+    turn."""
     steps = round(value / (math.pi / 12))
-    return 15 * steps if abs(steps) <= 24 and math.isclose(value, steps * math.pi / 12, rel_tol=1e-3) else 0
+    return (
+        15 * steps
+        if abs(steps) <= 24 and math.isclose(value, steps * math.pi / 12, rel_tol=1e-3)
+        else 0
+    )
 
 
 def shown(value: Any) -> str:
@@ -138,7 +168,9 @@ def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
         bounds = dataclasses.replace(bounds, whole=bounds.whole or kind is int)
         return kind(_expect(plain and bounds.hold(value), value))
     if origin is Literal:
-        return _expect(any(type(value) is type(option) and value == option for option in options), value)
+        return _expect(
+            any(type(value) is type(option) and value == option for option in options), value
+        )
     if origin is tuple:
         several = isinstance(value, list | tuple)
         kinds = options[:1] * len(value) if several and options[1:] == (...,) else options
@@ -154,7 +186,9 @@ def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
         raise _UnfitError
     numbers = _numbers(value)
     bounded = bounds != Bounds()
-    return _expect(all(bounds.hold(one) for one in numbers) and not (bounded and not numbers), given)
+    return _expect(
+        all(bounds.hold(one) for one in numbers) and not (bounded and not numbers), given
+    )
 
 
 def _expect(holds: bool, value: Any) -> Any:
@@ -183,7 +217,11 @@ def _words(kind: Any, bounds: Bounds) -> str:
     if origin is tuple and options[1:] != (...,) and set(options) <= {int, float}:
         return bounds.words(whole=bounds.whole or set(options) == {int}, count=len(options))
     if origin is tuple:
-        return f"a list, each {_words(options[0], bounds)}" if options[1:] == (...,) else f"{len(options)} values"
+        return (
+            f"a list, each {_words(options[0], bounds)}"
+            if options[1:] == (...,)
+            else f"{len(options)} values"
+        )
     if origin in (Union, UnionType):
         return " or ".join(_words(option, bounds) for option in options)
     return bounds.words(whole=bounds.whole or kind is int)

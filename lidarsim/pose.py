@@ -12,12 +12,14 @@ from lidarsim.jit import kernel
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A body's position and attitude in the world frame, z up. Raises ValueError for a quaternion not of length 1."""
+    """A body's position and attitude in the world frame, z up. Raises ValueError for a quaternion
+    not of length 1."""
 
     position: NDArray[np.float64]
     """(3,), metres."""
     quaternion: NDArray[np.float64]
-    """(4,), w x y z, unit length, as MuJoCo writes it: takes body coordinates to world coordinates."""
+    """(4,), w x y z, unit length, as MuJoCo writes it: takes body coordinates to world
+    coordinates."""
 
     def __post_init__(self) -> None:
         for name, size in (("position", 3), ("quaternion", 4)):
@@ -29,14 +31,17 @@ class Pose:
         length = float(np.sqrt((self.quaternion**2).sum()))
         if abs(length - 1.0) > 1e-6:
             raise ValueError(f"pose: quaternion has length {length:g}, expected 1 (w x y z)")
-        if abs(length - 1.0) > 1e-12:  # a unit quaternion keeps its bits, so that a stored pose reads as it was
+        if (
+            abs(length - 1.0) > 1e-12
+        ):  # a unit quaternion keeps its bits, so that a stored pose reads as it was
             unit = self.quaternion / length
             unit.setflags(write=False)
             object.__setattr__(self, "quaternion", unit)
 
     @classmethod
     def level(cls, position: ArrayLike, yaw_rad: float = 0.0) -> "Pose":
-        """A body held level, turned by `yaw_rad` about the vertical, counter-clockwise seen from above."""
+        """A body held level, turned by `yaw_rad` about the vertical, counter-clockwise seen from
+        above."""
         sine, cosine = sin_cos(0.5 * yaw_rad)
         return cls(np.asarray(position, dtype=np.float64), np.array([cosine, 0.0, 0.0, sine]))
 
@@ -44,8 +49,8 @@ class Pose:
     def facing(cls, position: ArrayLike, direction: ArrayLike) -> "Pose":
         """A body held level that looks along `direction` (2,), x and y in the world, of any length.
 
-        The half-angle formulas give the quaternion by square roots, without an angle, so with the same bits on every
-        processor. Raises ValueError for a direction without length.
+        The half-angle formulas give the quaternion by square roots, without an angle, so with the
+        same bits on every processor. Raises ValueError for a direction without length.
         """
         x, y = (float(part) for part in np.asarray(direction, dtype=np.float64))
         length = math.sqrt(x * x + y * y)
@@ -60,7 +65,9 @@ class Pose:
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
     """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
     given = np.ascontiguousarray(vectors, dtype=np.float64).view()
-    given.setflags(write=False)  # the kernel is compiled once, for what may be written to and for what may not
+    given.setflags(
+        write=False
+    )  # the kernel is compiled once, for what may be written to and for what may not
     turned = np.empty(given.shape)
     _rotate(np.array(quaternion, dtype=np.float64), given.reshape(-1, 3), turned.reshape(-1, 3))
     return turned
@@ -72,6 +79,12 @@ def _rotate(quaternion, vectors, turned):
     w, x, y, z = quaternion
     for n in range(len(vectors)):
         a, b, c = vectors[n]
-        turned[n, 0] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
-        turned[n, 1] = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
-        turned[n, 2] = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
+        turned[n, 0] = (
+            (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
+        )
+        turned[n, 1] = (
+            2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
+        )
+        turned[n, 2] = (
+            2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
+        )

@@ -1,8 +1,9 @@
 """Things by name: those that come with the toolkit, and a user's own as ``module:Object``.
 
-SENSORS = Registry("sensor", {"raster": "lidarsim.sensors.raster:Lidar"}, needs={"shape": "a tuple of counts"})
-SENSORS.find("raster")  # imported now, and not before
-SENSORS.find("my_sensors:Rosette")  # from a file my_sensors.py where the user stands, or from an installed package
+SENSORS = Registry("sensor", {"raster": "lidarsim.sensors.raster:Lidar"}, needs={"shape": "a tuple
+of counts"}) SENSORS.find("raster")  # imported now, and not before
+SENSORS.find("my_sensors:Rosette")  # from a file my_sensors.py where the user stands, or from an
+installed package
 """
 
 import difflib
@@ -11,7 +12,7 @@ import importlib.util
 import os
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,45 +31,55 @@ class Registry:
     known: Mapping[str, str]
     """Names of those that come with the toolkit, each with its ``module:Object``."""
     needs: Mapping[str, str] = field(default_factory=dict)
-    """Attributes that every object has to have, each with what it is: {"cast": "a method: (origins, …) -> ranges"}."""
+    """Attributes that every object has to have, each with what it is: {"cast": "a method: (origins,
+    …) -> ranges"}."""
 
     def find(self, name: str) -> Any:
-        """The object called `name`. Raises ValueError, in one line, for a name that leads to none, or to one that lacks
-        what it needs."""
+        """The object called `name`. Raises ValueError, in one line, for a name that leads to none,
+        or to one that lacks what it needs."""
         place = self.known.get(name, name)
         module, colon, attribute = place.partition(":")
-        if not (colon and attribute.isidentifier() and all(part.isidentifier() for part in module.split("."))):
+        if not (
+            colon
+            and attribute.isidentifier()
+            and all(part.isidentifier() for part in module.split("."))
+        ):
             raise ValueError(self.unknown(name))
-        found = importlib.import_module(module) if name in self.known else self._imported(module, name)
+        found = (
+            importlib.import_module(module) if name in self.known else self._imported(module, name)
+        )
         try:
             chosen = getattr(found, attribute)
         except AttributeError:
             there = ", ".join(item for item in vars(found) if not item.startswith("_")) or "nothing"
             where = getattr(found, "__file__", None) or "no file"
-            raise ValueError(f"{self.what} {name}: {where} has no {attribute}; it has {there[:MOST_NAMED]}") from None
+            raise ValueError(
+                f"{self.what} {name}: {where} has no {attribute}; it has {there[:MOST_NAMED]}"
+            ) from None
         self.check(chosen, name)
         return chosen
 
     def unknown(self, name: str) -> str:
         """What to say of a `name` that is none."""
-        near = [known for known in self.known if name and name.lower() in known]
-        if not 0 < len(near) <= MOST_SUGGESTED:
-            near = difflib.get_close_matches(name[:MOST_NAMED], self.known, n=1)
-        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(self.known)}"
+        hint = suggestion(name, self.known)
         return f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)"
 
     def check(self, chosen: Any, name: str) -> None:
         """Raise ValueError, naming what is missing, unless `chosen` has all that it needs."""
         for attribute, meaning in self.needs.items():
             # a dataclass's field without a default is no attribute of the class yet
-            if not hasattr(chosen, attribute) and attribute not in getattr(chosen, "__annotations__", {}):
+            if not hasattr(chosen, attribute) and attribute not in getattr(
+                chosen, "__annotations__", {}
+            ):
                 raise ValueError(f"{self.what} {name}: lacks `{attribute}`, {meaning}")
 
     def _imported(self, module: str, name: str) -> Any:
         """A user's module: an installed one, or a file in the folder where the user stands."""
         here = os.getcwd()  # noqa: PTH109 (sys.path holds strings)
         if here not in sys.path:
-            sys.path.append(here)  # last, so that no file of the user's takes the place of a library's
+            sys.path.append(
+                here
+            )  # last, so that no file of the user's takes the place of a library's
         _own.update({here, module.partition(".")[0]})
         try:
             if importlib.util.find_spec(module) is None:
@@ -77,10 +88,20 @@ class Registry:
         except (Exception, SystemExit) as error:
             if isinstance(error, ModuleNotFoundError) and module.startswith(str(error.name)):
                 raise ValueError(
-                    f"{self.what} {name}: there is no module {module}, neither installed nor in {here}"
+                    f"{self.what} {name}: there is no module {module}, neither installed nor in "
+                    f"{here}"
                 ) from None
             at = f" ({line})" if (line := own_line(error)) else ""
             raise ValueError(f"{self.what} {name}: importing it fails{at}: {error!r}") from None
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """What to say after a `name` that is none of those `known`: the nearest of them, or all."""
+    known = list(known)
+    near = [one for one in known if name and name.lower() in one]
+    if not 0 < len(near) <= MOST_SUGGESTED:
+        near = difflib.get_close_matches(name[:MOST_NAMED], known, n=1)
+    return f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(known)}"
 
 
 _own: set[str] = set()
@@ -88,10 +109,12 @@ _own: set[str] = set()
 
 
 def own_line(error: BaseException) -> str:
-    """Where the last of a user's own code stands that `error` came through: "line 3 of my_methods.py"; "" for none."""
+    """Where the last of a user's own code stands that `error` came through: "line 3 of
+    my_methods.py"; "" for none."""
     found = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         file = frame.f_code.co_filename
-        if str(frame.f_globals.get("__name__")).partition(".")[0] in _own or os.path.dirname(file) in _own:  # noqa: PTH120
+        package = str(frame.f_globals.get("__name__")).partition(".")[0]
+        if package in _own or os.path.dirname(file) in _own:  # noqa: PTH120
             found = f"line {line} of {os.path.relpath(file)}"
     return found

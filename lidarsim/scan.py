@@ -1,6 +1,7 @@
 """One turn of the sensor: cast every ray, keep the ranges."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,8 @@ from lidarsim.sensors import Sensor
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """What a LiDAR at a pose returned. `ranges` alone is measured: everything else about the rays follows."""
+    """What a LiDAR at a pose returned. `ranges` alone is measured: everything else about the rays
+    follows."""
 
     ranges: NDArray[np.float32]
     """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
@@ -27,12 +29,14 @@ class Scan:
     def points(self) -> NDArray[np.float64]:
         """The returns, (M, 3) in the world, in ray order."""
         hit = np.isfinite(self.ranges)
-        return self.pose.position + self.ranges[hit].astype(np.float64)[:, None] * self.directions[hit]
+        return (
+            self.pose.position + self.ranges[hit].astype(np.float64)[:, None] * self.directions[hit]
+        )
 
 
 def cast(engine: Engine, lidar: Sensor, pose: Pose) -> Scan:
-    """Scan the engine's world with `lidar` carried by a body at `pose`. The scan's pose is that of the sensor: the
-    body's, moved by the sensor's `lever_arm_m`, if it has one.
+    """Scan the engine's world with `lidar` carried by a body at `pose`. The scan's pose is that of
+    the sensor: the body's, moved by the sensor's `lever_arm_m`, if it has one.
 
     Raises ValueError where the engine gives what are no ranges of the sensor's rays.
     """
@@ -43,6 +47,23 @@ def cast(engine: Engine, lidar: Sensor, pose: Pose) -> Scan:
     name, expected = type(engine).__name__, (1, *lidar.shape)
     if ranges.shape != expected:
         raise ValueError(f"{name}.cast gave ranges of shape {ranges.shape}, expected {expected}")
-    if not (ranges >= 0).all():
-        raise ValueError(f"{name}.cast gave ranges below 0, or that are no numbers; expected metres, or inf")
+    check_ranges(ranges, lidar, f"{name}.cast")
     return Scan(ranges[0].astype(np.float32), pose, lidar)
+
+
+def check_ranges(ranges: NDArray[Any], lidar: Sensor, giver: str) -> None:
+    """Check ranges of any shape, metres, that somebody's code gave; the error names the `giver`.
+
+    Raises ValueError unless each, as the float32 that a scan keeps, lies from 0 to the sensor's
+    range, or is inf.
+    """
+    most = lidar.max_range_m
+    with np.errstate(over="ignore"):
+        kept = ranges.astype(np.float32)
+    if wrong := np.count_nonzero(
+        ~((kept >= 0) & ((kept <= np.float32(most)) | np.isposinf(ranges)))
+    ):
+        raise ValueError(
+            f"{giver} gave {wrong} ranges that are not from 0 to {most:g} m; expected metres, or "
+            f"inf for no return"
+        )

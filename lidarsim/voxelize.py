@@ -14,47 +14,62 @@ from lidarsim.jit import kernel
 from lidarsim.scan import Scan
 
 TOUCH_M = 1e-9
-"""A ray meets a voxel with positive length when that length exceeds this: rounding at edges and corners is less."""
+"""A ray meets a voxel with positive length when that length exceeds this: rounding at edges and
+corners is less."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedGrid:
-    """What one scan, or several, tell about a grid. A voxel neither free nor observed is unknown."""
+    """What one scan, or several, tell about a grid. A voxel neither free nor observed is
+    unknown."""
 
     observed: NDArray[np.bool_]
     """(*shape): holds at least one return."""
     free: NDArray[np.bool_]
-    """(*shape): not observed, and some ray's segment, from the sensor to its return or to the sensor's range,
-    meets it with positive length."""
+    """(*shape): not observed, and some ray's segment, from the sensor to its return or to the
+    sensor's range, meets it with positive length."""
     origin: NDArray[np.float64]
     """(3,): the grid's least corner in the world, metres."""
 
 
 def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = None) -> ObservedGrid:
-    """Sort a scan into `grid`, centred on the sensor unless its least corner `origin` (3,) is given.
+    """Sort a scan into `grid`, centred on the sensor unless its least corner `origin` (3,) is
+    given.
 
-    Returns outside the grid are dropped; the rays that led to them still clear the voxels on their way. Free space is
-    found by walking every ray from voxel boundary to voxel boundary (Amanatides and Woo 1987), not by sampling.
+    Returns outside the grid are dropped; the rays that led to them still clear the voxels on their
+    way. Free space is found by walking every ray from voxel boundary to voxel boundary (Amanatides
+    and Woo 1987), not by sampling.
     """
     position = scan.pose.position
     origin = grid.origin_at(position) if origin is None else np.asarray(origin, dtype=np.float64)
     directions = scan.directions.reshape(-1, 3)
     observed = np.zeros(grid.shape, dtype=np.bool_)
     free = np.zeros(grid.shape, dtype=np.bool_)
-    _walk(position, directions, scan.ranges.reshape(-1), scan.lidar.max_range_m, origin, grid.voxel_m, observed, free)
+    _walk(
+        position,
+        directions,
+        scan.ranges.reshape(-1),
+        scan.lidar.max_range_m,
+        origin,
+        grid.voxel_m,
+        observed,
+        free,
+    )
     return ObservedGrid(observed, free, origin)
 
 
 def fuse(
     scans: Sequence[Scan], grid: GridSpec, origin: NDArray[np.float64], fusion: Fusion | None = None
 ) -> ObservedGrid:
-    """Sort several scans, in the order in which they were made, into the `grid` with least corner `origin` (3,).
+    """Sort several scans, in the order in which they were made, into the `grid` with least corner
+    `origin` (3,).
 
-    By visibility, the order says nothing: a voxel is observed where any scan has a return in it, and free where none
-    has and some ray of any crosses it. By log-odds, see `Fusion`, each scan raises those of the voxels that it
-    observes and lowers those that it finds free, within bounds; a voxel that no scan met stays unknown. Only a voxel
-    with a return can be observed, whatever the parameters, because `Fusion.occupied` is at least one half. Raises
-    ValueError where there is no scan.
+    By visibility, the order says nothing: a voxel is observed where any scan has a return in it,
+    and free where none has and some ray of any crosses it. By log-odds, see `Fusion`, each scan
+    raises those of the voxels that it observes and lowers those that it finds free, within bounds;
+    a voxel that no scan met stays unknown. Only a voxel with a return can be observed, whatever the
+    parameters, because `Fusion.occupied` is at least one half. Raises ValueError where there is no
+    scan.
     """
     if not scans:
         raise ValueError("no scans to fuse; expected one at least")
@@ -71,7 +86,9 @@ def fuse(
     hit, miss, least, most, occupied = (log(given) - log(1.0 - given)).tolist()
     odds, met = np.zeros(grid.shape), np.zeros(grid.shape, np.bool_)
     for one in seen:
-        _weigh(one.observed.reshape(-1), one.free.reshape(-1), odds.reshape(-1), hit, miss, least, most)
+        _weigh(
+            one.observed.reshape(-1), one.free.reshape(-1), odds.reshape(-1), hit, miss, least, most
+        )
         met |= one.observed | one.free
     observed = met & (odds >= occupied)
     return ObservedGrid(observed, met & ~observed, origin)
@@ -88,16 +105,29 @@ def _weigh(observed, free, odds, hit, miss, least, most):
 
 
 def crossed(
-    sensor: NDArray[np.float64], points: NDArray[np.float64], grid: GridSpec, origin: NDArray[np.float64]
+    sensor: NDArray[np.float64],
+    points: NDArray[np.float64],
+    grid: GridSpec,
+    origin: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """The free voxels (*shape) of rays known by their returns alone: from `sensor` (3,) to `points` (N, 3), finite, in
-    the frame of `origin`, metres. As `ObservedGrid.free`; a point at the sensor clears nothing."""
+    """The free voxels (*shape) of rays known by their returns alone: from `sensor` (3,) to `points`
+    (N, 3), finite, in the frame of `origin`, metres. As `ObservedGrid.free`; a point at the sensor
+    clears nothing."""
     rays = np.asarray(points, dtype=np.float64) - sensor
     ranges = np.sqrt((rays * rays).sum(axis=1))
     observed, free = np.zeros((2, *grid.shape), dtype=np.bool_)
     there = ranges > 0
     directions = rays[there] / ranges[there, None]
-    _walk(np.asarray(sensor, np.float64), directions, ranges[there], 0.0, origin, grid.voxel_m, observed, free)
+    _walk(
+        np.asarray(sensor, np.float64),
+        directions,
+        ranges[there],
+        0.0,
+        origin,
+        grid.voxel_m,
+        observed,
+        free,
+    )
     return free
 
 
@@ -121,7 +151,8 @@ def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, 
 
 @kernel
 def _slab(start, direction, count, voxel_m):
-    """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it enters and leaves."""
+    """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it
+    enters and leaves."""
     if direction == 0.0:
         inside = 0 <= start < count
         return 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
@@ -132,7 +163,8 @@ def _slab(start, direction, count, voxel_m):
 
 @kernel
 def _enter(start, t, pace, count):
-    """The voxel's number along one axis at distance `t`, the boundary ahead of it, and where the ray crosses that."""
+    """The voxel's number along one axis at distance `t`, the boundary ahead of it, and where the
+    ray crosses that."""
     if pace == 0.0:
         return math.floor(start), 0.0, math.inf
     at = min(max(math.floor(start + t / pace), 0), count - 1)
@@ -144,7 +176,8 @@ def _enter(start, t, pace, count):
 def _clear(position, direction, end, origin, voxel_m, free):
     """Mark the voxels that the segment of length `end` from `position` along `direction` meets.
 
-    Every crossing is computed from its boundary's own number, never by adding up steps, so that errors do not grow.
+    Every crossing is computed from its boundary's own number, never by adding up steps, so that
+    errors do not grow.
     """
     nx, ny, nz = free.shape
     sx, sy, sz = (

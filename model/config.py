@@ -1,24 +1,38 @@
-"""The settings of networks, objectives, runs and predictions: the only place where the paper's numbers of them stand.
+"""The settings of networks, objectives, runs and predictions: the only place where the paper's
+numbers of them stand.
 
 Nothing heavy is imported here, so that the command line can read its options from these fields.
 """
 
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from lidarsim.parameters import check, number
-from scenegen.errors import short
-from scenegen.limits import MOST_BATCH, MOST_EPOCHS, MOST_FEATURES, MOST_HEIGHT, MOST_MAPS, MOST_SEED, MOST_WIDTH
+from lidarsim.registry import Registry
+from scenegen.errors import ScenegenError, short
+from scenegen.limits import (
+    MOST_BATCH,
+    MOST_EPOCHS,
+    MOST_FEATURES,
+    MOST_HEIGHT,
+    MOST_MAPS,
+    MOST_SEED,
+    MOST_WIDTH,
+)
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
 DEFAULT_NETWORK = "columns"
 """The one of them that completes where none is named."""
 POINTS_NETWORK = "proposed"
-"""The one that completes scans of points then: it takes observed voxels alone, and misses nothing of them."""
+"""The one that completes scans of points then: it takes observed voxels alone, and misses nothing
+of them."""
 LEVELS = 3
+STRIDE = 2**LEVELS
+"""Every edge of a map is a multiple of so many voxels."""
 TASKS = ("tudf", "occupancy")
 SHARED = ("shared",)
 
@@ -27,101 +41,141 @@ SHARED = ("shared",)
 class Variant:
     """What sets a network apart from the others."""
 
-    tasks: tuple[str, ...]
+    meaning: str
+    """What it is, for docs/network.md."""
+    tasks: tuple[str, ...] = TASKS
     """What it predicts, with a head for each: some of `TASKS`, in their order."""
-    decoders: tuple[str, ...]
+    decoders: tuple[str, ...] = TASKS
     """Its decoders: one for each task, or `SHARED`; () where all of it is flat."""
     coupled: bool = False
     """Whether its two decoders inform each other after every stage."""
     columns: tuple[int, ...] = ()
-    """Channels, level by level, of a flat U-Net over whole columns, beside its 3-D one if it has decoders; () for
-    none."""
-    meaning: str
-    """What it is, for docs/network.md."""
+    """Channels, level by level, of a flat U-Net over whole columns, beside its 3-D one if it has
+    decoders; () for none."""
 
 
+WIDE = 64, 96, 128
 VARIANTS = {
-    "proposed": Variant(tasks=TASKS, decoders=TASKS, coupled=True, meaning="the paper's network"),
+    "proposed": Variant(coupled=True, meaning="the paper's network"),
     "occ": Variant(tasks=("occupancy",), decoders=("occupancy",), meaning="the paper's OCC-only"),
     "tudf": Variant(tasks=("tudf",), decoders=("tudf",), meaning="the paper's TUDF-only"),
-    "dual": Variant(tasks=TASKS, decoders=TASKS, meaning="what is left of `proposed` without CrossFusion"),
-    "shared": Variant(tasks=TASKS, decoders=SHARED, meaning="the cheapest network with both outputs"),
+    "dual": Variant(meaning="what is left of `proposed` without CrossFusion"),
+    "shared": Variant(decoders=SHARED, meaning="the cheapest network with both outputs"),
     "columns": Variant(
-        tasks=TASKS, decoders=SHARED, columns=(64, 96, 128), meaning="`shared`, and a flat U-Net over whole columns"
+        decoders=SHARED, columns=WIDE, meaning="`shared`, and a flat U-Net over whole columns"
     ),
     "flat": Variant(
-        tasks=TASKS, decoders=(), columns=(64, 96, 128), meaning="a flat U-Net over whole columns alone, as in LMSCNet"
+        decoders=(), columns=WIDE, meaning="a flat U-Net over whole columns alone, as in LMSCNet"
     ),
 }
 """Every variant by its name; `scenegen.model.network` builds what is said here."""
-if TYPE_CHECKING:
-    VariantName = str
-else:  # the command line reads its choices from a field's type
-    VariantName = Literal[tuple(VARIANTS)]
+
+NETWORKS = Registry(
+    "variant",
+    dict.fromkeys(VARIANTS, "scenegen.model.network:Network"),
+    needs={"load_state_dict": "a method, as every torch.nn.Module has it"},
+)
+"""Classes of networks, made from a `NetworkConfig`; docs/own-network.md says what one's own has."""
+LOSSES = Registry("loss", {"coupled": "scenegen.model.losses:Coupled"})
+"""Objectives: a class, made from (`LossConfig`, `GridSpec`), or a function: (output, batch) ->
+terms."""
+INPUTS = Registry(
+    "input",
+    {
+        name: f"scenegen.model.inputs:{name.upper()}"
+        for name in ("observed", "free", "occluded", "distance", "ahead")
+    },
+)
+"""Channels that a network may take: functions of (sample or scan, grid, sensor), or an `Input`."""
+
+
+def is_own(name: str) -> bool:
+    """Whether `name` is module:Object, so that code of a user's own stands behind it."""
+    return ":" in name
+
+
+def named(registry: Registry, name: str) -> Any:
+    """What `name` is in `registry`, imported now. Raises ScenegenError, in one line, for none."""
+    try:
+        return registry.find(name)
+    except ValueError as error:
+        raise ScenegenError(str(error)) from None
+
+
+def split_own(weights: str | Path) -> tuple[frozenset[str], str]:
+    """The own code that the name of a network grants, and the rest of the name.
+
+    "my_net:Net,my_input:rise@runs/mine" is the network in runs/mine, which may be made of these
+    two. A file alone never has code imported, whatever its header says.
+    """
+    found = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
+    return (frozenset(found[1].split(",")), found[2]) if found else (frozenset(), str(weights))
 
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkConfig:
-    """What a network looks like. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
-    open."""
+    """What a network looks like. "Paper" is the paper's section "Implementation Details"; "ours" is
+    what it leaves open."""
 
-    variant: VariantName = "proposed"
-    """Which of the paper's three networks, or of the two baselines that it leaves out."""
+    variant: str = "proposed"
+    """Which of `VARIANTS`, or one's own as module:Class."""
     inputs: tuple[str, ...] = ("observed",)
-    """Names of the channels that the network takes, in their order (paper: the voxels that hold a return, alone)."""
+    """Names of the channels that the network takes, in their order (paper: the voxels that hold a
+    return, alone); one's own as module:function."""
     width: int = number(8, least=1, most=MOST_WIDTH)
     """Channels at the first level; they double from level to level (paper)."""
     stem_stride: Literal[1, 2] = 2
-    """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second, after one at full
-    resolution (ours)."""
+    """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second,
+    after one at full resolution (ours)."""
     heads: int = number(4, least=1)
     """Heads of the self-attention (ours)."""
     height: int = number(40, least=2**LEVELS, most=MOST_HEIGHT)
-    """Voxels of a map from bottom to top, for variants that see columns whole; `train` takes it from the data."""
+    """Voxels of a map from bottom to top, for variants that see columns whole and for one's own;
+    `train` takes it from the data."""
 
     def __post_init__(self) -> None:
-        from scenegen.model.inputs import INPUTS  # which computes them, with what that takes
-
         check(self)
-        if not self.inputs or len(set(self.inputs)) < len(self.inputs) or not set(self.inputs) <= INPUTS.keys():
-            raise ValueError(f"inputs = {short(self.inputs)} must be one or more of {', '.join(INPUTS)}, each once")
+        for registry, names in ((NETWORKS, [self.variant]), (INPUTS, self.inputs)):
+            for name in names:
+                if not is_own(name) and name not in registry.known:
+                    raise ValueError(registry.unknown(name))
+        if not self.inputs or len(set(self.inputs)) < len(self.inputs):
+            raise ValueError(f"inputs = {short(self.inputs)}: expected one or more, each once")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
-                f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width must be a multiple "
+                f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width "
+                f"must be a multiple "
                 "of the heads"
             )
 
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """What is predicted: some of `TASKS`, in their order."""
-        return VARIANTS[self.variant].tasks
-
-    @property
-    def stride(self) -> int:
-        """Every edge of a map must be a multiple of this many voxels."""
-        return int(2**LEVELS)
-
     def check_map(self, shape: tuple[int, ...]) -> None:
         """Raise ValueError where a network of this kind cannot complete maps of `shape`."""
-        if any(edge % self.stride for edge in shape):
+        if (known := VARIANTS.get(self.variant)) and any(edge % STRIDE for edge in shape):
             raise ValueError(
-                f"maps of {shape} voxels; the network halves them three times, so every edge must be a multiple of "
-                f"{self.stride}"
+                f"maps of {shape} voxels; the network halves them three times, so every edge must "
+                f"be a multiple of "
+                f"{STRIDE}"
             )
-        if VARIANTS[self.variant].columns and shape[2] != self.height:
-            raise ValueError(f"maps of {shape} voxels; this network sees columns of {self.height} voxels, no others")
+        if known and known.columns and shape[2] != self.height:
+            raise ValueError(
+                f"maps of {shape} voxels; this network sees columns of {self.height} voxels, no "
+                f"others"
+            )
         if math.prod(shape) * self.width > MOST_FEATURES:
             raise ValueError(
-                f"maps of {shape} voxels at width {self.width}: expected {MOST_FEATURES // self.width} voxels at most; "
+                f"maps of {shape} voxels at width {self.width}: expected "
+                f"{MOST_FEATURES // self.width} voxels at most; "
                 "use a smaller grid, or a smaller --width"
             )
 
 
 @dataclass(frozen=True, kw_only=True)
 class LossConfig:
-    """Weights of the objective. "Paper" is the paper's section "Implementation Details"; "ours" is what it leaves
-    open."""
+    """Weights of the objective. "Paper" is the paper's section "Implementation Details"; "ours" is
+    what it leaves open."""
 
+    objective: str = "coupled"
+    """The paper's, which the weights below are of, or one's own as module:Object."""
     occupancy: float = number(0.1, least=0)
     """lambda_occ (paper)."""
     tudf: float = number(1.0, least=0)
@@ -141,12 +195,14 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         check(self)
+        if not is_own(self.objective) and self.objective not in LOSSES.known:
+            raise ValueError(LOSSES.unknown(self.objective))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """All that a run's outcome depends on besides its datasets. "Paper" is the paper's section "Implementation
-    Details"; "ours" is what it leaves open."""
+    """All that a run's outcome depends on besides its datasets. "Paper" is the paper's section
+    "Implementation Details"; "ours" is what it leaves open."""
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: LossConfig = field(default_factory=LossConfig)
@@ -163,9 +219,10 @@ class TrainConfig:
     warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
     schedule: Literal["decay", "cosine"] = "decay"
-    """How the learning rate falls. "decay": it stays level until validation stalls or the budget nears its end, then
-    falls along a line to 0, where training ends (ours). "cosine": it falls along a cosine, to 0 at the end of the
-    budget, and training is cut off where validation stalls."""
+    """How the learning rate falls. "decay": it stays level until validation stalls or the budget
+    nears its end, then falls along a line to 0, where training ends (ours). "cosine": it falls
+    along a cosine, to 0 at the end of the budget, and training is cut off where validation
+    stalls."""
     decay_share: float = number(0.2, above=0, below=1)
     """Share of all steps over which "decay" lets the learning rate fall (ours)."""
     weight_decay: float = number(0.01, least=0)
@@ -177,22 +234,26 @@ class TrainConfig:
     patience: int = number(10, least=1)
     """Rounds without a lower validation loss after which validation has stalled (paper: epochs)."""
     choose: Literal["loss", "occupancy", "last"] = "loss"
-    """Which network of a run is kept: that of the lowest validation loss, of the lowest occupancy loss, or the last
-    (ours)."""
+    """Which network of a run is kept: that of the lowest validation loss, of the lowest occupancy
+    loss, or the last (ours)."""
     augment: bool = True
-    """Whether maps are turned about the sensor at random, and mirrored where its rays allow it (ours)."""
+    """Whether maps are turned about the sensor at random, and mirrored where its rays allow it
+    (ours)."""
     seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where the device has
-    instructions for it."""
+    """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where
+    the device has instructions for it."""
     compile: bool = False
     """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
 
     def __post_init__(self) -> None:
         check(self)
-        if self.choose == "occupancy" and "occupancy" not in self.network.tasks:
-            raise ValueError(f"choose = 'occupancy': the variant {self.network.variant!r} does not predict it")
+        known = VARIANTS.get(self.network.variant)
+        if self.choose == "occupancy" and known and "occupancy" not in known.tasks:
+            raise ValueError(
+                f"choose = 'occupancy': the variant {self.network.variant!r} does not predict it"
+            )
 
 
 PROTOCOLS: dict[str, dict[str, Any]] = {

@@ -13,20 +13,24 @@ from scenegen.model.completion.protocol import PARTS, SURE
 
 
 def scan_facts(path: Path) -> dict[str, Any]:
-    """A file of points: how many, how far they reach, and how far away they are from its origin. Raises
-    DatasetError."""
+    """A file of points: how many, how far they reach, and how far away they are from its origin.
+    Raises DatasetError."""
     points = read_points(path)
     returned = points[np.isfinite(points).all(axis=1)]
     found: dict[str, Any] = {"scan": str(path), "points": len(points), "returns": len(returned)}
     if len(returned):
         ranges = np.linalg.norm(returned, axis=1)
-        found |= {"lower_m": returned.min(axis=0).tolist(), "upper_m": returned.max(axis=0).tolist()}
+        found |= {
+            "lower_m": returned.min(axis=0).tolist(),
+            "upper_m": returned.max(axis=0).tolist(),
+        }
         found |= {"mean_range_m": float(ranges.mean()), "max_range_m": float(ranges.max())}
     return found
 
 
 def prediction_facts(path: Path) -> dict[str, Any]:
-    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it. Raises DatasetError."""
+    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it.
+    Raises DatasetError."""
     return read_guarded(_facts, path, 1 << 62)
 
 
@@ -34,18 +38,32 @@ def _facts(path: Path) -> dict[str, Any]:
     try:
         with h5py.File(path, "r") as file:
             about = {
-                name: printable(file.attrs[name])[:100] for name in ("method", "split", "dataset") if name in file.attrs
+                name: printable(file.attrs[name])[:100]
+                for name in ("method", "split", "dataset")
+                if name in file.attrs
             }
             parts = {name: list(file[name].shape) for name in (*PARTS, *SURE) if name in file}
+            if "occupancy" in file:  # the truth, which no predictions hold
+                raise DatasetError(
+                    f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"
+                )
+    except DatasetError:
+        raise
     except Exception as error:  # h5py's errors share no base
         raise DatasetError(f"{path}: cannot be read as HDF5: {printable(error)[:200]}") from None
     if not parts:
         raise DatasetError(f"{path}: holds no predictions; expected {' or '.join(PARTS)}")
-    return {"predictions": str(path), **about, "of": "a split" if "split" in about else "a scan", "arrays": parts}
+    return {
+        "predictions": str(path),
+        **about,
+        "of": "a split" if "split" in about else "a scan",
+        "arrays": parts,
+    }
 
 
 def run_facts(folder: Path) -> dict[str, Any]:
-    """A training run's folder: what was trained on what, and how far it came. Raises DatasetError."""
+    """A training run's folder: what was trained on what, and how far it came. Raises
+    DatasetError."""
     from scenegen.model.training.curve import read_rows
     from scenegen.model.training.run_folder import ROWS, RunFolder
 

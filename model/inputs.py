@@ -1,12 +1,14 @@
 """What a network can be shown of a map: every input channel, by name.
 
-A *named batch* maps names of inputs to arrays. Data, training, validation, completion and export hand it on as it is:
-one more channel is one more entry of `INPUTS`, and its name in the `NetworkConfig` of the network that takes it.
+A *named batch* maps names of inputs to arrays. Data, training, validation, completion and export
+hand it on as it is. One more channel is a function (seen, grid, sensor) → (*grid.shape), where
+`seen` is a dataset's sample or a `PointScan`: an entry of `INPUTS` in config.py, or a user's own as
+module:function, in the `NetworkConfig` of the network that takes it.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,8 @@ from lidarsim.limits import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import Scan
 from lidarsim.voxelize import crossed, fuse
+from scenegen.errors import DatasetError, told
+from scenegen.model.config import INPUTS, named
 from scenegen.sample import Sample
 from scenegen.truth import distance_field
 
@@ -26,127 +30,156 @@ SYMMETRIES = 8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointScan:
-    """One scan alone: what is known of a map where there is no dataset."""
+    """One scan alone: what is known of a map where there is no dataset.
+
+    `observed`, `free`, `origin` and `position` are named as a sample's.
+    """
 
     points: NDArray[np.float64]
     """(N, 3): finite returns, metres, in a level frame."""
-    sensor: NDArray[np.float64]
+    position: NDArray[np.float64]
     """(3,): where the sensor is in that frame, metres."""
     grid: GridSpec
 
     @cached_property
     def origin(self) -> NDArray[np.float64]:
         """The map's least corner (3,) in the scan's frame, metres."""
-        return self.grid.origin_at(self.sensor)
+        return self.grid.origin_at(self.position)
 
     @cached_property
     def voxels(self) -> NDArray[np.int64]:
         """(M, 3): the voxel of every point that lies in the map."""
-        near = self.points[(np.abs(self.points) <= 2 * MOST_LENGTH_M).all(axis=1)]  # others have no whole numbers
+        # points farther away have no whole numbers
+        near = self.points[(np.abs(self.points) <= 2 * MOST_LENGTH_M).all(axis=1)]
         index = self.grid.index(near, self.origin)
         return index[((index >= 0) & (index < self.grid.shape)).all(axis=1)]
+
+    @cached_property
+    def observed(self) -> NDArray[np.bool_]:
+        """(*grid.shape): the voxels of the points."""
+        observed = np.zeros(self.grid.shape, dtype=np.bool_)
+        observed[tuple(self.voxels.T)] = True
+        return observed
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """(*grid.shape): what rays that returned something crossed; of others points say
+        nothing."""
+        return crossed(self.position, self.points, self.grid, self.origin) & ~self.observed
+
+    def behind(self) -> NDArray[np.bool_]:
+        """(*grid.shape): what lies beyond every return, to the map's end."""
+        rays = self.points - self.position
+        lengths = np.sqrt((rays * rays).sum(axis=1))
+        there = (lengths > 0) & (lengths < MOST_LENGTH_M)
+        extent, away = self.grid.extent_m, self.position - self.origin
+        reach = float(np.linalg.norm(extent) + np.linalg.norm(away))
+        ends = self.position + rays[there] * (reach / lengths[there, None])
+        return crossed(self.position, ends, self.grid, self.origin) & ~self.free & ~self.observed
 
 
 @dataclass(frozen=True, kw_only=True)
 class Input:
     """One channel that a network may take."""
 
-    of_sample: Callable[[Sample, GridSpec, Any], NDArray[Any]]
-    """(sample, grid, sensor) → (*grid.shape). Of a dataset's sample, only the fields that this accesses are read."""
-    of_scan: Callable[[PointScan], NDArray[Any]]
-    """The same from one scan alone."""
-    turns: bool = True
-    """Whether the channel is turned with its map; one that is tied to the map's axes stays as it is."""
+    of: Callable[[Any, GridSpec, Any], NDArray[Any]]
+    """(sample or scan, grid, sensor or None) → (*grid.shape). Of a dataset's sample, only the
+    fields that this accesses are read."""
     binary: bool = True
     """Whether every voxel holds 0 or 1; other channels hold finite numbers."""
     untold: str = ""
     """What points alone do not tell of it, and what it then holds instead, for people."""
 
 
-def _observed(scan: PointScan) -> NDArray[np.bool_]:
-    observed = np.zeros(scan.grid.shape, dtype=np.bool_)
-    observed[tuple(scan.voxels.T)] = True
-    return observed
-
-
-def _free(scan: PointScan) -> NDArray[np.bool_]:
-    """Only of rays that returned something: points say nothing of the others."""
-    return crossed(scan.sensor, scan.points, scan.grid, scan.origin) & ~_observed(scan)
-
-
 def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> NDArray[np.bool_]:
     """The voxels, (*grid.shape), that the sample's rays would cross if nothing returned."""
-    endless = [Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar) for scan in sample.scans(sensor)]
+    endless = [
+        Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar)
+        for scan in sample.scans(sensor)
+    ]
     return fuse(endless, grid, sample.origin).free
 
 
-def _occluded(sample: Sample, grid: GridSpec, sensor: Any) -> NDArray[np.bool_]:
-    return within_view(sample, grid, sensor) & ~sample.free & ~sample.observed
+def _occluded(seen: Any, grid: GridSpec, sensor: Any) -> NDArray[np.bool_]:
+    if isinstance(seen, PointScan):
+        return seen.behind()
+    return within_view(seen, grid, sensor) & ~seen.free & ~seen.observed
 
 
-def _behind(scan: PointScan) -> NDArray[np.bool_]:
-    """Beyond every return, to the map's end."""
-    rays = scan.points - scan.sensor
-    lengths = np.sqrt((rays * rays).sum(axis=1))
-    there = (lengths > 0) & (lengths < MOST_LENGTH_M)
-    reach = float(np.linalg.norm(scan.grid.extent_m) + np.linalg.norm(scan.sensor - scan.origin))
-    ends = scan.sensor + rays[there] * (reach / lengths[there, None])
-    return crossed(scan.sensor, ends, scan.grid, scan.origin) & ~_free(scan) & ~_observed(scan)
-
-
-def _ahead(sample: Sample, grid: GridSpec, sensor: Any) -> NDArray[np.float32]:
+def _ahead(seen: Any, grid: GridSpec, sensor: Any) -> NDArray[np.float32]:
+    if isinstance(seen, PointScan):
+        return np.zeros(grid.shape, np.float32)
+    starts = seen.origin - seen.position
     lines = [(np.arange(n) + 0.5) * grid.voxel_m for n in grid.shape]
-    along = np.ix_(*(line + start for line, start in zip(lines, sample.origin - sample.position, strict=True)))
-    forward = rotate(sample.quaternion, np.array([[1.0, 0.0, 0.0]]))[0]
+    along = np.ix_(*(line + start for line, start in zip(lines, starts, strict=True)))
+    forward = rotate(seen.quaternion, np.array([[1.0, 0.0, 0.0]]))[0]
     metres = np.sqrt(sum(part * part for part in along))
-    return (sum(f * part for f, part in zip(forward, along, strict=True)) / np.maximum(metres, 1e-9)).astype(np.float32)
+    towards = sum(f * part for f, part in zip(forward, along, strict=True))
+    return (towards / np.maximum(metres, 1e-9)).astype(np.float32)
 
 
-INPUTS = {
-    "observed": Input(of_sample=lambda sample, grid, sensor: sample.observed, of_scan=_observed),
-    "free": Input(
-        of_sample=lambda sample, grid, sensor: sample.free,
-        of_scan=_free,
-        untold="of rays without a return nothing is known, so less is free than in training",
-    ),
-    "occluded": Input(of_sample=_occluded, of_scan=_behind),
-    "distance": Input(
-        of_sample=lambda sample, grid, sensor: distance_field(sample.observed, grid),
-        of_scan=lambda scan: distance_field(_observed(scan), scan.grid),
-        binary=False,
-    ),
-    "ahead": Input(
-        of_sample=_ahead,
-        of_scan=lambda scan: np.zeros(scan.grid.shape, np.float32),
-        binary=False,
-        untold="where the sensor faced is not known, so nothing lies ahead of it",
-    ),
-}
-"""Every input by its name. `observed`: the voxels that hold a return. `free`: those that a ray crossed, less these.
-`occluded`: those, less both, that lie on the way of a ray which ended before them. `distance`: metres to the nearest
-observed voxel, at most the truncation. `ahead`: the cosine of the angle, seen from the sensor, between its forward axis
-and the voxel."""
+OBSERVED = Input(of=lambda seen, grid, sensor: seen.observed)
+"""The voxels that hold a return."""
+FREE = Input(
+    of=lambda seen, grid, sensor: seen.free,
+    untold="of rays without a return nothing is known, so less is free than in training",
+)
+"""Those that a ray crossed, less the observed ones."""
+OCCLUDED = Input(of=_occluded)
+"""Those, less both, that lie on the way of a ray which ended before them."""
+DISTANCE = Input(of=lambda seen, grid, sensor: distance_field(seen.observed, grid), binary=False)
+"""Metres to the nearest observed voxel, at most the truncation."""
+AHEAD = Input(
+    of=_ahead,
+    binary=False,
+    untold="where the sensor faced is not known, so nothing lies ahead of it",
+)
+"""The cosine of the angle, seen from the sensor, between its forward axis and the voxel."""
 
 
-def of_sample(names: Sequence[str], sample: Sample, grid: GridSpec, sensor: Any) -> dict[str, NDArray[Any]]:
-    """The inputs called `names`, (*grid.shape) each, from a sample."""
-    return {name: INPUTS[name].of_sample(sample, grid, sensor) for name in names}
+@cache
+def input_called(name: str) -> Input:
+    """The input called `name`; a user's own function is imported now, and its channels are checked.
+
+    Raises ScenegenError for a name that leads to none.
+    """
+    found = named(INPUTS, name)
+    if isinstance(found, Input):
+        return found
+
+    def checked(seen: Any, grid: GridSpec, sensor: Any) -> NDArray[np.float32]:
+        try:
+            values = np.asarray(found(seen, grid, sensor), np.float32)
+        except Exception as error:  # a loader process hands over no traceback
+            raise told(error) from None
+        if values.shape != grid.shape or not np.isfinite(values).all():
+            raise DatasetError(
+                f"input {name}: gives an array of shape {values.shape}, expected finite numbers "
+                f"of shape {grid.shape}"
+            )
+        return values
+
+    return Input(of=checked, binary=False)
 
 
-def of_scan(names: Sequence[str], scan: PointScan) -> dict[str, NDArray[Any]]:
-    """The inputs called `names`, (*scan.grid.shape) each, from one scan alone."""
-    return {name: INPUTS[name].of_scan(scan) for name in names}
+def channels(
+    names: Sequence[str], seen: Any, grid: GridSpec, sensor: Any = None
+) -> dict[str, NDArray[Any]]:
+    """The inputs called `names`, (*grid.shape) each, of a sample or a `PointScan`."""
+    return {name: input_called(name).of(seen, grid, sensor) for name in names}
 
 
 def centres(observed: NDArray[np.bool_], grid: GridSpec) -> PointScan:
-    """A scan that observes just the voxels `observed` (*grid.shape): a point at the centre of each, metres from the
-    map's centre, where the sensor is."""
-    sensor = np.zeros(3)
-    return PointScan(points=grid.centres(grid.origin_at(sensor))[observed], sensor=sensor, grid=grid)
+    """A scan that observes just the voxels `observed` (*grid.shape): a point at the centre of each,
+    metres from the map's centre, where the sensor is."""
+    middle = np.zeros(3)
+    points = grid.centres(grid.origin_at(middle))[observed]
+    return PointScan(points=points, position=middle, grid=grid)
 
 
 def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:
-    """A map (X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z, mirrored in y from 4 on.
+    """A map (X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z, mirrored in
+    y from 4 on.
 
     The sensor's place, the centre, stays where it is. Odd turns need a map as long in x as in y.
     """

@@ -1,16 +1,19 @@
-"""The learning objective: the paper's section "Learning Objective", equation by equation, and one term of ours.
+"""The learning objective: the paper's section "Learning Objective", equation by equation, one term
+of ours, and whatever a user's own loss says.
 
 All losses take (B, X, Y, Z) tensors and are computed in float32, whatever the network computed in.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor
 
-from scenegen.model.config import LossConfig, Thresholds
+from lidarsim import GridSpec
+from scenegen.model.config import LOSSES, LossConfig, Thresholds, is_own, named
 from scenegen.model.network import Output
 
 ROOT_EPSILON = 1e-8
@@ -19,48 +22,72 @@ ROOT_EPSILON = 1e-8
 THRESHOLD = Thresholds().probability
 """Where `lovasz_loss` looks for an edge."""
 
+Loss = Callable[[Output, Mapping[str, Tensor]], dict[str, Tensor]]
+"""From what a network says of a batch, and the batch itself (its inputs, and the true ``occupancy``
+and ``tudf``), to scalars: what is minimised, as ``loss``, and its terms by name."""
+
 
 def at_least_one(count: Tensor) -> Tensor:
     """What a sum over `count` voxels is divided by for its mean."""
     return count.clamp(min=1)
 
 
-def objective(
-    output: Output,
-    occupancy: Tensor,
-    tudf: Tensor,
-    config: LossConfig,
-    *,
-    voxel_m: float,
-    truncation_m: float,
-    divisor: Callable[[Tensor], Tensor] = at_least_one,
-) -> dict[str, Tensor]:
-    """Eq. 7 and 11: the parts that the output has, and their weighted sum under ``loss``. Scalars.
+def loss_of(
+    config: LossConfig, grid: GridSpec, divisor: Callable[[Tensor], Tensor] = at_least_one
+) -> Loss:
+    """The loss that `config` names: the paper's, or one's own as docs/own-network.md says.
 
     `divisor` is for batches of which several processes have a part each; see `eikonal_loss`.
+    Raises ScenegenError for a name that leads to none.
     """
-    parts = {}
-    total = torch.zeros((), device=occupancy.device)
-    if output.logits is not None:
-        parts["occupancy"] = occupancy_loss(output.logits, occupancy, occupied_weight=config.occupied_weight)
-        occupancy_total = parts["occupancy"]
-        if config.lovasz:
-            parts["lovasz"] = lovasz_loss(output.logits, occupancy)
-            occupancy_total = occupancy_total + config.lovasz * parts["lovasz"]
-        total = total + config.occupancy * occupancy_total
-    if output.tudf is not None:
-        parts["regression"] = regression_loss(
-            output.tudf, tudf, near_m=config.near_m, near_weight=config.near_weight, beta_m=config.beta_m
-        )
-        parts["eikonal"] = eikonal_loss(output.tudf, tudf, voxel_m=voxel_m, truncation_m=truncation_m, divisor=divisor)
-        total = total + config.tudf * (parts["regression"] + config.eikonal * parts["eikonal"])
-    return {"loss": total, **parts}
+    if not is_own(config.objective):
+        return Coupled(config, grid, divisor)
+    found = named(LOSSES, config.objective)
+    own = found(config, grid) if isinstance(found, type) else found
+
+    def loss(output: Output, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        terms = own(output, batch)
+        if not isinstance(terms, Mapping):
+            return {"loss": terms}
+        return {"loss": sum(terms.values()), **terms}
+
+    return loss
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """Eq. 7 and 11: the parts that the output has, and their weighted sum under ``loss``."""
+
+    config: LossConfig
+    grid: GridSpec
+    divisor: Callable[[Tensor], Tensor] = at_least_one
+
+    def __call__(self, output: Output, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Scalars; see `Loss`."""
+        config, occupancy, tudf, parts = self.config, batch["occupancy"], batch["tudf"], {}
+        total = torch.zeros((), device=occupancy.device)
+        if output.logits is not None:
+            weight = config.occupied_weight
+            parts["occupancy"] = occupancy_loss(output.logits, occupancy, occupied_weight=weight)
+            occupancy_total = parts["occupancy"]
+            if config.lovasz:
+                parts["lovasz"] = lovasz_loss(output.logits, occupancy)
+                occupancy_total = occupancy_total + config.lovasz * parts["lovasz"]
+            total = total + config.occupancy * occupancy_total
+        if output.tudf is not None:
+            near = {name: getattr(config, name) for name in ("near_m", "near_weight", "beta_m")}
+            parts["regression"] = regression_loss(output.tudf, tudf, **near)
+            space = {"voxel_m": self.grid.voxel_m, "truncation_m": self.grid.truncation_m}
+            parts["eikonal"] = eikonal_loss(output.tudf, tudf, **space, divisor=self.divisor)
+            total = total + config.tudf * (parts["regression"] + config.eikonal * parts["eikonal"])
+        return {"loss": total, **parts}
 
 
 def occupancy_loss(logits: Tensor, occupancy: Tensor, *, occupied_weight: float) -> Tensor:
     """Eq. 8: binary cross-entropy over all voxels, occupied ones weighted; `occupancy` is bool.
 
-    -[w o log p + (1 - o) log(1 - p)] with log p = -softplus(-logit): no probability is ever rounded to 0 or 1.
+    -[w o log p + (1 - o) log(1 - p)] with log p = -softplus(-logit): no probability is ever rounded
+    to 0 or 1.
     """
     logits = logits.float()
     loss = F.softplus(torch.where(occupancy, -logits, logits))
@@ -70,12 +97,14 @@ def occupancy_loss(logits: Tensor, occupancy: Tensor, *, occupied_weight: float)
 def lovasz_loss(logits: Tensor, occupancy: Tensor) -> Tensor:
     """The Lovász hinge of every map's IoU (Berman, Triki and Blaschko 2018), in the mean.
 
-    Logits are counted from that of the probability above which the paper's protocol holds a voxel occupied. A voxel
-    whose logit is less than 1 on the right side has an error; each counts by what it takes from the IoU, 1 at first,
-    once all voxels of larger errors are wrong.
+    Logits are counted from that of the probability above which the paper's protocol holds a voxel
+    occupied. A voxel whose logit is less than 1 on the right side has an error; each counts by what
+    it takes from the IoU, 1 at first, once all voxels of larger errors are wrong.
     """
     margins = (logits.float() - math.log(THRESHOLD / (1 - THRESHOLD))).flatten(1)
-    return torch.stack([_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]).mean()
+    return torch.stack(
+        [_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]
+    ).mean()
 
 
 def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
@@ -92,7 +121,9 @@ def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
     return errors @ lost.diff(prepend=lost.new_zeros(1))
 
 
-def regression_loss(predicted: Tensor, tudf: Tensor, *, near_m: float, near_weight: float, beta_m: float) -> Tensor:
+def regression_loss(
+    predicted: Tensor, tudf: Tensor, *, near_m: float, near_weight: float, beta_m: float
+) -> Tensor:
     """Eq. 9: Smooth-L1 over all voxels, those within `near_m` of a surface weighted; metres."""
     loss = F.smooth_l1_loss(predicted.float(), tudf, beta=beta_m, reduction="none")
     return torch.where(tudf <= near_m, near_weight * loss, loss).mean()
@@ -106,11 +137,13 @@ def eikonal_loss(
     truncation_m: float,
     divisor: Callable[[Tensor], Tensor] = at_least_one,
 ) -> Tensor:
-    """Eq. 10: how far the predicted field's slope is from 1, over voxels whose true distance lies strictly between 0
-    and the truncation; by forward differences, so the last voxel of every line has none. 0 over no voxel.
+    """Eq. 10: how far the predicted field's slope is from 1, over voxels whose true distance lies
+    strictly between 0 and the truncation; by forward differences, so the last voxel of every line
+    has none. 0 over no voxel.
 
-    How many such voxels there are differs from map to map. `divisor` makes of their number, a scalar, what their sum
-    is divided by: `Group.divisor` makes the mean of several processes' losses that of all their maps.
+    How many such voxels there are differs from map to map. `divisor` makes of their number, a
+    scalar, what their sum is divided by: `Group.divisor` makes the mean of several processes'
+    losses that of all their maps.
     """
     d = predicted.float()
     here = d[:, :-1, :-1, :-1]

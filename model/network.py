@@ -1,30 +1,32 @@
-"""The completion network, whole: the paper's dual-decoder U-Net with CrossFusion, and the variants that isolate it.
+"""The completion network, whole: the paper's dual-decoder U-Net with CrossFusion, and its variants.
 
 For a map of 80 x 80 x 40 voxels and width 8 (channels x cells):
 
-    X 1x80x80x40 ─ Preprocess ─ Encode ──────── Encode ──────── Encode ─ SelfAttention ─ F_s
+    X 1x80x80x40 ─ preprocess ─ encoder[0] ──── encoder[1] ──── encoder[2] ─ SelfAttention ─ F_s
                                 8x40x40x20      16x20x20x10     32x10x10x5
                                 S1 │            S2 │            S3 │
     D 1x80x80x40 ─ FinalUp h_t ─ f_t1 ─ C1 ─── f_t2 ─ C2 ───── f_t3 ─ C3 ───── F_s
     O 1x80x80x40 ─ FinalUp h_o ─ f_o1 ─ C1 ─── f_o2 ─ C2 ───── f_o3 ─ C3 ───── F_s
 
-Equations are numbered as in docs/network.md, which holds them against this file.
+Equations are numbered as in docs/network.md, which holds them against this file. A network of
+one's own is a class like `Network`: docs/own-network.md.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+import itertools
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
 
-from scenegen.model.columns import Columns
-from scenegen.model.config import LEVELS, TASKS, VARIANTS, NetworkConfig
-from scenegen.model.convolution import Conv3d
+from scenegen.errors import ScenegenError
+from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
 
 
 class Output(NamedTuple):
-    """What a network says about a batch of maps; None for what its variant does not predict."""
+    """What a network says about a batch of maps; None for what it does not predict."""
 
     logits: Tensor | None
     """(B, X, Y, Z): the probability of occupancy before its sigmoid."""
@@ -37,46 +39,72 @@ class Output(NamedTuple):
         return cls(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
 
 
+def build(config: NetworkConfig) -> nn.Module:
+    """The network that `config` names, with random weights; it keeps `config`, and has `tasks`.
+
+    Raises ScenegenError for a name that leads to none.
+    """
+    network: Any = named(NETWORKS, config.variant)(config)
+    if not isinstance(network, nn.Module):
+        raise ScenegenError(
+            f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"
+        )
+    network.config, network.tasks = config, tuple(getattr(network, "tasks", TASKS))
+    return network
+
+
+def placed(network: nn.Module, device: torch.device | str) -> nn.Module:
+    """`network` itself on `device`, its filters in memory with channels last, which is faster."""
+    network.to(device)
+    for parameter in network.parameters():
+        if layout := {4: torch.channels_last, 5: torch.channels_last_3d}.get(parameter.ndim):
+            parameter.data = parameter.data.contiguous(memory_format=layout)
+    return network
+
+
 class Network(nn.Module):
-    """Maps a named batch, (B, X, Y, Z) for each of the network's inputs, to an `Output` (the paper, section "Coupled
-    TUDF-Occupancy Learning"). Other names in the batch are not looked at."""
+    """Maps a named batch, (B, X, Y, Z) for each of its inputs, to an `Output` (the paper, section
+    "Coupled TUDF-Occupancy Learning"). Other names in the batch are not looked at."""
 
     def __init__(self, config: NetworkConfig):
         super().__init__()
         self.config = config
         variant = VARIANTS[config.variant]
-        widths = [config.width * 2**level for level in range(LEVELS)]
+        self.tasks = variant.tasks
+        inputs, widths = len(config.inputs), [config.width * 2**level for level in range(LEVELS)]
+        features = finest = widths[0]
         if variant.decoders:
-            self.preprocess = Preprocess(len(config.inputs), widths[0], config.stem_stride)
+            stride = config.stem_stride
+            self.preprocess = nn.Sequential(
+                *_convolution(inputs, finest, stride), *_convolution(finest, finest, 2 // stride)
+            )
             self.encoder = nn.ModuleList(
-                Encode(below, width, stride=1 if level == 0 else 2)
-                for level, (below, width) in enumerate(zip([widths[0], *widths], widths, strict=False))
+                nn.Sequential(*_convolution(below, width, stride), *_convolution(width, width))
+                for below, width, stride in zip([finest, *widths], widths, (1, 2, 2), strict=False)
             )
             self.attention = SelfAttention(widths[-1], config.heads)
         self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in variant.decoders})
-        self.fusion = nn.ModuleList(CrossFusion(width) for width in widths) if variant.coupled else None
-        levels = [(width, config.height // 2 ** (level + 1)) for level, width in enumerate(widths)]
-        flat = len(config.inputs), config.height, levels, variant.columns
-        self.columns = Columns(*flat, alone=not variant.decoders) if variant.columns else None
-        features = 2 * widths[0] if variant.columns and variant.decoders else widths[0]
-        self.head = nn.ModuleDict({task: FinalUp(features, widths[0]) for task in config.tasks})
-
-    def placed(self, device: torch.device | str) -> "Network":
-        """The network itself, on `device`, its filters laid out in memory with channels last, which is faster."""
-        self.to(device)
-        for parameter in self.parameters():
-            if layout := {4: torch.channels_last, 5: torch.channels_last_3d}.get(parameter.ndim):
-                parameter.data = parameter.data.contiguous(memory_format=layout)
-        return self
+        self.fusion = nn.ModuleList(map(CrossFusion, widths)) if variant.coupled else None
+        self.columns = None
+        if variant.columns:
+            levels = [(c, config.height // 2 ** (level + 1)) for level, c in enumerate(widths)]
+            alone = not variant.decoders
+            self.columns = Columns(inputs, config.height, levels, variant.columns, alone=alone)
+            features = finest if alone else 2 * finest
+        self.head = nn.ModuleDict({task: FinalUp(features, finest) for task in variant.tasks})
 
     def forward(self, batch: Mapping[str, Tensor]) -> Output:
-        """See the class."""
+        """What the heads make of the features (eq. 6)."""
         features = self.features(batch)
-        found = {task: head(features.get(task, features.get("shared"))) for task, head in self.head.items()}  # eq. 6
-        return Output.of(found)
+        return Output.of(
+            {
+                task: head(features.get(task, features.get("shared")))
+                for task, head in self.head.items()
+            }
+        )
 
     def features(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What the heads read, by decoder or under ``shared``: (B, width or twice that, X/2, Y/2, Z/2)."""
+        """What the heads read, by decoder or under ``shared``: (B, features, X/2, Y/2, Z/2)."""
         given = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
         if self.columns is not None and not self.decoder:
             return {"shared": self.columns(given)[0]}
@@ -85,8 +113,7 @@ class Network(nn.Module):
             x = encode(x)
             skips.append(x)
         columns = None if self.columns is None else self.columns(given, skips)
-        shared = self.attention(x)  # F_s
-        features = dict.fromkeys(self.decoder, shared)
+        features = dict.fromkeys(self.decoder, self.attention(x))  # F_s
         for level in reversed(range(LEVELS)):
             features = {
                 branch: decoder.stages[level](features[branch], skips[level])  # eq. 3 and 4
@@ -96,28 +123,12 @@ class Network(nn.Module):
                 t, o = self.fusion[level](features["tudf"], features["occupancy"])  # eq. 5
                 features = {"tudf": t, "occupancy": o}
             if columns is not None:
+                flat = columns[level]
                 features = {
-                    branch: torch.cat((values, columns[0]), dim=1) if level == 0 else values + columns[level]
-                    for branch, values in features.items()
+                    branch: torch.cat((x, flat), dim=1) if level == 0 else x + flat
+                    for branch, x in features.items()
                 }
         return features
-
-
-class Preprocess(nn.Sequential):
-    """(B, inputs, X, Y, Z) → (B, width, X/2, Y/2, Z/2)."""
-
-    def __init__(self, inputs: int, width: int, stride: int):
-        super().__init__(
-            *_convolution(inputs, width, stride=stride),
-            *_convolution(width, width, stride=2 // stride),
-        )
-
-
-class Encode(nn.Sequential):
-    """(B, below, ...) → (B, width, .../stride): a level of the encoder; what it gives is the level's skip S."""
-
-    def __init__(self, below: int, width: int, stride: int):
-        super().__init__(*_convolution(below, width, stride=stride), *_convolution(width, width))
 
 
 class SelfAttention(nn.Module):
@@ -131,9 +142,10 @@ class SelfAttention(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """See the class."""
+        """As the class says."""
         cells = x.flatten(2).transpose(1, 2)  # (B, cells, C)
-        q, k, v = self.to_qkv(self.norm(cells)).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        qkv = self.to_qkv(self.norm(cells)).unflatten(-1, (3, self.heads, -1))
+        q, k, v = qkv.permute(2, 0, 3, 1, 4)  # (B, heads, cells, C / heads) each
         found = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
         return x + self.out(found).transpose(1, 2).unflatten(2, x.shape[2:])
 
@@ -141,32 +153,36 @@ class SelfAttention(nn.Module):
 class Decoder(nn.Module):
     """One branch: f^(1), f^(2), f^(3), finest first."""
 
-    def __init__(self, widths: list[int]):
+    def __init__(self, widths: Sequence[int]):
         super().__init__()
-        coarser = [*widths[1:], None]
-        self.stages = nn.ModuleList(Decode(width, above) for width, above in zip(widths, coarser, strict=True))
+        self.stages = nn.ModuleList(map(Decode, widths, [*widths[1:], None]))
 
 
 class Decode(nn.Module):
-    """f^(l): (B, above, ...) and the skip (B, width, 2 ...) → (B, width, 2 ...); the coarsest has nothing to double."""
+    """f^(l): (B, above, ...) and the skip (B, width, 2 ...) → (B, width, 2 ...); the coarsest has
+    nothing to double."""
 
     def __init__(self, width: int, above: int | None):
         super().__init__()
-        self.up = nn.Identity() if above is None else nn.ConvTranspose3d(above, width, kernel_size=2, stride=2)
+        self.up = nn.Identity() if above is None else nn.ConvTranspose3d(above, width, 2, stride=2)
         self.refine = nn.Sequential(*_convolution(2 * width, width), *_convolution(width, width))
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
-        """See the class."""
+        """As the class says."""
         return self.refine(torch.cat((self.up(x), skip), dim=1))
 
 
 class CrossFusion(nn.Module):
-    """Each branch adds what it learns from both; occupancy sees distances already refined, as eq. 5 is written."""
+    """Each branch adds what it learns from both; occupancy sees distances already refined, as
+    eq. 5 is written."""
 
     def __init__(self, width: int):
         super().__init__()
         self.to_tudf, self.to_occupancy = (
-            nn.Sequential(Conv3d(2 * width, width, 1), nn.ReLU(inplace=True), Conv3d(width, width, 1)) for _ in TASKS
+            nn.Sequential(
+                Conv3d(2 * width, width, 1), nn.ReLU(inplace=True), Conv3d(width, width, 1)
+            )
+            for _ in TASKS
         )
 
     def forward(self, t: Tensor, o: Tensor) -> tuple[Tensor, Tensor]:
@@ -179,32 +195,133 @@ class CrossFusion(nn.Module):
 class FinalUp(nn.Module):
     """(B, below, X/2, Y/2, Z/2) → (B, X, Y, Z): eight values a cell, one for each voxel in it.
 
-    The slope below zero is not flat: with a ReLU here, channels that die leave the bias alone as an upper bound of the
-    logit, and no probability ever passes the threshold.
+    The slope below zero is not flat: with a ReLU here, channels that die leave the bias alone as an
+    upper bound of the logit, and no probability ever passes the threshold.
     """
 
     def __init__(self, below: int, width: int, fields: int = 1):
         super().__init__()
-        self.refine = nn.Sequential(*_convolution(below, fields * width)[:-1], nn.LeakyReLU(0.1, inplace=True))
+        self.refine = nn.Sequential(
+            *_convolution(below, fields * width)[:-1], nn.LeakyReLU(0.1, inplace=True)
+        )
         self.split = Conv3d(fields * width, fields * 8, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """See the class."""
+        """As the class says."""
         return self.each(x)[0]
 
     def each(self, x: Tensor) -> list[Tensor]:
         """The same for every field that this head gives."""
         x = self.refine(x)
-        with torch.autocast(x.device.type, enabled=False):  # bf16 keeps distances to a centimetre: slopes need better
+        # bfloat16 keeps distances to a centimetre, and slopes, their differences, need better
+        with torch.autocast(x.device.type, enabled=False):
             found = self.split(x.float())
-        cells = (parts.unflatten(1, (2, 2, 2)) for parts in found.split(8, dim=1))  # (B, i, j, k, x, y, z)
-        return [c.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2) for c in cells]
+        cells = (field.unflatten(1, (2, 2, 2)) for field in found.split(8, dim=1))
+        # (B, i, j, k, x, y, z) → (B, x, i, y, j, z, k) → (B, X, Y, Z)
+        return [
+            c.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2) for c in cells
+        ]
 
 
-def _convolution(below: int, width: int, stride: int = 1) -> list[nn.Module]:
-    """A 3 x 3 x 3 convolution, normalised, with its activation."""
-    return [
-        Conv3d(below, width, 3, stride=stride, padding=1, bias=False),
-        nn.BatchNorm3d(width),
+class Columns(nn.Module):
+    """Columns of a map as channels: a flat U-Net that sees every column whole, beside the 3-D one.
+
+    (B, inputs, X, Y, Z) and the 3-D skips, (B, c_l, X_l, Y_l, Z_l), finest first → features of the
+    same shapes. Small 3-D convolutions learn solids that lie anywhere, and see little of a column
+    at a time; flat convolutions with z as channels learn what stands upright from a few voxels of
+    it (Roldão, de Charette, Verroust-Blondet 2020: LMSCNet). At each level either hands the other
+    what it has: c channels of h cells in height are c·h flat channels, and back.
+
+    `height` is Z, `levels` are pairs (c_l, Z_l), and `widths` are the flat net's channels, level by
+    level. Where it is `alone`, there are no skips, and features of the finest level only.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        height: int,
+        levels: Sequence[tuple[int, int]],
+        widths: Sequence[int],
+        *,
+        alone: bool = False,
+    ):
+        super().__init__()
+        self._levels = tuple(levels[:1] if alone else levels)
+        met = [(c * z, width) for (c, z), width in zip(self._levels, widths, strict=False)]
+        convolution = partial(_convolution, flat=True)
+        self.stem = convolution(inputs * height, widths[0], stride=2)
+        self.down = nn.ModuleList(
+            convolution(below, width, stride=2 if level else 1)
+            for level, (below, width) in enumerate(zip([widths[0], *widths], widths, strict=False))
+        )
+        self.take = nn.ModuleList(Conv2d(*edge, 1) for edge in met if not alone)
+        self.mix = nn.ModuleList(convolution(width, width) for width in widths)
+        self.up = nn.ModuleList(
+            nn.ConvTranspose2d(above, width, 2, stride=2)
+            for width, above in itertools.pairwise(widths)
+        )
+        self.refine = nn.ModuleList(
+            nn.Sequential(convolution(2 * width, width), convolution(width, width))
+            for width in widths[:-1]
+        )
+        self.give = nn.ModuleList(Conv2d(width, cells, 1) for cells, width in met)
+
+    def forward(self, x: Tensor, skips: Sequence[Tensor] = ()) -> list[Tensor]:
+        """As the class says."""
+        flat, seen = self.stem(_flat(x)), []
+        for level, (down, mix) in enumerate(zip(self.down, self.mix, strict=True)):
+            flat = down(flat)
+            if skips:
+                flat = flat + self.take[level](_flat(skips[level]))
+            flat = mix(flat)
+            seen.append(flat)
+        found = [flat]
+        for level in reversed(range(len(self.up))):
+            flat = self.refine[level](torch.cat((self.up[level](flat), seen[level]), dim=1))
+            found.insert(0, flat)
+        return [
+            give(flat).unflatten(1, level).permute(0, 1, 3, 4, 2)
+            for give, flat, level in zip(self.give, found, self._levels, strict=False)
+        ]
+
+
+def _flat(x: Tensor) -> Tensor:
+    """(B, C, X, Y, Z) → (B, C·Z, X, Y)."""
+    return x.permute(0, 1, 4, 2, 3).flatten(1, 2)
+
+
+class _Direct:
+    """A convolution that completes a map alone as fast as in a batch.
+
+    On a CPU, torch leaves a batch of one small map to a path that takes four times as long, and
+    rounds otherwise, than that of larger batches: oneDNN, which is asked for all of them here
+    (docs/log.md).
+    """
+
+    def forward(self: Any, x: Tensor) -> Tensor:
+        """As torch's own."""
+        plain = x.device.type == "cpu" and not torch.is_autocast_enabled("cpu")
+        plain = plain and not torch.compiler.is_compiling()  # which chooses for itself
+        if plain and torch.is_inference_mode_enabled() and torch.backends.mkldnn.is_available():
+            given = self.padding, self.stride, self.dilation, self.groups
+            return torch.mkldnn_convolution(x, self.weight, self.bias, *given)
+        found: Tensor = super().forward(x)  # type: ignore[misc]
+        return found
+
+
+class Conv2d(_Direct, nn.Conv2d):
+    """torch's, with numbers for its padding."""
+
+
+class Conv3d(_Direct, nn.Conv3d):
+    """torch's, with numbers for its padding."""
+
+
+def _convolution(below: int, width: int, stride: int = 1, flat: bool = False) -> nn.Sequential:
+    """A convolution three wide, over x and y alone if `flat`, normalised, with its activation."""
+    conv, norm = (Conv2d, nn.BatchNorm2d) if flat else (Conv3d, nn.BatchNorm3d)
+    return nn.Sequential(
+        conv(below, width, 3, stride=stride, padding=1, bias=False),
+        norm(width),
         nn.ReLU(inplace=True),
-    ]
+    )

@@ -1,6 +1,6 @@
-"""What a network costs: parameters, multiply-accumulates, and the memory that training keeps per map."""
+"""What a network costs: parameters, multiply-accumulates, and the memory that training keeps per
+map."""
 
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -12,21 +12,12 @@ from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Network
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cost:
-    """What one network costs for one map."""
+def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
+    """What a network costs for one map of `shape`, counted by running it once.
 
-    variant: str
-    stem_stride: int
-    parameters: int
-    macs: int
-    """Multiply-accumulates of a forward pass: convolutions, linear layers, attention."""
-    activation_bytes: int
-    """What a training step keeps for its backward pass, float32."""
-
-
-def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> Cost:
-    """Count what a network costs on maps of `shape`, by running it once."""
+    `macs` are multiply-accumulates of a forward pass: convolutions, linear layers, attention;
+    `activation_bytes` is what a training step keeps for its backward pass, float32.
+    """
     network = Network(config).train()
     kept: dict[int, int] = {}
 
@@ -43,19 +34,19 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> Cost:
         network(maps)
     with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
         network(maps)
-    return Cost(
-        variant=config.variant,
-        stem_stride=config.stem_stride,
-        parameters=sum(parameter.numel() for parameter in network.parameters()),
-        macs=counter.get_total_flops() // 2,
-        activation_bytes=sum(kept.values()),
-    )
+    return {
+        "variant": config.variant,
+        "stem_stride": config.stem_stride,
+        "parameters": sum(parameter.numel() for parameter in network.parameters()),
+        "macs": counter.get_total_flops() // 2,
+        "activation_bytes": sum(kept.values()),
+    }
 
 
 def costs(shape: tuple[int, int, int] = (80, 80, 40)) -> list[dict[str, Any]]:
     """The costs of all variants with both stems."""
     return [
-        asdict(cost(NetworkConfig(variant=variant, stem_stride=stride), shape))
+        cost(NetworkConfig(variant=variant, stem_stride=stride), shape)
         for stride in (2, 1)
         for variant in VARIANTS
     ]

@@ -1,7 +1,7 @@
 """How a quadrotor leans: its attitude from the acceleration of its flight.
 
-A quadrotor's thrust is along its body's z axis, so that its acceleration decides which way that axis points, and its
-heading is free (Mellinger and Kumar 2011, ICRA, section III).
+A quadrotor's thrust is along its body's z axis, so that its acceleration decides which way that
+axis points, and its heading is free (Mellinger and Kumar 2011, ICRA, section III).
 """
 
 import math
@@ -19,13 +19,19 @@ LEAST_THRUST = 0.5
 
 
 def acceleration(
-    turns: NDArray[np.float64], ends_m: NDArray[np.float64], flown_m: float, *, speed_mps: float, settle_s: float
+    turns: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+    flown_m: float,
+    *,
+    speed_mps: float,
+    settle_s: float,
 ) -> tuple[float, float, float]:
-    """Acceleration, metres a second squared, `flown_m` along a path of straight legs that is flown at `speed_mps`.
+    """Acceleration, metres a second squared, `flown_m` along a path of straight legs that is flown
+    at `speed_mps`.
 
-    `turns` (n, 3) say how the direction, a unit vector, changes at the path's points, `ends_m` (n,) along it. Each
-    change of velocity is spread over `settle_s` before and after, by a triangle: this is the second derivative of the
-    path smoothed by that triangle.
+    `turns` (n, 3) say how the direction, a unit vector, changes at the path's points, `ends_m` (n,)
+    along it. Each change of velocity is spread over `settle_s` before and after, by a triangle:
+    this is the second derivative of the path smoothed by that triangle.
     """
     total = [0.0, 0.0, 0.0]
     for turn, end in zip(turns.tolist(), ends_m.tolist(), strict=True):
@@ -37,8 +43,8 @@ def acceleration(
 
 
 def leaning(pose: Pose, pull: tuple[float, float, float], *, most_deg: float) -> Pose:
-    """The level `pose` of a body that accelerates by `pull`, metres a second squared, as its thrust has it: turned the
-    shortest way, so that its heading stays. It leans by `most_deg` at most."""
+    """The level `pose` of a body that accelerates by `pull`, metres a second squared, as its thrust
+    has it: turned the shortest way, so that its heading stays. It leans by `most_deg` at most."""
     up = max(GRAVITY + pull[2], LEAST_THRUST * GRAVITY)
     w, _, _, z = pose.quaternion.tolist()
     cosine, sine = w * w - z * z, 2 * w * z

@@ -5,7 +5,8 @@ from pathlib import Path
 
 
 def commit() -> str:
-    """The checkout's commit, with a + where it has changes; ``unknown`` outside of one, or in another project's."""
+    """The checkout's commit, with a + where it has changes; ``unknown`` outside of one, or in
+    another project's."""
     here = Path(__file__).resolve().parents[1]
     if _git("rev-parse", "--show-toplevel") != str(here):
         return "unknown"
@@ -15,6 +16,8 @@ def commit() -> str:
 def _git(*words: str) -> str:
     try:
         here = Path(__file__).resolve().parent
-        return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=False).stdout.strip()
+        return subprocess.run(
+            ["git", *words], cwd=here, capture_output=True, text=True, check=False
+        ).stdout.strip()
     except OSError:  # git is not installed
         return ""

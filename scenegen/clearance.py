@@ -1,4 +1,5 @@
-"""How far a point or a straight motion stays from the solids of a world: the collision check of the flights."""
+"""How far a point or a straight motion stays from the solids of a world: the collision check of the
+flights."""
 
 import math
 
@@ -17,7 +18,8 @@ MOST_CELLS = 250_000
 CAP_M = 1.0
 """Distances are known exactly up to this; beyond it they count as this."""
 STEP_M = 1e-3
-"""Shortest step of a motion check, hence how much closer than asked a solid may be between two steps."""
+"""Shortest step of a motion check, hence how much closer than asked a solid may be between two
+steps."""
 
 
 class Clearance:
@@ -27,11 +29,14 @@ class Clearance:
     """
 
     def __init__(self, solids: Solids, bounds: NDArray[np.float64]):
-        """`bounds` (2, 3): least and greatest corner of where queries will come from, world metres."""
+        """`bounds` (2, 3): least and greatest corner of where queries will come from, world
+        metres."""
         low, high = bounds[0, :2], bounds[1, :2]
         self._low = low
         extent = high - low
-        cell_m = max(CELL_M, float(np.sqrt(extent.prod() / MOST_CELLS)), float(extent.max()) / MOST_CELLS)
+        cell_m = max(
+            CELL_M, float(np.sqrt(extent.prod() / MOST_CELLS)), float(extent.max()) / MOST_CELLS
+        )
         self._cells = np.maximum(np.ceil(extent / cell_m).astype(np.int64), 1)
         corners = solids.triangles
         lower = np.concatenate([solids.lower, corners.min(axis=1)])[:, :2] - CAP_M
@@ -59,17 +64,22 @@ class Clearance:
         """Distance in metres from a point to the nearest solid, at most `CAP_M`; 0 inside one."""
         return float(_clearance(x, y, z, *self._arguments))
 
-    def motion_is_free(self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float) -> bool:
-        """Whether a ball of `radius_m` (below `CAP_M`) moved straight from `p` to `q` stays clear of every solid.
+    def motion_is_free(
+        self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float
+    ) -> bool:
+        """Whether a ball of `radius_m` (below `CAP_M`) moved straight from `p` to `q` stays clear
+        of every solid.
 
-        Walks by the distance still free, which no solid can undercut, in steps of at least `STEP_M`.
+        Walks by the distance still free, which no solid can undercut, in steps of at least
+        `STEP_M`.
         """
         return bool(_motion_is_free(p, q, radius_m, self._arguments))
 
 
 @kernel
 def _sort_into_cells(first, last, cells):
-    """Compressed rows: item[start[c]:start[c + 1]] are the elements that reach into cell c, in rising order."""
+    """Compressed rows: item[start[c]:start[c + 1]] are the elements that reach into cell c, in
+    rising order."""
     start = np.zeros(cells[0] * cells[1] + 1, np.int64)
     for sweep in range(2):
         if sweep == 1:
@@ -89,7 +99,23 @@ def _sort_into_cells(first, last, cells):
 
 
 @kernel
-def _clearance(x, y, z, low, cell_m, cells, start, item, shape, size, position, rotation, triangles, owner, filled):
+def _clearance(
+    x,
+    y,
+    z,
+    low,
+    cell_m,
+    cells,
+    start,
+    item,
+    shape,
+    size,
+    position,
+    rotation,
+    triangles,
+    owner,
+    filled,
+):
     i = min(max(math.floor((x - low[0]) / cell_m), 0), cells[0] - 1)
     j = min(max(math.floor((y - low[1]) / cell_m), 0), cells[1] - 1)
     cell = i * cells[1] + j

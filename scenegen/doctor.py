@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from lidarsim.jit import cache_folder, cache_trouble
-from scenegen.dataset.manifest import installed, software
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
+from scenegen.software import installed, software
 from scenegen.source import DrawnWorlds
 from scenegen.workers import cores
 
@@ -18,7 +18,8 @@ SELF_TEST_S = 2.0
 
 
 def examine(folder: Path = Path()) -> dict[str, Any]:
-    """Everything about this machine that matters here. `ok` is False where the self-test found a law broken."""
+    """Everything about this machine that matters here. `ok` is False where the self-test found a
+    law broken."""
     usage = shutil.disk_usage(folder)
     test = self_test()
     return {
@@ -34,18 +35,22 @@ def examine(folder: Path = Path()) -> dict[str, Any]:
 
 
 def self_test() -> dict[str, Any]:
-    """Draw samples for two seconds and hold them to their laws: every return lies in an occupied voxel, and a sample
-    drawn again is the same to the bit."""
+    """Draw samples for two seconds and hold them to their laws: every return lies in an occupied
+    voxel, and a sample drawn again is the same to the bit."""
     recipe = preset("pillar")
     source = DrawnWorlds(recipe)
-    first = draw_unit(source, recipe, seed=0, split="train", unit=0)  # compiles, where nothing is cached
+    first = draw_unit(
+        source, recipe, seed=0, split="train", unit=0
+    )  # compiles, where nothing is cached
     again = draw_unit(source, recipe, seed=0, split="train", unit=0)
     repeatable = [s.sha256() for s in first.samples] == [s.sha256() for s in again.samples]
     begin, units, samples, contained = time.perf_counter(), 0, 0, True
     while time.perf_counter() - begin < SELF_TEST_S:
         drawn = draw_unit(source, recipe, seed=0, split="train", unit=units)
         units, samples = units + 1, samples + len(drawn.samples)
-        contained &= all(not np.any(sample.observed & ~sample.occupancy) for sample in drawn.samples)
+        contained &= all(
+            not np.any(sample.observed & ~sample.occupancy) for sample in drawn.samples
+        )
     rate = samples / (time.perf_counter() - begin)
     return {
         "ok": repeatable and contained,

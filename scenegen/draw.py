@@ -1,4 +1,5 @@
-"""One unit of work: a world is drawn, flown through and scanned, and its samples come out. The whole method is here."""
+"""One unit of work: a world is drawn, flown through and scanned, and its samples come out. The
+whole method is here."""
 
 import functools
 from collections import Counter
@@ -50,11 +51,13 @@ def draw_unit(
     derived: bool = True,
     engine: EngineFactory = AnalyticEngine.of,
 ) -> Unit:
-    """Samples of unit `unit` of `split`: they depend on the arguments alone, not on what was drawn before.
+    """Samples of unit `unit` of `split`: they depend on the arguments alone, not on what was drawn
+    before.
 
-    `engine` makes what casts the rays of a world, which a world from an MJCF file shares among its flights.
-    A draw that is rejected is made again under the same number. `derived` False leaves `tudf` out (an empty array
-    stands in); `free` comes with `observed` anyway. Raises GenerationError after `recipe.accept.max_draws` draws.
+    `engine` makes what casts the rays of a world, which a world from an MJCF file shares among its
+    flights. A draw that is rejected is made again under the same number. `derived` False leaves
+    `tudf` out (an empty array stands in); `free` comes with `observed` anyway. Raises
+    GenerationError after `recipe.accept.max_draws` draws.
     """
     rejected = Rejections()
     number, turn = source.number(split, unit)
@@ -66,7 +69,16 @@ def draw_unit(
             first = turn * recipe.flight.viewpoints
             samples = tuple(
                 sample_of(
-                    with_noise(scans, recipe.noise, world, caster, seed=seed, split=split, unit=unit, view=n),
+                    with_noise(
+                        scans,
+                        recipe.noise,
+                        world,
+                        caster,
+                        seed=seed,
+                        split=split,
+                        unit=unit,
+                        view=n,
+                    ),
                     occupancy,
                     recipe,
                     world,
@@ -100,8 +112,9 @@ def engine_of(engine: EngineFactory, world: World) -> Engine:
 def _fly(
     world: World, engine: Engine, recipe: Recipe, rejected: Rejections, *, rng: np.random.Generator
 ) -> list[tuple[list[Scan], np.ndarray]] | None:
-    """Scans and occupancies from one flight's viewpoints, in flight order; None, with the reason counted, if the world
-    yields no acceptable flight. Of a viewpoint's scans, the first is its own; the others were made before it."""
+    """Scans and occupancies from one flight's viewpoints, in flight order; None, with the reason
+    counted, if the world yields no acceptable flight. Of a viewpoint's scans, the first is its own;
+    the others were made before it."""
     reason = "no_flight"
     for _ in range(recipe.flight.flights_per_world):
         path = plan(world.clearance, world.flight_bounds, recipe.flight, rng=rng)
@@ -120,7 +133,10 @@ def _fly(
             if len(kept) == recipe.flight.viewpoints:
                 kept.sort(key=lambda view: candidates.flown_m[view[0]])
                 return [
-                    ([scan, *scans_from(candidates.before(n, recipe.mapping), engine, recipe)], occupancy)
+                    (
+                        [scan, *scans_from(candidates.before(n, recipe.mapping), engine, recipe)],
+                        occupancy,
+                    )
                     for n, scan, occupancy in kept
                 ]
         reason = "few_viewpoints"
@@ -131,9 +147,13 @@ def _fly(
 def _look(
     world: World, engine: Engine, pose: Pose, recipe: Recipe, rejected: Rejections
 ) -> tuple[Scan, np.ndarray] | None:
-    """The scan and the occupancy at a viewpoint; None, with the reason counted, where there is next to nothing."""
+    """The scan and the occupancy at a viewpoint; None, with the reason counted, where there is next
+    to nothing."""
     (scan,) = scans_from([pose], engine, recipe)
-    if np.count_nonzero(np.isfinite(scan.ranges)) < scan.ranges.size * recipe.accept.min_returned_share:
+    if (
+        np.count_nonzero(np.isfinite(scan.ranges))
+        < scan.ranges.size * recipe.accept.min_returned_share
+    ):
         rejected.viewpoints["few_returns"] += 1
         return None
     occupancy = rasterize(world.solids, recipe.grid, recipe.mapping.origin(recipe.grid, pose))
@@ -144,7 +164,8 @@ def _look(
 
 
 def scans_from(poses: Sequence[Pose], engine: Engine, recipe: Recipe) -> list[Scan]:
-    """The clean scans of the recipe's sensor from `poses`. Raises GenerationError where the engine fails."""
+    """The clean scans of the recipe's sensor from `poses`. Raises GenerationError where the engine
+    fails."""
     try:
         return [cast(engine, recipe.lidar, pose) for pose in poses]
     except ValueError as error:
@@ -163,7 +184,9 @@ def sample_of(
 ) -> Sample:
     """The record of one view: what its scans, its own first, show of the grid, and the truth."""
     own, *earlier = scans
-    seen = fuse(scans[::-1], recipe.grid, recipe.mapping.origin(recipe.grid, own.pose), recipe.mapping)
+    seen = fuse(
+        scans[::-1], recipe.grid, recipe.mapping.origin(recipe.grid, own.pose), recipe.mapping
+    )
     sample = whole(
         {
             "observed": seen.observed,
@@ -186,23 +209,31 @@ def _middles(candidates: Viewpoints, recipe: Recipe) -> np.ndarray:
     """The middles (m, 3) of the candidates' maps, world metres."""
     if recipe.mapping.centred:
         return candidates.positions
-    corners = [recipe.mapping.origin(recipe.grid, candidates.pose(n)) for n in range(len(candidates))]
+    corners = [
+        recipe.mapping.origin(recipe.grid, candidates.pose(n)) for n in range(len(candidates))
+    ]
     return np.array(corners).reshape(-1, 3) + recipe.grid.extent_m / 2
 
 
-def _apart(position: np.ndarray, kept: list[tuple[int, Scan, np.ndarray]], spacing_m: float) -> bool:
+def _apart(
+    position: np.ndarray, kept: list[tuple[int, Scan, np.ndarray]], spacing_m: float
+) -> bool:
     """Whether a position keeps the least distance from all kept ones."""
-    return all(((position - scan.pose.position) ** 2).sum() >= spacing_m * spacing_m for _, scan, _ in kept)
+    return all(
+        ((position - scan.pose.position) ** 2).sum() >= spacing_m * spacing_m for _, scan, _ in kept
+    )
 
 
 def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float:
-    """Solids whose bounding boxes reach into the map, averaged over the maps of a flight's candidate viewpoints, whose
-    middles are `positions` (m, 3)."""
+    """Solids whose bounding boxes reach into the map, averaged over the maps of a flight's
+    candidate viewpoints, whose middles are `positions` (m, 3)."""
     if not len(positions):
         return 0.0
     half = recipe.grid.extent_m / 2
     lower, upper = world.solids.boxes
-    several = max(1_000_000 // max(len(lower), 1), 1)  # at a time, so that long flights over many solids fit in memory
+    several = max(
+        1_000_000 // max(len(lower), 1), 1
+    )  # at a time, so that long flights over many solids fit in memory
     total = 0
     for begin in range(0, len(positions), several):
         here = positions[begin : begin + several, None]
@@ -214,15 +245,25 @@ def _solids_nearby(world: World, positions: np.ndarray, recipe: Recipe) -> float
 def _hopeless(recipe: Recipe, rejected: Rejections, split: str, number: int) -> str:
     """Why no draw was kept, and what to change."""
     counted = ", ".join(f"{count} {name}" for name, count in rejected.worlds.items())
-    thinner, fuller = "give the scene other <numeric flight_bounds>", "fly where there are more solids"
+    thinner, fuller = (
+        "give the scene other <numeric flight_bounds>",
+        "fly where there are more solids",
+    )
     if recipe.world is not None:
-        given = ", ".join(f"world.{name} = {getattr(recipe.world, name)}" for name in recipe.world.crowded_by)
-        thinner, fuller = (f"{verb} {given or 'how many solids are drawn'}" for verb in ("lower", "raise"))
+        given = ", ".join(
+            f"world.{name} = {getattr(recipe.world, name)}" for name in recipe.world.crowded_by
+        )
+        thinner, fuller = (
+            f"{verb} {given or 'how many solids are drawn'}" for verb in ("lower", "raise")
+        )
     advice = {
-        "no_flight": f"no flight fits between the solids: {thinner}, or lower flight.robot_radius_m = "
+        "no_flight": f"no flight fits between the solids: {thinner}, or lower "
+        f"flight.robot_radius_m = "
         f"{recipe.flight.robot_radius_m}",
-        "few_solids": f"worlds are too empty: {fuller}, or lower accept.min_solids = {recipe.accept.min_solids}",
-        "few_viewpoints": f"flights give too few viewpoints: lower flight.viewpoints = {recipe.flight.viewpoints}, "
+        "few_solids": f"worlds are too empty: {fuller}, or lower accept.min_solids = "
+        f"{recipe.accept.min_solids}",
+        "few_viewpoints": f"flights give too few viewpoints: lower flight.viewpoints = "
+        f"{recipe.flight.viewpoints}, "
         f"flight.spacing_m = {recipe.flight.spacing_m}, "
         f"accept.min_occupied_share = {recipe.accept.min_occupied_share} or "
         f"accept.min_returned_share = {recipe.accept.min_returned_share}",

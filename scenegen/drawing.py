@@ -7,8 +7,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scenegen.screen import screen
+
 FLIGHT_BOUNDS = "flight_bounds"
-"""Name of the MJCF <numeric> that holds the box, least corner then greatest, in which the sensor may fly."""
+"""Name of the MJCF <numeric> that holds the box, least corner then greatest, in which the sensor
+may fly."""
 COLOUR = (0.62, 0.64, 0.68, 1.0)
 """Colour, as red, green, blue and alpha, of solids that are given none."""
 NUMBERS: dict[int, tuple[str, int]] = {
@@ -30,10 +33,11 @@ _PLACE = "    <light "
 
 
 class Drawing:
-    """Solids under the world body, which MuJoCo's own writer, twenty times slower, would write to the same bytes.
+    """Solids under the world body, which MuJoCo's own writer, twenty times slower, would write to
+    the same bytes.
 
-    It can do all that a `mujoco.MjSpec` can: any attribute of one that is asked for makes one, with the solids so far
-    in it, and from then on MuJoCo writes the document.
+    It can do all that a `mujoco.MjSpec` can: any attribute of one that is asked for makes one, with
+    the solids so far in it, and from then on MuJoCo writes the document.
     """
 
     def __init__(self, flight_bounds: NDArray[np.float64]):
@@ -42,13 +46,17 @@ class Drawing:
         self._numbers: list[NDArray[np.float64]] = []
         self._spec: mujoco.MjSpec | None = None
 
-    def add_geom(self, shape: mujoco.mjtGeom, size: ArrayLike, position: ArrayLike, **more: Any) -> None:
-        """Add one solid, lengths in metres. `more` may give `quat` (w x y z) and `rgba`, and all else that MuJoCo's
-        `add_geom` takes."""
+    def add_geom(
+        self, shape: mujoco.mjtGeom, size: ArrayLike, position: ArrayLike, **more: Any
+    ) -> None:
+        """Add one solid, lengths in metres. `more` may give `quat` (w x y z) and `rgba`, and all
+        else that MuJoCo's `add_geom` takes."""
         if self._spec is None and more.keys() <= {"quat", "rgba"}:
             sizes = np.zeros(3)
             sizes[: np.size(size)] = size
-            self.add_geoms([shape], sizes, position, more.get("quat", UPRIGHT), more.get("rgba", COLOUR))
+            self.add_geoms(
+                [shape], sizes, position, more.get("quat", UPRIGHT), more.get("rgba", COLOUR)
+            )
         else:
             self.worldbody.add_geom(type=shape, size=size, pos=position, **more)
 
@@ -60,9 +68,9 @@ class Drawing:
         quats: ArrayLike = UPRIGHT,
         rgba: ArrayLike = COLOUR,
     ) -> None:
-        """Add n solids at once, which is quicker than one by one: shapes (n,), codes of `mujoco.mjtGeom`; sizes (n, 3)
-        as MuJoCo has them and positions (n, 3), metres; attitudes (n, 4), w x y z; colours (n, 4). What is the same for
-        all may lack the first axis."""
+        """Add n solids at once, which is quicker than one by one: shapes (n,), codes of
+        `mujoco.mjtGeom`; sizes (n, 3) as MuJoCo has them and positions (n, 3), metres; attitudes
+        (n, 4), w x y z; colours (n, 4). What is the same for all may lack the first axis."""
         codes = np.asarray(shapes, dtype=np.int64).tolist()
         numbers = np.empty((len(codes), 14))
         for columns, values in zip(COLUMNS, (sizes, positions, quats, rgba), strict=True):
@@ -82,7 +90,8 @@ class Drawing:
         return getattr(self._spec, name)
 
     def mjcf(self) -> bytes:
-        """The document, UTF-8. Raises ValueError for what MuJoCo does not take."""
+        """The document, UTF-8. Raises ValueError for what MuJoCo does not take, and BrokenError for
+        what no reader of the archive would."""
         if self._spec is None and len(self._shapes) <= MOST_WRITTEN:
             lines = _lines(self._shapes, np.concatenate([np.empty((0, 14)), *self._numbers]))
             if lines is not None:
@@ -91,11 +100,14 @@ class Drawing:
         self.worldbody  # noqa: B018 (from here on, there is a spec)
         assert self._spec is not None
         self._spec.memory = least_memory(len(self._spec.geoms))
-        return self._spec.to_xml().encode()
+        document: bytes = self._spec.to_xml().encode()
+        screen(document, {}, "its document")
+        return document
 
 
 def least_memory(geoms: int) -> int:
-    """Bytes for MuJoCo's <size memory>: as little as will do, for they are taken anew for every world."""
+    """Bytes for MuJoCo's <size memory>: as little as will do, for they are taken anew for every
+    world."""
     return max(1 << 20, 256 * geoms)
 
 
@@ -105,7 +117,9 @@ def _empty(bounds: tuple[float, ...]) -> mujoco.MjSpec:
     spec.modelname = "scenegen"
     spec.default.geom.rgba = COLOUR
     spec.add_numeric(name=FLIGHT_BOUNDS, data=bounds, size=6)
-    spec.worldbody.add_light(pos=[0, 0, 30], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    spec.worldbody.add_light(
+        pos=[0, 0, 30], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    )
     return spec
 
 
@@ -122,7 +136,9 @@ def _add(spec: mujoco.MjSpec, shapes: list[int], numbers: NDArray[np.float64]) -
     """Add solids, their numbers (n, 14) as `COLUMNS` says."""
     for shape, row in zip(shapes, numbers, strict=True):
         size, position, quat, rgba = (row[columns] for columns in COLUMNS)
-        spec.worldbody.add_geom(type=mujoco.mjtGeom(shape), size=size, pos=position, quat=quat, rgba=rgba)
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom(shape), size=size, pos=position, quat=quat, rgba=rgba
+        )
 
 
 def _lines(shapes: list[int], numbers: NDArray[np.float64]) -> str | None:
@@ -138,9 +154,18 @@ def _lines(shapes: list[int], numbers: NDArray[np.float64]) -> str | None:
     if not (plain.all() and all(counts) and ((length > 0.5) & (length < 2.0)).all()):
         return None
     turn = quat / length[:, None]
-    placed, turned, coloured = (position != 0.0).any(1), (turn != UPRIGHT).any(1), (rgba != COLOUR).any(1)
+    placed, turned, coloured = (
+        (position != 0.0).any(1),
+        (turn != UPRIGHT).any(1),
+        (rgba != COLOUR).any(1),
+    )
     forms = map(_form, shapes, placed.tolist(), turned.tolist(), coloured.tolist())
-    masks = (sized, placed[:, None].repeat(3, 1), turned[:, None].repeat(4, 1), coloured[:, None].repeat(4, 1))
+    masks = (
+        sized,
+        placed[:, None].repeat(3, 1),
+        turned[:, None].repeat(4, 1),
+        coloured[:, None].repeat(4, 1),
+    )
     written = np.concatenate([size, position, turn, rgba], axis=1)[np.concatenate(masks, axis=1)]
     return "".join(forms) % tuple((written + 0.0).tolist())  # a zero has no sign
 
@@ -150,6 +175,8 @@ def _form(shape: int, placed: bool, turned: bool, coloured: bool) -> str:
     """A geom's line, with six digits for every number that is written, as C++ writes them."""
     attribute, count = NUMBERS[shape]
     parts = (("size", count), ("pos", 3 * placed), ("quat", 4 * turned))
-    line = "".join(f' {name}="{" ".join(["%.6g"] * numbers)}"' for name, numbers in parts if numbers)
+    line = "".join(
+        f' {name}="{" ".join(["%.6g"] * numbers)}"' for name, numbers in parts if numbers
+    )
     colour = ' rgba="%.6g %.6g %.6g %.6g"' if coloured else ""
     return f"    <geom{line}{attribute}{colour}/>\n"

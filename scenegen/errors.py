@@ -1,4 +1,5 @@
-"""What can be wrong with what a user gave. Every message is one line: what, where, what was expected, how to fix it."""
+"""What can be wrong with what a user gave. Every message is one line: what, where, what was
+expected, how to fix it."""
 
 from lidarsim.registry import own_line
 
@@ -7,7 +8,8 @@ MOST_TOLD = 60
 
 
 class ScenegenError(Exception):
-    """Base of every error that a user can act on; the command line prints it without a traceback."""
+    """Base of every error that a user can act on; the command line prints it without a
+    traceback."""
 
 
 class RecipeError(ScenegenError):
@@ -27,7 +29,12 @@ class DatasetError(ScenegenError):
 
 
 class BrokenError(DatasetError):
-    """A file of a dataset is not as the format says, and cannot be looked at any further; the message is the fault."""
+    """A file of a dataset is not as the format says, and cannot be looked at any further; the
+    message is the fault."""
+
+
+class NewerError(BrokenError):
+    """A file names something that this scenegen does not know: a newer one may have written it."""
 
 
 class PlaceError(ScenegenError):
@@ -39,7 +46,8 @@ class PublishError(ScenegenError):
 
 
 class GuardError(ScenegenError):
-    """A process that looked at a stranger's file crashed, took too long, or took too much memory."""
+    """A process that looked at a stranger's file crashed, took too long, or took too much
+    memory."""
 
 
 class StoppedError(ScenegenError):
@@ -68,7 +76,8 @@ def escaped(text: object) -> str:
 
 
 def needs(packages: str, extra: str) -> str:
-    """What to say where `packages` of our optional dependencies `extra` are not installed, and how to get them."""
+    """What to say where `packages` of our optional dependencies `extra` are not installed, and how
+    to get them."""
     return f"needs {packages}; in scenegen's checkout: pip install -e '.[{extra}]'"
 
 
@@ -79,9 +88,11 @@ def empty_split(split: str) -> str:
 
 
 def printable(text: object) -> str:
-    """`text` as one line that a terminal shows as it is: line ends become spaces, control characters become escapes.
+    """`text` as one line that a terminal shows as it is: line ends become spaces, control
+    characters become escapes.
 
-    Names, keys and messages may come from a stranger's file; raw, they could print lines of their own.
+    Names, keys and messages may come from a stranger's file; raw, they could print lines of their
+    own.
     """
     return escaped(" ".join(str(text).split()))
 

@@ -1,4 +1,5 @@
-"""What is measured of one sample by itself, by name: what `inspect` tells, and `take` can choose by."""
+"""What is measured of one sample by itself, by name: what `inspect` tells, and `take` can choose
+by."""
 
 from collections.abc import Callable, Mapping
 
@@ -27,5 +28,5 @@ FIGURES: Mapping[str, Callable[[Sample], float]] = {
     "range_m": _range_m,
     "tudf_m": lambda sample: float(sample.tudf.mean()),
 }
-"""Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for none; and the mean
-distance of the map's voxels, metres."""
+"""Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
+none; and the mean distance of the map's voxels, metres."""

@@ -1,4 +1,5 @@
-"""Files: read only where they are regular and no larger than expected, written whole or not at all."""
+"""Files: read only where they are regular and no larger than expected, written whole or not at
+all."""
 
 import errno
 import hashlib
@@ -22,47 +23,54 @@ from scenegen.stopping import undone_if_stopped
 
 STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
+MARK = "user.scenegen"
+"""The attribute of every file written whole, which holds when that was: see `check_ours`."""
 DRAFT = re.compile(
     r"\.scenegen-(?P<said>(?P<target>\w{12})-(?P<machine>\w{12})-(?P<pid>\d{1,10})-(?P<start>\d{1,20})-\w{16})"
     r"-(?P<digest>\w{12})\.tmp",
     re.ASCII,
 )
-"""What drafts are called: for which name, where and by which process, a secret, and a digest of it all."""
+"""What drafts are called: for which name, where and by which process, a secret, and a digest of it
+all."""
 
 
 def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
-    """`path` opened for reading, if it is a regular file of at most `most_bytes` bytes: no pipe or device, whose
-    reading might never end. An object of a place is copied first, unless it was before.
+    """`path` opened for reading, if it is a regular file of at most `most_bytes` bytes: no pipe or
+    device, whose reading might never end. An object of a place is copied first, unless it was
+    before.
 
     Raises DatasetError for anything else, FileNotFoundError where there is nothing, and PlaceError.
     """
     if isinstance(path, PlacePath):
         return path.open_bounded(most_bytes)
+    if note_file(path.parent).is_file():
+        from scenegen.places.cache import fetch
+
+        fetch(path)
     try:
         handle = os.open(
             path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
         )  # opening a pipe does not wait for its writer
     except (FileNotFoundError, NotADirectoryError):
-        if note_file(path.parent).is_file():
-            from scenegen.places.cache import fetch
-
-            if fetch(path):
-                return open_bounded(path, most_bytes)
         raise FileNotFoundError(errno.ENOENT, "no such file", str(path)) from None
     except OSError as error:
-        raise DatasetError(f"{path}: cannot be opened ({error.strerror}); give a file that can be read") from None
+        raise DatasetError(
+            f"{path}: cannot be opened ({error.strerror}); give a file that can be read"
+        ) from None
     status = os.fstat(handle)
     if stat.S_ISREG(status.st_mode) and status.st_size <= most_bytes:
         return open(handle, "rb")
     os.close(handle)
     if not stat.S_ISREG(status.st_mode):
         raise DatasetError(f"{path}: is not a regular file; give a file")
-    raise DatasetError(f"{path}: {status.st_size} bytes, expected {most_bytes} at most; give a smaller file")
+    raise DatasetError(
+        f"{path}: {status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
+    )
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
-    """The content of a regular file of at most `most_bytes` bytes, however it grows meanwhile. Raises as
-    `open_bounded`."""
+    """The content of a regular file of at most `most_bytes` bytes, however it grows meanwhile.
+    Raises as `open_bounded`."""
     with open_bounded(path, most_bytes) as file:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:
@@ -71,7 +79,8 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
 
 
 def check_target(path: Path) -> None:
-    """Raise DatasetError unless `path` is free or a regular file: no device, pipe, folder or link is ever replaced."""
+    """Raise DatasetError unless `path` is free or a regular file: no device, pipe, folder or link
+    is ever replaced."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -79,9 +88,33 @@ def check_target(path: Path) -> None:
     except OSError as error:
         raise disk_error(path, error) from None
     if stat.S_ISLNK(mode):
-        raise DatasetError(f"{path}: is a symbolic link, which would be lost; give the name of the file it leads to")
+        raise DatasetError(
+            f"{path}: is a symbolic link, which would be lost; give the name of the file it leads "
+            f"to"
+        )
     if not stat.S_ISREG(mode):
-        raise DatasetError(f"{path}: is not a regular file, and only such a file is replaced; give another name")
+        raise DatasetError(
+            f"{path}: is not a regular file, and only such a file is replaced; give another name"
+        )
+
+
+def check_ours(path: Path) -> None:
+    """Raise DatasetError unless `path` is free, or a file as this program wrote it: nobody else's
+    is replaced, and none that somebody changed since. Where the file system keeps no attributes,
+    nothing counts as written by it."""
+    check_target(path)
+    if path.exists() and not _is_marked(path):
+        raise DatasetError(
+            f"{path}: is there already, and not as scenegen wrote it; remove it, or give another "
+            f"name"
+        )
+
+
+def _is_marked(path: Path) -> bool:
+    try:
+        return int(os.getxattr(path, MARK)) == path.stat().st_mtime_ns
+    except (AttributeError, OSError, ValueError):  # AttributeError elsewhere than on Linux
+        return False
 
 
 def make_parent(path: Path) -> None:
@@ -93,7 +126,8 @@ def make_parent(path: Path) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Put `content` at `path`: complete and on disk, or not at all. Raises as `whole`, and as `PlacePath.put`."""
+    """Put `content` at `path`: complete and on disk, or not at all. Raises as `whole`, and as
+    `PlacePath.put`."""
     if isinstance(path, PlacePath):
         path.put(content)
         return
@@ -101,10 +135,18 @@ def write_whole(path: Path, content: bytes) -> None:
         file.write(content)
 
 
+def write_result(path: Path, content: bytes) -> None:
+    """Put at `path` what a user gave that name for. Raises as `check_ours` and `whole`."""
+    check_ours(path)
+    make_parent(path)
+    remove_drafts(path.parent, path.name)
+    write_whole(path, content)
+
+
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A file to write to, empty and there: when the block ends, it stands at `path`, complete and on disk; if it
-    fails, nowhere.
+    """A file to write to, empty and there: when the block ends, it stands at `path`, complete and
+    on disk; if it fails, nowhere.
 
     Raises DatasetError where the disk refuses, or where `path` is neither free nor a regular file.
     """
@@ -119,14 +161,23 @@ def _draft(path: Path) -> Iterator[tuple[Path, BinaryIO]]:
     draft = draft_of(path)
     try:
         with undone_if_stopped(lambda: draft.unlink(missing_ok=True)):
-            handle = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+            handle = os.open(
+                draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666
+            )
             try:
                 with open(handle, "wb") as file:
                     yield draft, file
                     file.flush()
+                    with suppress(AttributeError, OSError):
+                        os.setxattr(
+                            file.fileno(), MARK, str(os.fstat(file.fileno()).st_mtime_ns).encode()
+                        )
                     os.fsync(file.fileno())
                     if not os.path.samestat(draft.lstat(), os.fstat(file.fileno())):
-                        raise DatasetError(f"{path}: somebody exchanged the file while it was written; write elsewhere")
+                        raise DatasetError(
+                            f"{path}: somebody exchanged the file while it was written; write "
+                            f"elsewhere"
+                        )
                 check_target(path)
                 draft.replace(path)
             except BaseException:
@@ -158,8 +209,8 @@ def disk_error(path: Path, error: OSError) -> DatasetError:
 
 
 def draft_of(path: Path) -> Path:
-    """A new name beside `path` that nobody can guess. It says for which name and by which process it is, so that
-    `remove_drafts` finds what this program left behind, and nothing else."""
+    """A new name beside `path` that nobody can guess. It says for which name and by which process
+    it is, so that `remove_drafts` finds what this program left behind, and nothing else."""
     pid = os.getpid()
     said = f"{_digest(path.name)}-{_machine()}-{pid}-{_start_of(pid)}-{secrets.token_hex(8)}"
     return path.with_name(f".scenegen-{said}-{_digest(said)}.tmp")
@@ -174,14 +225,18 @@ def names_in(folder: Path) -> set[str]:
 
 
 def remove_drafts(folder: Path, target: str | None = None) -> None:
-    """Delete drafts in `folder` that this user's scenegen made, of `target` alone if that is given, and whose writer
-    is gone: an ended process of this machine, or one of another machine that wrote nothing for `STALE_S`. A place has
-    none: its objects are complete or absent."""
+    """Delete drafts in `folder` that this user's scenegen made, of `target` alone if that is given,
+    and whose writer is gone: an ended process of this machine, or one of another machine that wrote
+    nothing for `STALE_S`. A place has none: its objects are complete or absent."""
     if isinstance(folder, PlacePath):
         return
     for draft in folder.glob(".scenegen-*.tmp"):
         said = DRAFT.fullmatch(draft.name)
-        if not said or said["digest"] != _digest(said["said"]) or (target and said["target"] != _digest(target)):
+        if (
+            not said
+            or said["digest"] != _digest(said["said"])
+            or (target and said["target"] != _digest(target))
+        ):
             continue
         with suppress(OSError):  # another process may be removing it
             status = draft.lstat()
@@ -201,8 +256,8 @@ def _is_gone(said: re.Match[str], modified_s: float) -> bool:
 
 
 def _start_of(pid: int) -> int:
-    """When a process began, in clock ticks since the machine did: numbers of processes are used again. 0 for one that
-    is not there, and where nothing tells."""
+    """When a process began, in clock ticks since the machine did: numbers of processes are used
+    again. 0 for one that is not there, and where nothing tells."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:

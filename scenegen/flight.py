@@ -34,12 +34,17 @@ class Flight:
 
     robot_radius_m: float = number(0.3, above=0, below=CAP_M)
     """Clearance that every point of a flight keeps, metres."""
-    altitude_m: tuple[float, float] = number((1.5, 5.0), least=-MOST_DRAWN_M, most=MOST_DRAWN_M, rising=True)
-    """Heights between which flights keep, metres; a world from an MJCF file brings its own bounds."""
+    altitude_m: tuple[float, float] = number(
+        (1.5, 5.0), least=-MOST_DRAWN_M, most=MOST_DRAWN_M, rising=True
+    )
+    """Heights between which flights keep, metres; a world from an MJCF file brings its own
+    bounds."""
     margin_m: float = number(8.0, least=0, most=MOST_DRAWN_M)
-    """How far flights keep from a drawn world's lateral edges, metres: half a map, so that maps lie in the world."""
+    """How far flights keep from a drawn world's lateral edges, metres: half a map, so that maps lie
+    in the world."""
     min_distance_m: float = number(10.0, least=0, most=MOST_LENGTH_M)
-    """Least distance between start and goal, metres; a third of the flight bounds' diagonal where that is less."""
+    """Least distance between start and goal, metres; a third of the flight bounds' diagonal where
+    that is less."""
     viewpoints: int = number(5, least=1, most=MOST_VIEWPOINTS)
     """Samples a flight gives."""
     spacing_m: float = number(1.0, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
@@ -56,7 +61,9 @@ class Flight:
     def __post_init__(self) -> None:
         check(self)
         if self.altitude_m[0] == self.altitude_m[1]:
-            raise ValueError(f"altitude_m = {list(self.altitude_m)}: expected [low, high] in metres, low < high")
+            raise ValueError(
+                f"altitude_m = {list(self.altitude_m)}: expected [low, high] in metres, low < high"
+            )
 
     def bounds(self, size_m: tuple[float, float, float]) -> NDArray[np.float64]:
         """The box (2, 3) in which flights through a drawn world of extent `size_m` keep.
@@ -65,11 +72,15 @@ class Flight:
         """
         low, high = self.altitude_m
         box = np.array(
-            [[self.margin_m, self.margin_m, low], [size_m[0] - self.margin_m, size_m[1] - self.margin_m, high]]
+            [
+                [self.margin_m, self.margin_m, low],
+                [size_m[0] - self.margin_m, size_m[1] - self.margin_m, high],
+            ]
         )
         if not (box[0] < box[1]).all():
             raise ValueError(
-                f"[flight] margin_m = {self.margin_m}: leaves no room to fly in a world of {list(size_m)} metres"
+                f"[flight] margin_m = {self.margin_m}: leaves no room to fly in a world of "
+                f"{list(size_m)} metres"
             )
         return box
 
@@ -77,10 +88,12 @@ class Flight:
 def plan(
     clearance: Clearance, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """One collision-free path (n, 3) in world metres between a random start and goal in `bounds` (2, 3), or None.
+    """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
+    (2, 3), or None.
 
-    RRT (LaValle 1998) as OMPL has it. The same `rng` state gives the same path: OMPL's own generator is seeded from it
-    before a fresh planner is made, and the search ends on a count of iterations, never on time.
+    RRT (LaValle 1998) as OMPL has it. The same `rng` state gives the same path: OMPL's own
+    generator is seeded from it before a fresh planner is made, and the search ends on a count of
+    iterations, never on time.
     """
     ends = _start_and_goal(clearance, bounds, flight, rng=rng)
     seed = int(rng.integers(1, 2**31))
@@ -94,7 +107,9 @@ def plan(
         box.setHigh(axis, float(bounds[1, axis]))
     space.setBounds(box)
     information = ob.SpaceInformation(space)
-    information.setStateValidityChecker(lambda state: True)  # motions are checked whole, their ends included
+    information.setStateValidityChecker(
+        lambda state: True
+    )  # motions are checked whole, their ends included
     information.setMotionValidator(_Motions(information, clearance, flight.robot_radius_m))
     information.setup()
     problem = ob.ProblemDefinition(information)
@@ -111,11 +126,14 @@ def plan(
     status = planner.solve(ob.PlannerTerminationCondition(lambda: next(rounds, None) is None))
     if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
         return None
-    return np.array([[state[0], state[1], state[2]] for state in problem.getSolutionPath().getStates()])
+    return np.array(
+        [[state[0], state[1], state[2]] for state in problem.getSolutionPath().getStates()]
+    )
 
 
 class _Motions(ob.MotionValidator):
-    """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, to a millimetre between its ends."""
+    """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, to a millimetre between
+    its ends."""
 
     def __init__(self, information: ob.SpaceInformation, clearance: Clearance, radius_m: float):
         super().__init__(information)
@@ -123,7 +141,9 @@ class _Motions(ob.MotionValidator):
         self._radius_m = radius_m
 
     def checkMotion(self, a: ob.State, b: ob.State, last_valid: object = None) -> bool:  # noqa: N802 (OMPL's name)
-        return self._clearance.motion_is_free((a[0], a[1], a[2]), (b[0], b[1], b[2]), self._radius_m)
+        return self._clearance.motion_is_free(
+            (a[0], a[1], a[2]), (b[0], b[1], b[2]), self._radius_m
+        )
 
 
 def _start_and_goal(
@@ -165,7 +185,8 @@ class Route:
 
     @cached_property
     def headings(self) -> NDArray[np.float64]:
-        """(n - 1, 2): x and y of the legs; where one climbs straight up, the body looks as it did before."""
+        """(n - 1, 2): x and y of the legs; where one climbs straight up, the body looks as it did
+        before."""
         legs = self.legs
         level = np.sqrt(legs[:, 0] * legs[:, 0] + legs[:, 1] * legs[:, 1]) > 1e-6
         turned = np.maximum.accumulate(np.where(level, np.arange(len(legs)), 0))
@@ -173,12 +194,14 @@ class Route:
 
     @cached_property
     def turns(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """How the direction of flight changes at each point, its begin and end included, (k, 3), and the metres flown
-        there, (k,)."""
+        """How the direction of flight changes at each point, its begin and end included, (k, 3),
+        and the metres flown there, (k,)."""
         there = self.lengths > 0.0
         direction = self.legs[there] / self.lengths[there, None]
         still = np.zeros((1, 3))
-        return np.diff(np.concatenate([still, direction, still]), axis=0), self.ends[np.append(there, True)]
+        return np.diff(np.concatenate([still, direction, still]), axis=0), self.ends[
+            np.append(there, True)
+        ]
 
     def at(self, flown_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions (m, 3) and headings (m, 2) at `flown_m` (m,)."""
@@ -192,13 +215,16 @@ class Route:
         level = Pose.facing(positions[0], headings[0])
         if not mapping.tilt_mps:
             return level
-        pull = acceleration(*self.turns, flown_m, speed_mps=mapping.tilt_mps, settle_s=mapping.settle_s)
+        pull = acceleration(
+            *self.turns, flown_m, speed_mps=mapping.tilt_mps, settle_s=mapping.settle_s
+        )
         return leaning(level, pull, most_deg=mapping.most_tilt_deg)
 
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Places along a flight where the sensor could scan: m of them, in the order in which to try them."""
+    """Places along a flight where the sensor could scan: m of them, in the order in which to try
+    them."""
 
     flown_m: NDArray[np.float64]
     """(m,): metres flown from the start."""
@@ -220,10 +246,14 @@ class Viewpoints:
     def before(self, n: int, mapping: Mapper) -> list[Pose]:
         """The poses from which the earlier scans of viewpoint `n` are made, the last one first."""
         back = [mapping.scan_spacing_m * number for number in range(1, mapping.scans)]
-        return [self.route.pose(max(float(self.flown_m[n]) - metres, 0.0), mapping) for metres in back]
+        return [
+            self.route.pose(max(float(self.flown_m[n]) - metres, 0.0), mapping) for metres in back
+        ]
 
 
-def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator) -> Viewpoints:
+def viewpoints(
+    path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator
+) -> Viewpoints:
     """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it, in random order.
 
     Raises GenerationError where there would be more than `MOST_CANDIDATES`.
@@ -232,7 +262,8 @@ def viewpoints(path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Ge
     ends = route.ends
     if ends[-1] > MOST_CANDIDATES * spacing_m:
         raise GenerationError(
-            f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on a flight of "
+            f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on "
+            f"a flight of "
             f"{ends[-1]:.0f} m; raise it"
         )
     flown = np.arange(rng.uniform(0.0, spacing_m), ends[-1], spacing_m)

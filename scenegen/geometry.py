@@ -1,4 +1,5 @@
-"""What a world is, whatever it is called: a digest of its solids that no renaming, reordering or nesting changes."""
+"""What a world is, whatever it is called: a digest of its solids that no renaming, reordering or
+nesting changes."""
 
 import hashlib
 
@@ -8,20 +9,25 @@ from numpy.typing import NDArray
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
 
 ROUND_M = 1e-5
-"""Lengths are rounded to this before they are hashed: more than arithmetic can move them, less than matters."""
+"""Lengths are rounded to this before they are hashed: more than arithmetic can move them, less than
+matters."""
 
 
 def geometry_digest(solids: Solids) -> bytes:
     """SHA-256 of what fills space: every solid in a form of its own, sorted.
 
-    Two worlds with the same solids have the same digest, whatever the order, names, bodies or colours, the sign of a
-    quaternion, or which of a solid's equal placings was written (a box turned by 90° with its sizes exchanged).
-    A world moved as a whole is another world.
+    Two worlds with the same solids have the same digest, whatever the order, names, bodies or
+    colours, the sign of a quaternion, or which of a solid's equal placings was written (a box
+    turned by 90° with its sizes exchanged). A world moved as a whole is another world.
     """
     rows = [np.zeros((0, 13))]
     for shape in np.unique(solids.shape):
         chosen = solids.shape == shape
-        size, position, rotation = solids.size[chosen], solids.position[chosen], solids.rotation[chosen]
+        size, position, rotation = (
+            solids.size[chosen],
+            solids.position[chosen],
+            solids.rotation[chosen],
+        )
         form = _form(int(shape), size, position, rotation)
         # negative zeros are zeros
         rounded = np.rint(form / ROUND_M) + 0.0
@@ -30,14 +36,19 @@ def geometry_digest(solids: Solids) -> bytes:
     digest = hashlib.sha256(table[np.lexsort(table.T[::-1])].tobytes())
     for mesh in sorted(
         _mesh_digest(solids.triangles[first:last], bool(filled))
-        for first, last, filled in zip(solids.mesh_start, solids.mesh_start[1:], solids.mesh_filled, strict=False)
+        for first, last, filled in zip(
+            solids.mesh_start, solids.mesh_start[1:], solids.mesh_filled, strict=False
+        )
     ):
         digest.update(mesh)
     return digest.digest()
 
 
 def _form(
-    shape: int, size: NDArray[np.float64], position: NDArray[np.float64], rotation: NDArray[np.float64]
+    shape: int,
+    size: NDArray[np.float64],
+    position: NDArray[np.float64],
+    rotation: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Twelve numbers a solid that depend on the points it fills alone, (n, 12)."""
     form = np.zeros((len(size), 12))
@@ -61,22 +72,24 @@ def _form(
 
 
 def _unsigned(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`vectors` (..., 3), each or its opposite: that whose first component other than 0, rounded, is positive."""
+    """`vectors` (..., 3), each or its opposite: that whose first component other than 0, rounded,
+    is positive."""
     rounded = np.rint(vectors / ROUND_M)
     first = np.take_along_axis(rounded, np.argmax(rounded != 0, axis=-1)[..., None], axis=-1)
     return np.where(first < 0, -vectors, vectors)
 
 
 def _ordered(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Each three of `vectors` (n, 3, 3) in an order that depends on them alone: by a sum that tells rounded vectors
-    apart."""
+    """Each three of `vectors` (n, 3, 3) in an order that depends on them alone: by a sum that tells
+    rounded vectors apart."""
     rounded = np.rint(vectors / ROUND_M)
     key = rounded[..., 0] + np.sqrt(2.0) * rounded[..., 1] + np.sqrt(3.0) * rounded[..., 2]
     return np.take_along_axis(vectors, np.argsort(key, axis=1)[:, :, None], axis=1)
 
 
 def _mesh_digest(triangles: NDArray[np.float64], filled: bool) -> bytes:
-    """A digest of a soup of triangles (T, 3, 3) that does not depend on the order of triangles or of their corners."""
+    """A digest of a soup of triangles (T, 3, 3) that does not depend on the order of triangles or
+    of their corners."""
     rounded = (np.rint(triangles / ROUND_M) + 0.0).astype(np.int64).view(np.uint64)
     corners = _mixed(rounded[..., 0] + _mixed(rounded[..., 1] + _mixed(rounded[..., 2])))
     total = int(_mixed(corners.sum(axis=1)).sum())

@@ -1,4 +1,5 @@
-"""What is in a dataset, in a folder of datasets, or in a world: counts, sizes, statistics, and what does not fit."""
+"""What is in a dataset, in a folder of datasets, or in a world: counts, sizes, statistics, and what
+does not fit."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,7 +22,16 @@ from scenegen.figures import FIGURES
 from scenegen.places.cache import bytes_in
 from scenegen.workers import run
 
-SHAPES = ("planes", "height fields", "spheres", "capsules", "ellipsoids", "cylinders", "boxes", "meshes")
+SHAPES = (
+    "planes",
+    "height fields",
+    "spheres",
+    "capsules",
+    "ellipsoids",
+    "cylinders",
+    "boxes",
+    "meshes",
+)
 """What MuJoCo's codes of shapes stand for."""
 AT_ONCE = 200
 """Samples that a process measures before it tells of them."""
@@ -30,7 +40,8 @@ MOST_MEASURED = 200
 MOST_LISTED = 1000
 """The most datasets of a list."""
 MOST_BEYOND = 0.4
-"""The share of a map beyond its sensor's range from which on it is told; of the presets' maps it is 0.06."""
+"""The share of a map beyond its sensor's range from which on it is told; of the presets' maps it is
+0.06."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +60,17 @@ class Spread:
         """That of `values`."""
         if not values:
             return cls()
-        return cls(len(values), float(np.mean(values)), float(np.var(values)) * len(values), min(values), max(values))
+        return cls(
+            len(values),
+            float(np.mean(values)),
+            float(np.var(values)) * len(values),
+            min(values),
+            max(values),
+        )
 
     def __add__(self, other: "Spread") -> "Spread":
-        """That of both (Chan, Golub, LeVeque: Updating formulae for computing sample variances, 1979, eq. 2.1)."""
+        """That of both (Chan, Golub, LeVeque: Updating formulae for computing sample variances,
+        1979, eq. 2.1)."""
         count = self.count + other.count
         if not self.count or not other.count:
             return self if self.count else other
@@ -78,18 +96,29 @@ def inspect(
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> dict[str, Any]:
-    """A summary of the dataset in `folder`; statistics are taken over at most `most` samples a split, evenly spread, or
-    over all where that is None, by `workers` processes.
+    """A summary of the dataset in `folder`; statistics are taken over at most `most` samples a
+    split, evenly spread, or over all where that is None, by `workers` processes.
 
-    Shares are of all voxels or of all rays, {mean, std, min, max} over samples, None where no sample has the figure.
-    With `values`, every split has those of the measured samples, too, by figure. `on_start` is called with the number
-    of samples that are measured, once processes run, `on_done` with that of every few. Raises DatasetError.
+    Shares are of all voxels or of all rays, {mean, std, min, max} over samples, None where no
+    sample has the figure. With `values`, every split has those of the measured samples, too, by
+    figure. `on_start` is called with the number of samples that are measured, once processes run,
+    `on_done` with that of every few. Raises DatasetError.
     """
     dataset = Dataset(folder, partial=True)
     it = dataset.manifest
     found = {
-        **{"kind": it.kind, "seed": it.seed, "complete": it.complete, "digest": it.digest, "fields": list(it.fields)},
-        **{"grid": it.parameters["grid"], "rejected": it.rejected, "mapping": it.parameters.get("mapping")},
+        **{
+            "kind": it.kind,
+            "seed": it.seed,
+            "complete": it.complete,
+            "digest": it.digest,
+            "fields": list(it.fields),
+        },
+        **{
+            "grid": it.parameters["grid"],
+            "rejected": it.rejected,
+            "mapping": it.parameters.get("mapping"),
+        },
     }
     if it.sources:
         found["sources"] = [
@@ -100,28 +129,52 @@ def inspect(
     tasks = [(split.name, chosen) for split in splits for chosen in _chosen(split, most)]
     measured: list[tuple[dict[str, Spread], dict[str, list[float]]]] = [({}, {})] * len(tasks)
     begun = partial(on_start, sum(len(chosen) for _, chosen in tasks))
-    with closing(run(partial(_measure, dataset, values), enumerate(tasks), workers, begun)) as results:
+    with closing(
+        run(partial(_measure, dataset, values), enumerate(tasks), workers, begun)
+    ) as results:
         for number, spreads, rows in results:
             measured[number] = spreads, rows
             on_done(len(tasks[number][1]))
     said = {split.name: _describe(split, tasks, measured, values) for split in splits}
     size = bytes_in(folder)
     samples = sum(split["samples"] for split in said.values())
-    return {**found, "samples": samples, "bytes": size, "bytes_per_sample": size / max(samples, 1), "splits": said}
+    return {
+        **found,
+        "samples": samples,
+        "bytes": size,
+        "bytes_per_sample": size / max(samples, 1),
+        "splits": said,
+    }
 
 
 def _chosen(split: Split, most: int | None) -> list[NDArray[np.int64]]:
     """Numbers of the samples that are measured, some at a time."""
     count = len(split)
-    found = np.arange(count) if most is None else np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
+    found = (
+        np.arange(count)
+        if most is None
+        else np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
+    )
     return np.split(found, range(AT_ONCE, len(found), AT_ONCE))
 
 
-def _describe(split: Split, tasks: Sequence[Any], measured: Sequence[Any], values: bool) -> dict[str, Any]:
+def _describe(
+    split: Split, tasks: Sequence[Any], measured: Sequence[Any], values: bool
+) -> dict[str, Any]:
     """What is told of a split, from what was measured by task."""
-    mine = [(chosen, *found) for (name, chosen), found in zip(tasks, measured, strict=True) if name == split.name]
-    spreads = {name: sum((found[name] for _, found, _ in mine), start=Spread()).said() for name in FIGURES}
-    rows = {name: [value for _, _, found in mine for value in found[name]] for name in FIGURES} if values else {}
+    mine = [
+        (chosen, *found)
+        for (name, chosen), found in zip(tasks, measured, strict=True)
+        if name == split.name
+    ]
+    spreads = {
+        name: sum((found[name] for _, found, _ in mine), start=Spread()).said() for name in FIGURES
+    }
+    rows = (
+        {name: [value for _, _, found in mine for value in found[name]] for name in FIGURES}
+        if values
+        else {}
+    )
     return {
         "samples": len(split),
         "worlds": split.count_worlds(),
@@ -134,8 +187,8 @@ def _describe(split: Split, tasks: Sequence[Any], measured: Sequence[Any], value
 def _measure(
     dataset: Dataset, values: bool, task: tuple[int, tuple[str, NDArray[np.int64]]]
 ) -> tuple[int, dict[str, Spread], dict[str, list[float]]]:
-    """The number of a task, how the figures of its samples spread, and, if asked for, their values, where they have
-    any."""
+    """The number of a task, how the figures of its samples spread, and, if asked for, their values,
+    where they have any."""
     number, (name, chosen) = task
     split = dataset.split(name)
     rows: dict[str, list[float]] = {name: [] for name in FIGURES}
@@ -147,14 +200,22 @@ def _measure(
 
 
 def inspect_all(folder: Path) -> list[dict[str, Any]]:
-    """A line for each dataset in a folder's folders: its `folder`, and its kind, samples and digest, or its `fault`."""
+    """A line for each dataset in a folder's folders: its `folder`, and its kind, samples and
+    digest, or its `fault`."""
     found = []
     for path in sorted(folder.glob(f"*/{NAME}"))[:MOST_LISTED]:
         row: dict[str, Any] = {"folder": str(path.parent)}
         try:
             it = load(path.parent)
-            samples = {name: sum(one.samples for one in it.shards if one.split == name) for name in SPLITS}
-            row |= {"kind": it.kind, "samples": samples, "complete": it.complete, "digest": it.digest}
+            samples = {
+                name: sum(one.samples for one in it.shards if one.split == name) for name in SPLITS
+            }
+            row |= {
+                "kind": it.kind,
+                "samples": samples,
+                "complete": it.complete,
+                "digest": it.digest,
+            }
         except DatasetError as error:
             row["fault"] = printable(error)
         found.append(row)
@@ -182,11 +243,14 @@ def inspect_world(path: Path) -> dict[str, Any]:
 def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
     """What of a map its sensor can hardly know, in a line each."""
     half = np.array(grid.extent_m) / 2
-    centres = np.stack(np.meshgrid(*(np.linspace(-edge, edge, 41) for edge in half), indexing="ij"), axis=-1)
+    centres = np.stack(
+        np.meshgrid(*(np.linspace(-edge, edge, 41) for edge in half), indexing="ij"), axis=-1
+    )
     beyond = float((np.linalg.norm(centres, axis=-1) > lidar.max_range_m).mean())
     if beyond <= MOST_BEYOND:
         return []
     return [
-        f"{100 * beyond:.0f} % of the map lie beyond the sensor's {lidar.max_range_m:g} m: nothing is ever seen there; "
+        f"{100 * beyond:.0f} % of the map lie beyond the sensor's {lidar.max_range_m:g} m: "
+        f"nothing is ever seen there; "
         "take a smaller grid, or a sensor that sees farther"
     ]

@@ -31,9 +31,10 @@ GROUPS = tuple(f"group {n}" for n in range(mujoco.mjNGROUP))
 class Labels:
     """What decides the class of a geom, and what classes there are.
 
-    By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is a ``crate``, and
-    ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its material in the same way. A geom without
-    such a name is of the class of its shape. By `group`, it is MuJoCo's group.
+    By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is
+    a ``crate``, and ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its
+    material in the same way. A geom without such a name is of the class of its shape. By `group`,
+    it is MuJoCo's group.
     """
 
     by: By
@@ -41,13 +42,15 @@ class Labels:
     """Names of classes; a class is its place in here, and the first is `NOTHING`."""
 
     def of(self, world: World) -> NDArray[np.uint16]:
-        """The class of every geom of a world, (ngeom,). Raises GenerationError for one that is none of `classes`."""
+        """The class of every geom of a world, (ngeom,). Raises GenerationError for one that is none
+        of `classes`."""
         place = {name: number for number, name in enumerate(self.classes)}
         named = class_names(world.model, self.by)
         for geom, name in enumerate(named):
             if name not in place:
                 raise GenerationError(
-                    f"geom {short(world.model.geom(geom).name)} is of class {short(name)}, which was not known before; "
+                    f"geom {short(world.model.geom(geom).name)} is of class {short(name)}, which "
+                    f"was not known before; "
                     f"name it in the kind's `classes`, or give --labels group"
                 )
         return np.array([place[name] for name in named], np.uint16)
@@ -67,21 +70,29 @@ def class_names(model: mujoco.MjModel, by: By) -> list[str]:
 
 
 def labels_by(by: By, named: Iterable[str]) -> Labels:
-    """The labels of worlds whose geoms' classes `named` are known besides shapes. Raises GenerationError."""
+    """The labels of worlds whose geoms' classes `named` are known besides shapes. Raises
+    GenerationError."""
     known = GROUPS if by == "group" else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
     if len(known) >= MOST_CLASSES:
-        raise GenerationError(f"{len(known)} classes by name, expected {MOST_CLASSES} at most; give --labels group")
+        raise GenerationError(
+            f"{len(known)} classes by name, expected {MOST_CLASSES} at most; give --labels group"
+        )
     return Labels(by=by, classes=(NOTHING, *known))
 
 
-def labelled(sample: Sample, world: World, lidar: Sensor, grid: GridSpec, labels: Labels | None) -> Sample:
+def labelled(
+    sample: Sample, world: World, lidar: Sensor, grid: GridSpec, labels: Labels | None
+) -> Sample:
     """`sample` of `world` with its labels; itself without.
 
-    A return is of the geom that its ray meets first, whatever noise made of its range. Raises GenerationError.
+    A return is of the geom that its ray meets first, whatever noise made of its range. Raises
+    GenerationError.
     """
     if labels is None:
         return sample
-    classes = np.concatenate([labels.of(world) if world.model.ngeom else np.empty(0, np.uint16), [0]])  # -1 is the last
+    classes = np.concatenate(
+        [labels.of(world) if world.model.ngeom else np.empty(0, np.uint16), [0]]
+    )  # -1 is the last
     pose = Pose(sample.position, sample.quaternion)
     directions = rotate(pose.quaternion, lidar.directions_body)
     met = _engine(world).hits(pose.position[None], directions[None], lidar.max_range_m).geoms[0]

@@ -1,5 +1,5 @@
-"""How large things may be. What generates refuses beyond these limits, and so does everything that reads: whatever one
-part of scenegen writes, every other part takes."""
+"""How large things may be. What generates refuses beyond these limits, and so does everything that
+reads: whatever one part of scenegen writes, every other part takes."""
 
 from collections.abc import Mapping
 
@@ -8,7 +8,8 @@ MOST_VOXELS = 1 << 26
 MOST_VIEWPOINTS = 10_000
 """The most viewpoints of one flight."""
 MOST_VOXELS_IN_FLIGHT = 1 << 30
-"""The most voxels in all maps of one flight together: they are in memory at once, with some eight bytes a voxel."""
+"""The most voxels in all maps of one flight together: they are in memory at once, with some eight
+bytes a voxel."""
 MOST_SCANS = 100
 """The most scans of one sample."""
 MOST_RAYS_IN_SAMPLE = 4_000_000
@@ -27,8 +28,8 @@ MOST_SEED = 2**63 - 1
 """The largest seed: every reader of JSON takes it as a whole number."""
 MOST_SAMPLES = 10**9
 """The most samples of a split."""
-MOST_WORKERS = 1024
-"""The most worker processes."""
+MOST_WORKERS = 100_000
+"""The most worker processes, of all nodes together."""
 MOST_WEIGHT = 10**9
 """The largest weight of a part of a stream."""
 MOST_UNITS_IN_ROUND = 1000
@@ -36,7 +37,8 @@ MOST_UNITS_IN_ROUND = 1000
 MOST_SOURCES = 1000
 """The most datasets whose samples are gathered in one."""
 MOST_SAMPLES_IN_SHARD = 10**5
-"""The most samples of a shard, which is made in memory: with default maps, these take some eight gigabytes."""
+"""The most samples of a shard, which is made in memory: with default maps, these take some eight
+gigabytes."""
 MOST_OBJECTS = 64
 """The most HDF5 objects in a shard, and the most attributes of each."""
 MOST_BLOCKS, MOST_BLOCK_BYTES = 64, 1 << 16
@@ -54,27 +56,34 @@ MOST_CLASSES = 10_000
 USUAL_IN_SHARD = 100
 """Samples in a shard, where nobody asks for another number."""
 MOST_RECIPE_BYTES = 64 << 10
-"""The most bytes of a recipe's TOML file. Every parameter may take two kilobytes; the time to parse grows faster than
-the size."""
+"""The most bytes of a recipe's TOML file. Every parameter may take two kilobytes; the time to parse
+grows faster than the size."""
 
 MOST_GEOMS = 50_000
-"""The most geoms of a world: MuJoCo takes five seconds to compile these, and four times as long for twice as many."""
+"""The most geoms of a world: MuJoCo takes five seconds to compile these, and four times as long for
+twice as many."""
 MOST_DRAWN_SOLIDS = 20_000
-"""The most solids, of all sorts together, in a world that a recipe draws. MuJoCo takes a second to compile these,
-twice a world, and `verify` gives a shard of a hundred worlds three minutes."""
+"""The most solids, of all sorts together, in a world that a recipe draws. MuJoCo takes a second to
+compile these, twice a world, and `verify` gives a shard of a hundred worlds three minutes."""
 MOST_DRAWN_M = 1e4
-"""The largest length in a recipe, metres: MJCF's six digits then place solids to a decimetre, and what is stacked or
-scattered stays within a world's largest length."""
+"""The largest length in a recipe, metres: MJCF's six digits then place solids to a decimetre, and
+what is stacked or scattered stays within a world's largest length."""
 LEAST_DRAWN_M = 1e-3
 """The smallest step or distance of a flight, metres: motions are checked as finely as this."""
 MOST_ELEMENTS = 200_000
 """The most elements of an MJCF document."""
+MOST_OTHERS = 5000
+"""The most of these that are no geoms, meshes, height fields or materials: MuJoCo's time to compile
+bodies, joints, sites, defaults and their like grows as the square of their number."""
+MOST_ATTRIBUTES = 100
+"""The most attributes of one element; MuJoCo's parser holds each against all before it."""
 MOST_DEPTH = 200
 """The most levels to which MJCF, JSON or TOML may nest."""
 MOST_CELLS = 1 << 24
 """The most cells of a height field, pixels of an image, or numbers in an MJCF attribute."""
 MOST_BUILTIN = 300
-"""The largest parameter of a mesh that MuJoCo makes by itself, such as its resolution: some 100,000 vertices."""
+"""The largest parameter of a mesh that MuJoCo makes by itself, such as its resolution: some 100,000
+vertices."""
 MOST_DOCUMENT_BYTES = 16 << 20
 """The most bytes of an MJCF document."""
 MOST_ASSET_BYTES = 64 << 20
@@ -85,25 +94,39 @@ MOST_MEMBERS = 65_000
 """The most members of a shard's archive."""
 
 SCENE_SECONDS, SCENE_BYTES = 60.0, 4 << 30
-"""The time, seconds, and the memory that the process which reads a stranger's MJCF file may take."""
+"""The time, seconds, and the memory that the process which reads a stranger's MJCF file may
+take."""
 
 MOST_ASKED: Mapping[str, int] = {
     **{"memory": 1 << 30, "njmax": 1 << 20, "nconmax": 1 << 20, "nstack": 1 << 27, "nkey": 1000},
-    **{"nuserdata": 1 << 20, "nrow": MOST_CELLS, "ncol": MOST_CELLS, "width": MOST_CELLS, "height": MOST_CELLS},
-    **{f"nuser_{what}": 100 for what in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")},
+    **{
+        "nuserdata": 1 << 20,
+        "nrow": MOST_CELLS,
+        "ncol": MOST_CELLS,
+        "width": MOST_CELLS,
+        "height": MOST_CELLS,
+    },
+    **{
+        f"nuser_{what}": 100
+        for what in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+    },
 }
-"""MJCF attributes for which MuJoCo takes as much memory as they say, each with the largest value that it may have."""
+"""MJCF attributes for which MuJoCo takes as much memory as they say, each with the largest value
+that it may have."""
 
 MOST_WIDTH = 128
 """The most channels at a network's first level: it then has 77 million parameters, 308 MB."""
 MOST_FEATURES = 1 << 27
-"""The most voxels of a network's map times its channels at the first level: completing one map then takes a few GB."""
+"""The most voxels of a network's map times its channels at the first level: completing one map then
+takes a few GB."""
 MOST_BATCH = 4096
 """The most maps in a step of training, or completed at once."""
 MOST_WEIGHTS_BYTES = 1 << 30
-"""The most bytes of a .safetensors or .onnx file; a training state of the widest network has 924 MB."""
+"""The most bytes of a .safetensors or .onnx file; a training state of the widest network has 924
+MB."""
 MOST_EPOCHS = 10_000
-"""The most epochs of a training run: the header of its state holds some kilobyte of figures for each."""
+"""The most epochs of a training run: the header of its state holds some kilobyte of figures for
+each."""
 MOST_MAPS = 10**10
 """The most maps that a training run sees: four months at one a millisecond."""
 MOST_HEIGHT = 1024
@@ -113,7 +136,8 @@ MOST_LINE_BYTES = 4096
 MOST_HEADER_BYTES = 16 << 20
 """The most bytes of a .safetensors file's header, a run's settings, or a point cloud's header."""
 MOST_MARGINS = 20_000
-"""The most numbers in a row of a network's calibration: bins of distance times bins of probability."""
+"""The most numbers in a row of a network's calibration: bins of distance times bins of
+probability."""
 MOST_SCAN_BYTES = 256 << 20
 """The most bytes of a file of points."""
 MOST_POINTS = 20_000_000
@@ -122,6 +146,7 @@ MOST_CHUNK_BYTES = 256 << 20
 """The most bytes of a chunk of a predictions file, unpacked: a map of `MOST_VOXELS` in float32."""
 
 GUARD_S = 60.0
-"""How long a library may read a stranger's file before it counts as hung, seconds; the file's size adds to it."""
+"""How long a library may read a stranger's file before it counts as hung, seconds; the file's size
+adds to it."""
 GUARD_BYTES = 4 << 30
 """How much address space the library may take meanwhile; the file's size adds to it."""

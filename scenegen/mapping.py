@@ -1,4 +1,5 @@
-"""How a robot maps: which scans of its flight make a map, how its sensor is held, and where the map lies."""
+"""How a robot maps: which scans of its flight make a map, how its sensor is held, and where the map
+lies."""
 
 import math
 from dataclasses import dataclass
@@ -20,15 +21,21 @@ class Mapper(Fusion):
     scans: int = number(1, least=1, most=MOST_SCANS)
     """Scans that make a map: the sample's own, and those before it on the flight."""
     scan_spacing_m: float = number(0.5, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
-    """Metres flown from scan to scan; what would lie before the flight's begin is scanned from there."""
+    """Metres flown from scan to scan; what would lie before the flight's begin is scanned from
+    there."""
     tilt_mps: float = number(0.0, least=0, most=100)
-    """Speed of the flight, metres a second, whose accelerations tilt the body as a quadrotor's; 0 for a level body."""
+    """Speed of the flight, metres a second, whose accelerations tilt the body as a quadrotor's; 0
+    for a level body."""
     settle_s: float = number(0.5, least=0.01, most=100)
-    """Seconds before and after a corner over which the flight changes its velocity, where it tilts."""
+    """Seconds before and after a corner over which the flight changes its velocity, where it
+    tilts."""
     most_tilt_deg: float = number(30.0, above=0, most=80)
     """The most that the body tilts, degrees."""
-    map_ahead_m: tuple[float, float, float] = number((0.0, 0.0, 0.0), least=-MOST_DRAWN_M, most=MOST_DRAWN_M)
-    """Where the map's middle lies from the sensor: forward along its heading, to its left, and up, metres."""
+    map_ahead_m: tuple[float, float, float] = number(
+        (0.0, 0.0, 0.0), least=-MOST_DRAWN_M, most=MOST_DRAWN_M
+    )
+    """Where the map's middle lies from the sensor: forward along its heading, to its left, and up,
+    metres."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -36,13 +43,23 @@ class Mapper(Fusion):
     @property
     def plain(self) -> bool:
         """Whether samples are those of a recipe without [mapping]."""
-        return self.scans == 1 and self.fusion == "visibility" and not self.tilt_mps and self.centred
+        return (
+            self.scans == 1 and self.fusion == "visibility" and not self.tilt_mps and self.centred
+        )
 
     def __str__(self) -> str:
         """In words: "of 5 scans, 0.5 m apart, by visibility, around a level sensor"."""
-        scans = f"{self.scans} scans, {self.scan_spacing_m:g} m apart" if self.scans > 1 else "1 scan"
-        held = f"a sensor that leans at {self.tilt_mps:g} m/s" if self.tilt_mps else "a level sensor"
-        place = "around" if self.centred else f"{', '.join(f'{part:g}' for part in self.map_ahead_m)} m ahead of"
+        scans = (
+            f"{self.scans} scans, {self.scan_spacing_m:g} m apart" if self.scans > 1 else "1 scan"
+        )
+        held = (
+            f"a sensor that leans at {self.tilt_mps:g} m/s" if self.tilt_mps else "a level sensor"
+        )
+        place = (
+            "around"
+            if self.centred
+            else f"{', '.join(f'{part:g}' for part in self.map_ahead_m)} m ahead of"
+        )
         return f"of {scans}, by {self.fusion}, {place} {held}"
 
     @property
@@ -51,28 +68,35 @@ class Mapper(Fusion):
         return not any(self.map_ahead_m)
 
     def origin(self, grid: "GridSpec", pose: "Pose") -> Any:
-        """The least corner (3,) in the world of the map of a sensor at `pose`, metres. Raises ValueError for a sensor
-        that lies on its head, whose heading nobody can tell."""
+        """The least corner (3,) in the world of the map of a sensor at `pose`, metres. Raises
+        ValueError for a sensor that lies on its head, whose heading nobody can tell."""
         if self.centred:
             return grid.origin_at(pose.position)
         w, _, _, z = pose.quaternion.tolist()
         length = w * w + z * z
         if not length > 0.0:
-            raise ValueError("the sensor lies on its head, and has no heading by which its map could lie ahead")
+            raise ValueError(
+                "the sensor lies on its head, and has no heading by which its map could lie ahead"
+            )
         cosine, sine = (w * w - z * z) / length, 2 * w * z / length
         forward, left, up = self.map_ahead_m
         x, y, above = pose.position.tolist()
-        return grid.origin_at([x + (cosine * forward - sine * left), y + (sine * forward + cosine * left), above + up])
+        return grid.origin_at(
+            [x + (cosine * forward - sine * left), y + (sine * forward + cosine * left), above + up]
+        )
 
     def check_reach(self, grid: "GridSpec", max_range_m: float, rays: int, most_rays: int) -> None:
-        """Raise ValueError for a map that no ray reaches, and for more than `most_rays` in all scans of a sample."""
+        """Raise ValueError for a map that no ray reaches, and for more than `most_rays` in all
+        scans of a sample."""
         for ahead, extent in zip(self.map_ahead_m, grid.extent_m, strict=True):
             if not abs(ahead) - extent / 2 < max_range_m:
                 raise ValueError(
-                    f"[mapping] map_ahead_m = {list(self.map_ahead_m)}: lies beyond the sensor's range of "
+                    f"[mapping] map_ahead_m = {list(self.map_ahead_m)}: lies beyond the sensor's "
+                    f"range of "
                     f"{max_range_m:g} m; expected a map that rays reach"
                 )
         if self.scans * rays > most_rays:
             raise ValueError(
-                f"[mapping] scans = {self.scans}: of {rays} rays each; expected {math.floor(most_rays / rays)} at most"
+                f"[mapping] scans = {self.scans}: of {rays} rays each; expected "
+                f"{math.floor(most_rays / rays)} at most"
             )

@@ -1,4 +1,5 @@
-"""What an MJCF file is made of, before MuJoCo reads it: its elements, and those of the files that it includes."""
+"""What an MJCF file is made of, before MuJoCo reads it: its elements, and those of the files that
+it includes."""
 
 import re
 from collections.abc import Iterator
@@ -9,20 +10,22 @@ from scenegen.files import read_bounded
 from scenegen.limits import MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.screen import check_amounts, check_numbers
 
-ELEMENT = re.compile(r"<(/?)([A-Za-z]\w*)((?:(?:\s+|(?<=[\"']))[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*(/?)>")
-"""Whether it is an element's end, its name and attributes, and whether nothing is within. MuJoCo wants no space between
-attributes."""
+ELEMENT = re.compile(
+    r"<(/?)([A-Za-z]\w*)((?:(?:\s+|(?<=[\"']))[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*(/?)>"
+)
+"""Whether it is an element's end, its name and attributes, and whether nothing is within. MuJoCo
+wants no space between attributes."""
 ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 PART = "mujocoinclude"
 """Root of a file that only others include."""
 
 
 def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
-    """Read an MJCF file and all that it includes or attaches: whether it is a world of its own, and which files it
-    includes, resolved.
+    """Read an MJCF file and all that it includes or attaches: whether it is a world of its own, and
+    which files it includes, resolved.
 
-    Raises SceneError for a file that is not regular or too large, for numbers that no solid can have, and for more
-    geoms than MuJoCo can cope with.
+    Raises SceneError for a file that is not regular or too large, for numbers that no solid can
+    have, and for more geoms than MuJoCo can cope with.
     """
     is_world, included, waiting, seen, geoms = True, set[Path](), [main], set[Path](), 0.0
     while waiting:
@@ -33,7 +36,9 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
         for tag, attributes, times in _elements(path):
             is_world &= not (tag == PART and path is main)
             geoms += times * (tag == "geom")
-            if max(geoms, times * _count(tag, attributes)) > MOST_GEOMS:  # over many more, MuJoCo takes hours
+            if (
+                max(geoms, times * _count(tag, attributes)) > MOST_GEOMS
+            ):  # over many more, MuJoCo takes hours
                 raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
             _check(tag, attributes, path)
             if tag in ("include", "model") and "file" in attributes:
@@ -65,7 +70,8 @@ def _count(tag: str, attributes: dict[str, str]) -> float:
 
 
 def _elements(path: Path) -> Iterator[tuple[str, dict[str, str], float]]:
-    """Names and attributes of a file's elements, and how often the file's <replicate>s around each repeat it.
+    """Names and attributes of a file's elements, and how often the file's <replicate>s around each
+    repeat it.
 
     They are read as forgivingly as MuJoCo does; expat would refuse some.
     """

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Sensor
+from lidarsim.sensors.device import angles_deg
 from scenegen.publish.pictures import GAP_PX, PAPER, to_png
 
 WIDE_PX, MARGIN_DEG = 640, 3.0
@@ -17,8 +18,9 @@ EARLY, LATE = np.array([33.0, 102.0, 172.0]), np.array([214.0, 47.0, 39.0])
 
 
 def draw_patterns(sensors: list[Sensor]) -> bytes:
-    """A PNG with a panel for every sensor, one below the other: every ray is a dot, from blue for the first to red for
-    the last in time. x is azimuth, left of the body to the left; y is elevation; lines stand every 10°, darker at 0°.
+    """A PNG with a panel for every sensor, one below the other: every ray is a dot, from blue for
+    the first to red for the last in time. x is azimuth, left of the body to the left; y is
+    elevation; lines stand every 10°, darker at 0°.
     """
     panels = [draw_pattern(sensor) for sensor in sensors]
     gap = np.full((GAP_PX, WIDE_PX, 3), PAPER, np.uint8)
@@ -28,8 +30,7 @@ def draw_patterns(sensors: list[Sensor]) -> bytes:
 
 def draw_pattern(sensor: Sensor) -> NDArray[np.uint8]:
     """The panel (rows, `WIDE_PX`, 3) of one sensor, over the angles that its rays span."""
-    x, y, z = np.moveaxis(sensor.directions_body.reshape(-1, 3), -1, 0)
-    azimuth, elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+    elevation, azimuth = angles_deg(sensor.directions_body.reshape(-1, 3))
     left, right = min(180.0, azimuth.max() + MARGIN_DEG), max(-180.0, azimuth.min() - MARGIN_DEG)
     high, low = min(90.0, elevation.max() + MARGIN_DEG), max(-90.0, elevation.min() - MARGIN_DEG)
     scale = (WIDE_PX - 1) / (left - right)

@@ -1,4 +1,5 @@
-"""Clouds of points as files: .ply and .pcd (binary), .npz (NumPy), and .bin (x y z intensity, float32, as in KITTI)."""
+"""Clouds of points as files: .ply and .pcd (binary), .npz (NumPy), and .bin (x y z intensity,
+float32, as in KITTI)."""
 
 import io
 from collections.abc import Mapping
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.errors import DatasetError
-from scenegen.files import make_parent, write_whole
+from scenegen.files import write_result
 
 SUFFIXES = (".ply", ".pcd", ".npz", ".bin")
 """Kinds of files."""
@@ -22,18 +23,20 @@ def check_suffix(path: Path) -> None:
 
 
 def write_points(
-    path: Path, points: NDArray[np.float64], intensity: NDArray[np.float64] | None, about: Mapping[str, Any]
+    path: Path,
+    points: NDArray[np.float64],
+    intensity: NDArray[np.float64] | None,
+    about: Mapping[str, Any],
 ) -> None:
-    """Write points (M, 3), metres, with their intensities (M,), if there are any, in the kind of file that the name
-    says.
+    """Write points (M, 3), metres, with their intensities (M,), if there are any, in the kind of
+    file that the name says.
 
-    An .npz holds `about`, too: arrays and texts by name. A .bin has intensities of 0 where there are none. Raises
-    DatasetError as `check_suffix`.
+    An .npz holds `about`, too: arrays and texts by name. A .bin has intensities of 0 where there
+    are none. Raises DatasetError as `check_suffix`.
     """
     check_suffix(path)
     content = encode_points(path.suffix, points, intensity, about)
-    make_parent(path)
-    write_whole(path, content)
+    write_result(path, content)
 
 
 def encode_points(
@@ -59,7 +62,12 @@ def encode_points(
         properties = "".join(f"property float {name}\n" for name in names)
         head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
     else:
-        rows = {"FIELDS": names, "SIZE": ["4"] * len(names), "TYPE": ["F"] * len(names), "COUNT": ["1"] * len(names)}
+        rows = {
+            "FIELDS": names,
+            "SIZE": ["4"] * len(names),
+            "TYPE": ["F"] * len(names),
+            "COUNT": ["1"] * len(names),
+        }
         lines = "".join(f"{key} {' '.join(row)}\n" for key, row in rows.items())
         head = f"VERSION 0.7\n{lines}WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
     return head.encode() + content

@@ -1,4 +1,5 @@
-"""Recipes: every number that decides what a dataset holds, resolved, checked, and read from TOML."""
+"""Recipes: every number that decides what a dataset holds, resolved, checked, and read from
+TOML."""
 
 import dataclasses
 import json
@@ -33,13 +34,15 @@ from scenegen.tables import check_name, field_names, from_table, read_toml
 
 @dataclass(frozen=True, kw_only=True)
 class Acceptance:
-    """Which worlds and viewpoints are worth keeping: the paper removes "scenes with insufficient geometric complexity".
+    """Which worlds and viewpoints are worth keeping: the paper removes "scenes with insufficient
+    geometric complexity".
 
     Maps that are poorly seen stay: they are the task.
     """
 
     min_solids: float = number(1.0, least=0)
-    """A world is rejected when, averaged along its flight, fewer solids than this reach into the map."""
+    """A world is rejected when, averaged along its flight, fewer solids than this reach into the
+    map."""
     min_occupied_share: float = number(0.0005, least=0, most=1)
     """A viewpoint is rejected when a smaller share of its map's voxels than this is occupied."""
     min_returned_share: float = number(0.01, least=0, most=1)
@@ -56,7 +59,8 @@ class Faults:
     """A recipe's [noise]."""
 
     stages: str = ""
-    """Stages of noise, as the option --noise takes them: ``range:0.02,dropout:0.05``; none for clean ranges."""
+    """Stages of noise, as the option --noise takes them: ``range:0.02,dropout:0.05``; none for
+    clean ranges."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -66,18 +70,21 @@ class Faults:
 class Recipe:
     """Everything besides the seed and the counts that decides a dataset's content.
 
-    Raises ValueError, naming the table, where flights have no room in the world, or where parameters that are fine each
-    ask together for more memory or time than `scenegen.limits` allows.
+    Raises ValueError, naming the table, where flights have no room in the world, or where
+    parameters that are fine each ask together for more memory or time than `scenegen.limits`
+    allows.
     """
 
     kind: str
-    """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds from MJCF files."""
+    """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds from MJCF
+    files."""
     world: WorldKind | None = None
     """How worlds are drawn; None for worlds from MJCF files."""
     flight: Flight = field(default_factory=Flight)
     accept: Acceptance = field(default_factory=Acceptance)
     lidar: Sensor = field(default_factory=Lidar)
-    """The sensor. One that is no raster becomes the table of its rays, which needs no code of the user's any more."""
+    """The sensor. One that is no raster becomes the table of its rays, which needs no code of the
+    user's any more."""
     grid: GridSpec = field(default_factory=GridSpec)
     noise: Noise = field(default_factory=Noise)
     """What becomes of the clean ranges. Worlds, flights and viewpoints do not depend on it."""
@@ -88,39 +95,54 @@ class Recipe:
 
     def __post_init__(self) -> None:
         if any(getattr(self.lidar, "lever_arm_m", ())):
-            raise ValueError("[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out")
+            raise ValueError(
+                "[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out"
+            )
         if not isinstance(self.lidar, Lidar | BeamTable):
             object.__setattr__(self, "lidar", beam_table(self.lidar))
         if self.noise.stages and Noise.parse(self.noise.spelled()) != self.noise:
-            raise ValueError(f"[noise] stages = {str(self.noise)[:200]!a}: a stage's values cannot stand in a manifest")
+            raise ValueError(
+                f"[noise] stages = {str(self.noise)[:200]!a}: a stage's values cannot stand in a "
+                f"manifest"
+            )
         grid, flight = self.grid, self.flight
         voxels = math.prod(grid.shape)
         if voxels > MOST_VOXELS:
-            raise ValueError(f"[grid] shape = {list(grid.shape)}: {voxels} voxels, expected {MOST_VOXELS} at most")
+            raise ValueError(
+                f"[grid] shape = {list(grid.shape)}: {voxels} voxels, expected {MOST_VOXELS} at "
+                f"most"
+            )
         if voxels * flight.viewpoints > MOST_VOXELS_IN_FLIGHT:
             raise ValueError(
-                f"[flight] viewpoints = {flight.viewpoints}: their maps are in memory together, expected "
+                f"[flight] viewpoints = {flight.viewpoints}: their maps are in memory together, "
+                f"expected "
                 f"{MOST_VOXELS_IN_FLIGHT // voxels} at most with grid.shape = {list(grid.shape)}"
             )
         if grid.voxel_m > self.lidar.max_range_m:
             raise ValueError(
-                f"[grid] voxel_m = {grid.voxel_m}: expected at most the sensor's range, lidar.max_range_m = "
+                f"[grid] voxel_m = {grid.voxel_m}: expected at most the sensor's range, "
+                f"lidar.max_range_m = "
                 f"{self.lidar.max_range_m}"
             )
-        self.mapping.check_reach(grid, self.lidar.max_range_m, math.prod(self.lidar.shape), MOST_RAYS_IN_SAMPLE)
+        self.mapping.check_reach(
+            grid, self.lidar.max_range_m, math.prod(self.lidar.shape), MOST_RAYS_IN_SAMPLE
+        )
         if self.accept.max_draws * flight.flights_per_world * flight.iterations > MOST_SEARCHED:
             raise ValueError(
                 f"[accept] max_draws = {self.accept.max_draws}: times flight.flights_per_world = "
-                f"{flight.flights_per_world} and flight.iterations = {flight.iterations}, expected {MOST_SEARCHED} at "
+                f"{flight.flights_per_world} and flight.iterations = {flight.iterations}, "
+                f"expected {MOST_SEARCHED} at "
                 "most; lower one of them"
             )
         if self.world is not None:
             box = flight.bounds(self.world.size_m)
-            # ten diagonals: a flight made of straight steps towards random points hardly ever takes two
+            # ten diagonals: a flight made of straight steps towards random points hardly ever takes
+            # two
             candidates = 10 * float(np.sqrt(((box[1] - box[0]) ** 2).sum())) / flight.spacing_m
             if candidates > MOST_CANDIDATES:
                 raise ValueError(
-                    f"[flight] spacing_m = {flight.spacing_m}: {candidates:.3g} places to scan from along one flight, "
+                    f"[flight] spacing_m = {flight.spacing_m}: {candidates:.3g} places to scan "
+                    f"from along one flight, "
                     f"expected {MOST_CANDIDATES} at most; raise it"
                 )
 
@@ -130,10 +152,13 @@ class Recipe:
         return 0 if self.world is None else self.world.version
 
     def resolved(self) -> dict[str, Any]:
-        """The manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON values."""
+        """The manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON
+        values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
         resolved: dict[str, Any] = {"version": self.version}
-        resolved |= {name: dataclasses.asdict(table) for name, table in tables.items() if table is not None}
+        resolved |= {
+            name: dataclasses.asdict(table) for name, table in tables.items() if table is not None
+        }
         return resolved
 
 
@@ -144,8 +169,9 @@ def preset(
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
 ) -> Recipe:
-    """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`, or with these parameters
-    of `mapping`. Raises RecipeError for an unknown kind, suggesting the nearest."""
+    """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`, or
+    with these parameters of `mapping`. Raises RecipeError for an unknown kind, suggesting the
+    nearest."""
     return make_recipe(kind, _given(noise, mapping), sensor=lidar)
 
 
@@ -157,48 +183,77 @@ def read_recipe(
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
 ) -> Recipe:
-    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar], [noise], [mapping] and [grid]
-    of what differs from the preset. `kind`, `lidar`, `noise` and `mapping`, where given, stand in for the file's; a
-    file with a table [lidar] beside a `lidar` is refused, and so is one with the same of the others.
+    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar], [noise],
+    [mapping] and [grid] of what differs from the preset. `kind`, `lidar`, `noise` and `mapping`,
+    where given, stand in for the file's; a file with a table [lidar] beside a `lidar` is refused,
+    and so is one with the same of the others.
 
-    A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its `[lidar] sensor` first.
-    Raises RecipeError naming the file, the table and the parameter.
+    A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its
+    `[lidar] sensor` first. Raises RecipeError naming the file, the table and the parameter.
     """
     where = printable(path)
     tables = read_toml(path)
     named = tables.pop("kind", kind)
     if named is None:
-        raise RecipeError(f'{where}: names no kind; add a line such as kind = "pillar", or give --kind')
+        raise RecipeError(
+            f'{where}: names no kind; add a line such as kind = "pillar", or give --kind'
+        )
     if kind is not None and kind != named:
-        raise RecipeError(f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the two out")
+        raise RecipeError(
+            f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the "
+            f"two out"
+        )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
     if lidar is not None and "lidar" in tables:
-        raise RecipeError(f"{where}: has a table [lidar], and --lidar names a sensor, too; leave one of the two out")
+        raise RecipeError(
+            f"{where}: has a table [lidar], and --lidar names a sensor, too; leave one of the two "
+            f"out"
+        )
     if noise is not None and "noise" in tables:
-        raise RecipeError(f"{where}: has a table [noise], and --noise names stages, too; leave one of the two out")
+        raise RecipeError(
+            f"{where}: has a table [noise], and --noise names stages, too; leave one of the two out"
+        )
     if mapping and "mapping" in tables:
         raise RecipeError(
-            f"{where}: has a table [mapping], and {', '.join(mapping)} are given beside it; leave one of the two out"
+            f"{where}: has a table [mapping], and {', '.join(mapping)} are given beside it; leave "
+            f"one of the two out"
         )
-    return make_recipe(named, tables | _given(noise, mapping), where=where, folder=path.parent, sensor=lidar)
+    return make_recipe(
+        named, tables | _given(noise, mapping), where=where, folder=path.parent, sensor=lidar
+    )
 
 
 def _given(noise: str | None, mapping: Mapping[str, Any] | None) -> dict[str, Any]:
     """Tables of what stands beside a file."""
-    return ({} if noise is None else {"noise": {"stages": noise}}) | ({"mapping": dict(mapping)} if mapping else {})
+    return ({} if noise is None else {"noise": {"stages": noise}}) | (
+        {"mapping": dict(mapping)} if mapping else {}
+    )
 
 
 def make_recipe(
-    kind: str, tables: dict[str, Any], *, where: str = "", folder: Path = Path(), sensor: Sensor | None = None
+    kind: str,
+    tables: dict[str, Any],
+    *,
+    where: str = "",
+    folder: Path = Path(),
+    sensor: Sensor | None = None,
 ) -> Recipe:
-    """The preset of `kind` with the values in `tables` put in; `where` names their source in errors, if they have one.
+    """The preset of `kind` with the values in `tables` put in; `where` names their source in
+    errors, if they have one.
 
-    The modules of a user's own kind and sensor are imported, so neither name may come from a stranger's file. Paths in
-    `tables` are relative to `folder`. A `sensor` that is given takes the place of the table [lidar], which is then not
-    looked at. Raises RecipeError naming the table and the parameter.
+    The modules of a user's own kind and sensor are imported, so neither name may come from a
+    stranger's file. Paths in `tables` are relative to `folder`. A `sensor` that is given takes the
+    place of the table [lidar], which is then not looked at. Raises RecipeError naming the table and
+    the parameter.
     """
-    parts: dict[str, type] = {"flight": Flight, "accept": Acceptance, "lidar": Lidar, "grid": GridSpec, "noise": Faults}
+    parts: dict[str, type] = {
+        "flight": Flight,
+        "accept": Acceptance,
+        "lidar": Lidar,
+        "grid": GridSpec,
+        "noise": Faults,
+    }
     parts["mapping"] = Mapper
     defaults: dict[str, dict[str, Any]] = {}
     at = f"{where}: " if where else ""
@@ -212,20 +267,33 @@ def make_recipe(
     for name, table in tables.items():
         whose = [f"[{part}]" for part, made in parts.items() if name in field_names(made)]
         if whose and name not in parts and not isinstance(table, dict):
-            raise RecipeError(f"{at}{name} stands in no table; expected it below the line {' or '.join(whose)}")
+            raise RecipeError(
+                f"{at}{name} stands in no table; expected it below the line {' or '.join(whose)}"
+            )
         check_name(name, tuple(sorted(parts)), "table", where)
         if not isinstance(table, dict):
-            raise RecipeError(f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters")
+            raise RecipeError(
+                f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters"
+            )
     given = {name: defaults.get(name, {}) | dict(tables.get(name, {})) for name in parts}
     given_lidar = given.pop("lidar")
-    built = {name: from_table(parts[name], table, f"{at}[{name}]", folder) for name, table in given.items()}
-    built["lidar"] = sensor if sensor is not None else sensor_of(given_lidar, f"{at}[lidar]", folder)
-    built["noise"] = named_noise(built["noise"].stages or None, built["lidar"], at and f"{at}[noise]")
+    built = {
+        name: from_table(parts[name], table, f"{at}[{name}]", folder)
+        for name, table in given.items()
+    }
+    built["lidar"] = (
+        sensor if sensor is not None else sensor_of(given_lidar, f"{at}[lidar]", folder)
+    )
+    built["noise"] = named_noise(
+        built["noise"].stages or None, built["lidar"], at and f"{at}[noise]"
+    )
     try:
         recipe = Recipe(kind=kind, **built)
         json.dumps(recipe.resolved())
     except TypeError as error:
-        raise RecipeError(f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: {error}") from None
+        raise RecipeError(
+            f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: {error}"
+        ) from None
     except ValueError as error:
         raise RecipeError(f"{at}{error}") from None
     return recipe

@@ -1,4 +1,5 @@
-"""A flight that was flown before, scanned again: the same world and the same poses, another sensor, engine or noise."""
+"""A flight that was flown before, scanned again: the same world and the same poses, another sensor,
+engine or noise."""
 
 from collections.abc import Sequence
 
@@ -18,8 +19,9 @@ from scenegen.world import World
 def fly_again(
     world: World, poses: Sequence[Pose], recipe: Recipe, *, seed: int, split: str, unit: int
 ) -> list[list[Pose]]:
-    """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each its own first: the
-    unit's flight is planned again, and known by its passing all of them, to the bit.
+    """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each
+    its own first: the unit's flight is planned again, and known by its passing all of them, to the
+    bit.
 
     Raises GenerationError where no draw's flight does.
     """
@@ -30,14 +32,17 @@ def fly_again(
             if path is None:
                 continue
             passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
-            places = [np.flatnonzero((passed.positions == pose.position).all(axis=1)) for pose in poses]
+            places = [
+                np.flatnonzero((passed.positions == pose.position).all(axis=1)) for pose in poses
+            ]
             if all(len(place) == 1 for place in places):
                 return [
                     [pose, *passed.before(int(place[0]), recipe.mapping)]
                     for pose, place in zip(poses, places, strict=True)
                 ]
     raise GenerationError(
-        f"{split} flight {unit} comes out otherwise here, so that nobody knows where earlier scans were made; generate "
+        f"{split} flight {unit} comes out otherwise here, so that nobody knows where earlier "
+        f"scans were made; generate "
         "the dataset with --scans, or scan it again with the software that made it"
     )
 
@@ -54,11 +59,12 @@ def scan_again(
     derived: bool = True,
     engine: EngineFactory,
 ) -> Unit:
-    """The unit whose flight through `world` had these sensor `poses`, as the recipe's sensor and noise see it: of each
-    sample its own, and then those of its earlier scans, the last one first.
+    """The unit whose flight through `world` had these sensor `poses`, as the recipe's sensor and
+    noise see it: of each sample its own, and then those of its earlier scans, the last one first.
 
-    `names` are the world's number and the first sample's viewpoint. Nothing is drawn but the noise, and nothing is
-    rejected. With what the unit was drawn with, the same samples come out, bit for bit. Raises GenerationError.
+    `names` are the world's number and the first sample's viewpoint. Nothing is drawn but the noise,
+    and nothing is rejected. With what the unit was drawn with, the same samples come out, bit for
+    bit. Raises GenerationError.
     """
     caster = engine_of(engine, world)
     number, first = names

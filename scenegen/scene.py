@@ -20,8 +20,8 @@ from scenegen.screen import screen
 from scenegen.world import compile_world
 
 MOST_MOVED = 1e-6
-"""How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach as much again: what
-float32 vertices keep."""
+"""How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
+as much again: what float32 vertices keep."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,9 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
     """Read an MJCF file and make it self-contained: geoms alone, where MuJoCo puts them, and with
     `materials` the names of theirs.
 
-    The document is compiled again, and its solids compared with those of the file. Raises SceneError. MuJoCo may read
-    other files, run long and take memory: for files that nobody vouches for, call this in a process with limits.
+    The document is compiled again, and its solids compared with those of the file. Raises
+    SceneError. MuJoCo may read other files, run long and take memory: for files that nobody vouches
+    for, call this in a process with limits.
     """
     with quiet_mujoco() as warnings:
         drawn, skins = _compile(path)
@@ -86,7 +87,8 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
 
 
 def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
-    """The model of a file without what only dresses its geoms, and how many skins were dropped. Raises SceneError."""
+    """The model of a file without what only dresses its geoms, and how many skins were dropped.
+    Raises SceneError."""
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         skins = len(spec.skins)
@@ -97,10 +99,13 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
 
 
 def _undress(spec: mujoco.MjSpec, path: Path) -> None:
-    """Drop what only dresses the geoms, with the files that it needs, and refuse what cannot be a world before it is
-    compiled."""
+    """Drop what only dresses the geoms, with the files that it needs, and refuse what cannot be a
+    world before it is compiled."""
     if len(spec.geoms) > MOST_GEOMS:
-        raise SceneError(f"{path}: {len(spec.geoms)} geoms, expected {MOST_GEOMS} at most; merge some into meshes")
+        raise SceneError(
+            f"{path}: {len(spec.geoms)} geoms, expected {MOST_GEOMS} at most; merge some into "
+            f"meshes"
+        )
     if spec.flexes:
         raise SceneError(f"{path}: has flexes, which rays do not see; use geoms instead")
     for material in spec.materials:
@@ -108,6 +113,9 @@ def _undress(spec: mujoco.MjSpec, path: Path) -> None:
     for item in (*spec.skins, *spec.textures):
         spec.delete(item)
     spec.memory = least_memory(len(spec.geoms))
+    spec.nuserdata = spec.nkey = (
+        0  # memory that no geom needs; MuJoCo would fill as much as is asked
+    )
 
 
 def _check_kept(path: Path, mjcf: bytes, assets: Mapping[str, bytes]) -> None:
@@ -119,25 +127,37 @@ def _check_kept(path: Path, mjcf: bytes, assets: Mapping[str, bytes]) -> None:
     largest = max(map(len, assets.values()), default=0)
     if len(mjcf) > MOST_DOCUMENT_BYTES or largest > MOST_ASSET_BYTES:
         raise SceneError(
-            f"{path}: made self-contained, {len(mjcf)} bytes and files of up to {largest}, expected "
-            f"{MOST_DOCUMENT_BYTES} and {MOST_ASSET_BYTES} at most; use fewer geoms and coarser meshes"
+            f"{path}: made self-contained, {len(mjcf)} bytes and files of up to {largest}, "
+            f"expected "
+            f"{MOST_DOCUMENT_BYTES} and {MOST_ASSET_BYTES} at most; use fewer geoms and coarser "
+            f"meshes"
         )
 
 
 def _check_same(path: Path, expected: Solids, found: Solids) -> None:
-    """Raise SceneError unless the solids of the document are those that MuJoCo makes of the file."""
+    """Raise SceneError unless the solids of the document are those that MuJoCo makes of the
+    file."""
     sized = expected.shape != PLANE
     same = all(
-        np.array_equal(getattr(expected, name), getattr(found, name)) for name in ("shape", "mesh_start", "mesh_filled")
+        np.array_equal(getattr(expected, name), getattr(found, name))
+        for name in ("shape", "mesh_start", "mesh_filled")
     )
     if same:
-        reach = max(np.abs(expected.position).max(initial=0.0), np.abs(expected.triangles).max(initial=0.0))
-        pairs = [(getattr(expected, name), getattr(found, name)) for name in ("position", "rotation", "triangles")]
+        reach = max(
+            np.abs(expected.position).max(initial=0.0), np.abs(expected.triangles).max(initial=0.0)
+        )
+        pairs = [
+            (getattr(expected, name), getattr(found, name))
+            for name in ("position", "rotation", "triangles")
+        ]
         moved = max(float(np.abs(one - other).max(initial=0.0)) for one, other in pairs)
-        same = moved <= MOST_MOVED * (1 + reach) and np.allclose(expected.size[sized], found.size[sized], 1e-12, 0.0)
+        same = moved <= MOST_MOVED * (1 + reach) and np.allclose(
+            expected.size[sized], found.size[sized], 1e-12, 0.0
+        )
     if not same:
         raise SceneError(
-            f"{path}: made self-contained, its solids are not those that MuJoCo makes of it; simplify its meshes"
+            f"{path}: made self-contained, its solids are not those that MuJoCo makes of it; "
+            f"simplify its meshes"
         )
 
 

@@ -1,4 +1,5 @@
-"""MJCF looked at before MuJoCo sees it: whether a document is self-contained, of bounded size, and made of numbers."""
+"""MJCF looked at before MuJoCo sees it: whether a document is self-contained, of bounded size, and
+made of numbers."""
 
 import hashlib
 import math
@@ -11,15 +12,31 @@ from lidarsim.limits import MOST_LENGTH_M
 from scenegen.errors import BrokenError, short
 from scenegen.limits import (
     MOST_ASKED,
+    MOST_ATTRIBUTES,
     MOST_BUILTIN,
     MOST_CELLS,
     MOST_DEPTH,
     MOST_ELEMENTS,
     MOST_GEOMS,
+    MOST_OTHERS,
 )
 
-FORBIDDEN = {"include", "attach", "model", "plugin", "extension", "replicate", "composite", "flexcomp", "skin", "flex"}
-"""MJCF elements that read other files, run other code, multiply, or are not solids. An archived world has none."""
+FORBIDDEN = {
+    "include",
+    "attach",
+    "model",
+    "plugin",
+    "extension",
+    "replicate",
+    "composite",
+    "flexcomp",
+    "skin",
+    "flex",
+}
+"""MJCF elements that read other files, run other code, multiply, or are not solids. An archived
+world has none."""
+SOLIDS = {"geom", "mesh", "hfield", "material"}
+"""Elements of which MuJoCo takes as many as there may be."""
 FILES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
 FOLDERS = {"meshdir", "texturedir", "assetdir"}
 LOOKS = {"name", "rgba", "material"}
@@ -30,38 +47,51 @@ LENGTHS = {"pos", "size", "fromto", "scale", "refpos", "vertex", "elevation"}
 TURNS = {"quat", "axisangle", "xyaxes", "zaxis", "euler", "refquat", "params", "rgba"}
 """Attributes that hold other numbers on which the solids, or whether they are seen, depend."""
 SUSPECT = re.compile(rb"[\d.]e[+\d]|\d{7}|nan|inf|&")
-"""What stands in every document, in small letters, with a number that is none, or is large: most are spared a closer
-look."""
+"""What stands in every document, in small letters, with a number that is none, or is large: most
+are spared a closer look."""
 
 
 def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
-    """See that an MJCF document is self-contained and of bounded size. Raises BrokenError, naming `name`.
+    """See that an MJCF document is self-contained and of bounded size. Raises BrokenError, naming
+    `name`.
 
-    Returns a digest of its elements but for names and colours, whatever their order: equal for documents of the same
-    solids that were renamed or reordered, though not for every way to write the same solids (`geometry_digest`).
+    Returns a digest of its elements but for names and colours, whatever their order: equal for
+    documents of the same solids that were renamed or reordered, though not for every way to write
+    the same solids (`geometry_digest`).
 
-    MuJoCo would read included files and assets from anywhere on disk, expand what multiplies, and take memory as it is
-    told; none of that is in a document that scenegen has archived.
+    MuJoCo would read included files and assets from anywhere on disk, expand what multiplies, and
+    take memory as it is told; none of that is in a document that scenegen has archived.
     """
-    geoms, outline, within = 0, list[str](), [""]
+    geoms, others, outline, within = 0, 0, list[str](), [""]
     suspect = SUSPECT.search(document.lower()) is not None
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal geoms
+        nonlocal geoms, others
         geoms += tag == "geom"
+        others += tag not in SOLIDS
         if tag in FORBIDDEN:
             raise BrokenError(f"{name}: has <{tag}>, expected a self-contained world of solids")
         if len(within) > MOST_DEPTH or len(outline) >= MOST_ELEMENTS or geoms > MOST_GEOMS:
             raise BrokenError(
-                f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} levels of them"
+                f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} "
+                f"levels of them"
+            )
+        if others > MOST_OTHERS or len(attributes) > MOST_ATTRIBUTES:
+            raise BrokenError(
+                f"{name}: more than {MOST_OTHERS} elements besides {', '.join(sorted(SOLIDS))}, or "
+                f"{MOST_ATTRIBUTES} attributes of one; put geoms straight into the worldbody"
             )
         if tag == "numeric" or not WATCHED.isdisjoint(attributes):
             _check_attributes(tag, attributes, assets, name)
         if suspect:
             check_numbers(tag, attributes, name)
-        written = [f"{key}={value}" for key, value in sorted(attributes.items()) if key not in LOOKS]
+        written = [
+            f"{key}={value}" for key, value in sorted(attributes.items()) if key not in LOOKS
+        ]
         outline.append(f"{within[-1]} {tag} {' '.join(written)}")
-        within.append("" if tag == "geom" else hashlib.sha256(outline[-1].encode()).hexdigest()[:16])
+        within.append(
+            "" if tag == "geom" else hashlib.sha256(outline[-1].encode()).hexdigest()[:16]
+        )
 
     def end(tag: str) -> None:
         within.pop()
@@ -79,8 +109,11 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
     return hashlib.sha256("\n".join(sorted(outline)).encode()).digest()
 
 
-def _check_attributes(tag: str, attributes: dict[str, str], assets: Mapping[str, bytes], name: str) -> None:
-    """Files and amounts that an element asks for. Raises BrokenError, or ValueError for no number."""
+def _check_attributes(
+    tag: str, attributes: dict[str, str], assets: Mapping[str, bytes], name: str
+) -> None:
+    """Files and amounts that an element asks for. Raises BrokenError, or ValueError for no
+    number."""
     for key, value in attributes.items():
         where = f"{name}: <{tag} {key}={short(value)}>"
         if key in FILES and value not in assets:
@@ -98,19 +131,23 @@ def _check_attributes(tag: str, attributes: dict[str, str], assets: Mapping[str,
 
 
 def check_amounts(tag: str, attributes: Mapping[str, str], name: str) -> None:
-    """See that a mesh or height field made of numbers alone is no larger than those from files. Raises BrokenError,
-    naming `name`, or ValueError for no number."""
+    """See that a mesh or height field made of numbers alone is no larger than those from files.
+    Raises BrokenError, naming `name`, or ValueError for no number."""
     if _amount(attributes.get("nrow", "0")) * _amount(attributes.get("ncol", "0")) > MOST_CELLS:
         raise BrokenError(f"{name}: <{tag}>: nrow times ncol is more than {MOST_CELLS}")
     params = attributes.get("params", "") if "builtin" in attributes else ""
     if not all(float(part) <= MOST_BUILTIN for part in params.split()):
-        raise BrokenError(f"{name}: <{tag} params={short(params)}>: expected {MOST_BUILTIN} at most")
+        raise BrokenError(
+            f"{name}: <{tag} params={short(params)}>: expected {MOST_BUILTIN} at most"
+        )
 
 
 def check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
-    """See that what places, turns and sizes things is made of finite numbers. Raises BrokenError, naming `name`.
+    """See that what places, turns and sizes things is made of finite numbers. Raises BrokenError,
+    naming `name`.
 
-    MuJoCo takes a NaN for a number that was not given, so that things stand elsewhere without a word.
+    MuJoCo takes a NaN for a number that was not given, so that things stand elsewhere without a
+    word.
     """
     for key in attributes.keys() & (LENGTHS | TURNS):
         most = MOST_LENGTH_M if key in LENGTHS else math.inf
@@ -121,15 +158,20 @@ def check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
                 continue
             if not (math.isfinite(number) and abs(number) <= most):
                 expected = f"numbers up to {most:g}" if math.isfinite(most) else "finite numbers"
-                raise BrokenError(f"{name}: <{tag} {key}={short(attributes[key])}>: {short(part)}, expected {expected}")
+                raise BrokenError(
+                    f"{name}: <{tag} {key}={short(attributes[key])}>: {short(part)}, expected "
+                    f"{expected}"
+                )
 
 
 def _check_field(content: bytes, where: str) -> None:
-    """A height field's file begins with its rows and columns, and MuJoCo takes as much memory as they say."""
+    """A height field's file begins with its rows and columns, and MuJoCo takes as much memory as
+    they say."""
     rows, columns = struct.unpack("<ii", content[:8]) if len(content) >= 8 else (0, 0)
     if not (0 < rows * columns <= MOST_CELLS and len(content) == 8 + 4 * rows * columns):
         raise BrokenError(
-            f"{where}: {rows} rows and {columns} columns in {len(content)} bytes, expected a height field"
+            f"{where}: {rows} rows and {columns} columns in {len(content)} bytes, expected a "
+            f"height field"
         )
 
 

@@ -1,4 +1,5 @@
-"""One scan of one world, with or without noise: what `scenegen scan` does, and Python in a few lines.
+"""One scan of one world, with or without noise: what `scenegen scan` does, and Python in a few
+lines.
 
 world = read_world(Path("scenes/warehouse.xml"))
 seen = scan_world(world, VLP_16, Pose.level((8.0, 6.0, 1.5)), Noise.parse("range:0.02"), seed=0)
@@ -33,15 +34,17 @@ def read_world(path: Path) -> World:
 
 
 def pose_in_flight(world: World, *, seed: int, flight: Flight | None = None) -> Pose:
-    """A random viewpoint of a random flight through the world. Raises GenerationError where none fits."""
+    """A random viewpoint of a random flight through the world. Raises GenerationError where none
+    fits."""
     return _flown(world, flight or Flight(), seed).pose(0)
 
 
 def poses_in_flight(
     world: World, *, seed: int, every_m: float | None = None, flight: Flight | None = None
 ) -> list[Pose]:
-    """The viewpoints of a random flight through the world, every `every_m` metres (the flight's own spacing unless
-    given), in the order in which they are passed. Raises GenerationError where none fits."""
+    """The viewpoints of a random flight through the world, every `every_m` metres (the flight's own
+    spacing unless given), in the order in which they are passed. Raises GenerationError where none
+    fits."""
     flight = flight or Flight()
     found = _flown(world, dataclasses.replace(flight, spacing_m=every_m or flight.spacing_m), seed)
     return [found.pose(int(n)) for n in np.argsort(found.flown_m)]
@@ -72,6 +75,8 @@ def scan_world(
     caster = engine(world.model, world.data)
     clean = cast(caster, lidar, pose)
     try:
-        return (noise or Noise()).observe(clean, caster, rng=np.random.default_rng(seed), albedo=albedo_of(world.model))
+        return (noise or Noise()).observe(
+            clean, caster, rng=np.random.default_rng(seed), albedo=albedo_of(world.model)
+        )
     except ValueError as error:
         raise GenerationError(str(error)) from None

@@ -1,6 +1,7 @@
 """Where worlds come from: drawn anew by a recipe, or read from MJCF files.
 
-A source answers one question: which world does unit u of a split fly through? A *unit* is one flight and its samples.
+A source answers one question: which world does unit u of a split fly through? A *unit* is one
+flight and its samples.
 """
 
 import functools
@@ -13,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.errors import RecipeError, SceneError, printable
+from scenegen.errors import BrokenError, RecipeError, SceneError, printable
 from scenegen.labels import By, class_names
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
@@ -26,10 +27,12 @@ SHARES = {"train": 10, "val": 1, "test": 2}
 
 
 class Source(Protocol):
-    """Worlds by number. A source is small and can be pickled: it travels to worker processes and clusters."""
+    """Worlds by number. A source is small and can be pickled: it travels to worker processes and
+    clusters."""
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
-        """(the world's number within its split, how many earlier units of the split flew through the same world)."""
+        """(the world's number within its split, how many earlier units of the split flew through
+        the same world)."""
         ...
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
@@ -55,12 +58,16 @@ class DrawnWorlds:
         """See `Source.world`."""
         kind = self.recipe.world
         if kind is None:
-            raise RecipeError('kind "scene" draws no worlds; give the MJCF file or folder with --scene')
+            raise RecipeError(
+                'kind "scene" draws no worlds; give the MJCF file or folder with --scene'
+            )
         bounds = self.recipe.flight.bounds(kind.size_m)
         try:
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
-        except ValueError as error:
-            raise RecipeError(f"[world] of kind {self.recipe.kind!r} draws what cannot be: {error}") from None
+        except (ValueError, BrokenError) as error:
+            raise RecipeError(
+                f"[world] of kind {self.recipe.kind!r} draws what cannot be: {error}"
+            ) from None
 
     def describe(self) -> dict[str, Any]:
         """See `Source.describe`."""
@@ -73,8 +80,8 @@ class DrawnWorlds:
 
 @dataclass(frozen=True)
 class SceneWorlds:
-    """Worlds from MJCF files. The units of a split visit its worlds in turn, each time with another flight, so that any
-    number of samples spreads evenly over them."""
+    """Worlds from MJCF files. The units of a split visit its worlds in turn, each time with another
+    flight, so that any number of samples spreads evenly over them."""
 
     scenes: Mapping[str, Sequence[Scene]]
     """The worlds of each split."""
@@ -102,7 +109,11 @@ class SceneWorlds:
     def class_names(self, by: By) -> set[str]:
         """Classes of its worlds' geoms."""
         rng = np.random.default_rng(0)
-        worlds = (self.world(split, n, rng=rng) for split, of in self.scenes.items() for n in range(len(of)))
+        worlds = (
+            self.world(split, n, rng=rng)
+            for split, of in self.scenes.items()
+            for n in range(len(of))
+        )
         return {name for world in worlds for name in class_names(world.model, by)}
 
 
@@ -119,23 +130,33 @@ def _content_digest(scene: Scene) -> str:
 
 
 def read_scenes(
-    path: Path, counts: Mapping[str, int], *, seed: int, allow_unseen: bool = False, materials: bool = False
+    path: Path,
+    counts: Mapping[str, int],
+    *,
+    seed: int,
+    allow_unseen: bool = False,
+    materials: bool = False,
 ) -> SceneWorlds:
-    """The MJCF file at `path`, all for training, or the folder of them, split by world as `SHARES` says.
+    """The MJCF file at `path`, all for training, or the folder of them, split by world as `SHARES`
+    says.
 
-    Which world goes to which split depends on the files' names, the seed, and which splits `counts` asks for, never on
-    how many samples. With `materials`, worlds keep the names of their materials. Raises SceneError for a file that
-    cannot serve, for one with geoms that rays cannot see (unless `allow_unseen`), for two of the same world, and for a
-    folder with fewer worlds than splits.
+    Which world goes to which split depends on the files' names, the seed, and which splits `counts`
+    asks for, never on how many samples. With `materials`, worlds keep the names of their materials.
+    Raises SceneError for a file that cannot serve, for one with geoms that rays cannot see (unless
+    `allow_unseen`), for two of the same world, and for a folder with fewer worlds than splits.
     """
     if not path.exists():
-        raise SceneError(f"{path}: no such file or folder; expected an MJCF file or a folder of them")
+        raise SceneError(
+            f"{path}: no such file or folder; expected an MJCF file or a folder of them"
+        )
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path]
     if not files:
         raise SceneError(f"{path}: holds no .xml file; expected MJCF worlds")
     scenes, parts = _read_files(files, materials)
     if not scenes:
-        raise SceneError(f"{path}: holds parts alone, which other files include; expected an MJCF world")
+        raise SceneError(
+            f"{path}: holds parts alone, which other files include; expected an MJCF world"
+        )
     _check(scenes, allow_unseen)
     notes = tuple(note for scene in scenes.values() for note in scene.notes)
     if parts:
@@ -146,14 +167,16 @@ def read_scenes(
             if counts[split]:
                 raise SceneError(
                     f"{file}: one world cannot be split: give a folder of "
-                    f"{sum(bool(counts[name]) for name in SPLITS)} worlds or more, or leave --{split} out and measure "
+                    f"{sum(bool(counts[name]) for name in SPLITS)} worlds or more, or leave "
+                    f"--{split} out and measure "
                     "on the training samples (bench --split train)"
                 )
         return SceneWorlds({"train": (only,), "val": (), "test": ()}, notes)
     wanted = [split for split in SPLITS if counts[split]]
     if len(scenes) < len(wanted):
         raise SceneError(
-            f"{path}: {len(scenes)} worlds for {len(wanted)} splits; add worlds, or set --val or --test to 0"
+            f"{path}: {len(scenes)} worlds for {len(wanted)} splits; add worlds, or set --val or "
+            f"--test to 0"
         )
     dealing = list(scenes.values())
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(scenes))
@@ -162,18 +185,26 @@ def read_scenes(
     share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])
     dealt = iter(order)
     return SceneWorlds(
-        {split: tuple(dealing[next(dealt)] for _ in range(share.get(split, 0))) for split in SPLITS}, notes
+        {
+            split: tuple(dealing[next(dealt)] for _ in range(share.get(split, 0)))
+            for split in SPLITS
+        },
+        notes,
     )
 
 
 def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scene], list[str]]:
     """The worlds among `files`, and the names of those that are parts of others.
 
-    Files are read one after the other in a process of their own, which a file that never ends, or takes all memory,
-    cannot outlive; it costs about a second, in which kernels are loaded that this process loads again.
+    Files are read one after the other in a process of their own, which a file that never ends, or
+    takes all memory, cannot outlive; it costs about a second, in which kernels are loaded that this
+    process loads again.
     """
     read: Limited[Path, Reading] = Limited(
-        functools.partial(read_file, materials=materials), lambda _: SCENE_SECONDS, SCENE_BYTES, _given_up
+        functools.partial(read_file, materials=materials),
+        lambda _: SCENE_SECONDS,
+        SCENE_BYTES,
+        _given_up,
     )
     readings = sorted(run(read, files, 1), key=lambda reading: reading.path)
     included = {path for reading in readings for path in reading.includes}
@@ -190,28 +221,36 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
 
 def _given_up(path: Path, reason: str) -> Reading:
     allowed = f"{SCENE_SECONDS:g} s and {SCENE_BYTES >> 30} GB"
-    return Reading(path, SceneError(f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world"))
+    return Reading(
+        path,
+        SceneError(f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world"),
+    )
 
 
 def _check(scenes: Mapping[Path, Scene], allow_unseen: bool) -> None:
-    """Raise SceneError for geoms that rays cannot see, for two files of the same solids, which could come to lie in two
-    splits, and for more than an archive may hold."""
+    """Raise SceneError for geoms that rays cannot see, for two files of the same solids, which
+    could come to lie in two splits, and for more than an archive may hold."""
     owner: dict[bytes, Path] = {}
     for path, scene in scenes.items():
         if scene.unseen and not allow_unseen:
             raise SceneError(
-                f"{path}: rays cannot see geom {printable(named(scene.unseen))} (alpha 0); give it an alpha above 0, "
+                f"{path}: rays cannot see geom {printable(named(scene.unseen))} (alpha 0); give "
+                f"it an alpha above 0, "
                 "remove it, or pass --allow-unseen to leave it out of the truth"
             )
         first = owner.setdefault(scene.geometry, path)
         if first is not path:
             raise SceneError(
-                f"{path}: the same world as {first.name}, whatever its geoms are called; remove one of the two"
+                f"{path}: the same world as {first.name}, whatever its geoms are called; remove "
+                f"one of the two"
             )
-    files = {name: len(content) for scene in scenes.values() for name, content in scene.assets.items()}
+    files = {
+        name: len(content) for scene in scenes.values() for name, content in scene.assets.items()
+    }
     total = sum(files.values()) + sum(len(scene.mjcf) for scene in scenes.values())
     if total > MOST_ARCHIVE_BYTES or len(files) + len(scenes) > MOST_MEMBERS:
         raise SceneError(
-            f"{next(iter(scenes)).parent}: worlds of {total} bytes in {len(files) + len(scenes)} files, expected "
+            f"{next(iter(scenes)).parent}: worlds of {total} bytes in {len(files) + len(scenes)} "
+            f"files, expected "
             f"{MOST_ARCHIVE_BYTES} and {MOST_MEMBERS} at most; use coarser meshes, or fewer worlds"
         )

@@ -1,4 +1,5 @@
-"""TOML files, and dataclasses made of their tables, with errors that name the file, the table and the parameter."""
+"""TOML files, and dataclasses made of their tables, with errors that name the file, the table and
+the parameter."""
 
 import dataclasses
 import difflib
@@ -20,9 +21,14 @@ def read_toml(path: Path) -> dict[str, Any]:
     where = printable(path)
     try:
         text = read_bounded(path, MOST_RECIPE_BYTES).decode()
-        lines = (_DECIMAL.sub("", line) for line in text.splitlines() if not line.lstrip().startswith("#"))
+        lines = (
+            _DECIMAL.sub("", line)
+            for line in text.splitlines()
+            if not line.lstrip().startswith("#")
+        )
         if any(line.count(".") > MOST_DEPTH for line in lines):
-            raise RecursionError  # dotted keys: tomllib's time grows with the square of their depth, or worse
+            # dotted keys: tomllib's time grows with the square of their depth, or worse
+            raise RecursionError
         return tomllib.loads(text)
     except OSError as error:
         raise RecipeError(f"{where}: cannot be read: {error.strerror}") from None
@@ -35,8 +41,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def from_table(part: Any, table: dict[str, Any], where: str, folder: Path) -> Any:
-    """An instance of the dataclass `part`, which checks its values, or a copy of the instance `part` with the values
-    changed; paths in `table` are relative to `folder`. Raises RecipeError."""
+    """An instance of the dataclass `part`, which checks its values, or a copy of the instance
+    `part` with the values changed; paths in `table` are relative to `folder`. Raises
+    RecipeError."""
     fields = {item.name: item for item in dataclasses.fields(part)}
     values = {}
     for name, value in table.items():
@@ -49,7 +56,10 @@ def from_table(part: Any, table: dict[str, Any], where: str, folder: Path) -> An
             raise RecipeError(f"{where} {name}: is missing, and has no default; give it a value")
     try:
         return part(**values) if isinstance(part, type) else dataclasses.replace(part, **values)
-    except (ValueError, TypeError) as error:  # a user's own sensor may check its values in either way
+    except (
+        ValueError,
+        TypeError,
+    ) as error:  # a user's own sensor may check its values in either way
         raise RecipeError(f"{where} {printable(error)}") from None
 
 

@@ -1,6 +1,7 @@
 """Local processes that work off tasks, and end with their parent whatever ends it.
 
-No threads, queues or locks of the parent's are involved, so that a signal may end it at any point without a deadlock.
+No threads, queues or locks of the parent's are involved, so that a signal may end it at any point
+without a deadlock.
 """
 
 import contextlib
@@ -13,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -27,7 +28,11 @@ MOST_REPLACED = 5
 """Workers that may die in a run with limits before the rest is given up."""
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""The C library's names for the most free memory that it keeps, and the least that it takes from the system apart."""
+"""The C library's names for the most free memory that it keeps, and the least that it takes from
+the system apart."""
+
+SAFE_PATH = "PYTHONSAFEPATH"
+"""Where this is set, Python looks for no modules in the working folder unless it is told to."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -39,11 +44,14 @@ def cores() -> int:
 
 
 def keep_memory() -> None:
-    """Have up to 64 MB of freed memory stay with this process and those that it begins, for the next shard takes as
-    much: pages that are given back and taken anew cost the system time (docs/log.md). For programs, not libraries."""
+    """Have up to 64 MB of freed memory stay with this process and those that it begins, for the
+    next shard takes as much: pages that are given back and taken anew cost the system time
+    (docs/log.md). For programs, not libraries."""
     import ctypes
 
-    with contextlib.suppress(AttributeError, OSError):  # elsewhere than with glibc, it stays as it is
+    with contextlib.suppress(
+        AttributeError, OSError
+    ):  # elsewhere than with glibc, it stays as it is
         library = ctypes.CDLL(None)
         library.mallopt(M_MMAP_THRESHOLD, 32 << 20)
         library.mallopt(M_TRIM_THRESHOLD, 64 << 20)
@@ -51,8 +59,9 @@ def keep_memory() -> None:
 
 @dataclass(frozen=True)
 class Limited(Generic[Task, Result]):
-    """A function of tasks whose input nobody vouches for: it never runs in this process, and may crash or hang in its
-    own. `run` sees to that; where it is called, it runs in a process that is kept for the next call."""
+    """A function of tasks whose input nobody vouches for: it never runs in this process, and may
+    crash or hang in its own. `run` sees to that; where it is called, it runs in a process that is
+    kept for the next call."""
 
     function: Callable[[Task], Result]
     seconds: Callable[[Task], float]
@@ -60,10 +69,12 @@ class Limited(Generic[Task, Result]):
     memory_bytes: int
     """Address space a worker may take beyond what it starts with, where the system can limit it."""
     given_up: Callable[[Task, str], Result]
-    """The result of a task whose worker died, or was ended for taking too long: made of the task and what happened."""
+    """The result of a task whose worker died, or was ended for taking too long: made of the task
+    and what happened."""
 
     def __call__(self, task: Task) -> Result:
-        """The result, for executors that call functions in processes of their own, which may run threads."""
+        """The result, for executors that call functions in processes of their own, which may run
+        threads."""
         worker: Worker | None = vars(self).pop("_kept", None)
         if worker is None or not worker.process.is_alive():
             worker = Worker(self, "spawn")
@@ -83,12 +94,12 @@ def run(
     workers: int,
     on_start: Callable[[], None] = lambda: None,
 ) -> Generator[Result, None, None]:
-    """Results of `function` over `tasks`, as they come; in this process where one worker is enough and `function` is
-    not `Limited`.
+    """Results of `function` over `tasks`, as they come; in this process where one worker is enough
+    and `function` is not `Limited`.
 
-    `on_start` is called when all workers have been started: from then on, this process may run threads. Raises
-    GenerationError where a worker is killed, unless `function` is `Limited`, and whatever `function` raises. No process
-    is left behind.
+    `on_start` is called when all workers have been started: from then on, this process may run
+    threads. Raises GenerationError where a worker is killed, unless `function` is `Limited`, and
+    whatever `function` raises. No process is left behind.
     """
     tasks = list(tasks)
     if not isinstance(function, Limited) and (workers == 1 or len(tasks) <= 1):
@@ -109,12 +120,16 @@ def run(
             while busy:
                 for worker in _ready(busy):
                     result = worker.take(workers)
-                    following = next(waiting, None) if worker.alive or replaced < MOST_REPLACED else None
+                    following = (
+                        next(waiting, None) if worker.alive or replaced < MOST_REPLACED else None
+                    )
                     if following is None or not worker.alive:
                         busy.remove(worker)
                         worker.end()
                     if following is not None:
-                        if not worker.alive:  # by now there may be threads, so this one is not forked
+                        if (
+                            not worker.alive
+                        ):  # by now there may be threads, so this one is not forked
                             worker = Worker(function, "spawn")
                             busy.append(worker)
                             replaced += 1
@@ -128,12 +143,16 @@ def run(
                 worker.end()
 
 
-def guarded(function: Callable[[Task], Result], task: Task, *, seconds: float, memory_bytes: int) -> Result:
-    """`function(task)`, computed in a process of its own that may take `seconds` and `memory_bytes` more than this one.
+def guarded(
+    function: Callable[[Task], Result], task: Task, *, seconds: float, memory_bytes: int
+) -> Result:
+    """`function(task)`, computed in a process of its own that may take `seconds` and `memory_bytes`
+    more than this one.
 
-    For libraries that a stranger's bytes could make hang, crash or take all memory: what they do happens elsewhere, and
-    only the result, which must be picklable, comes back. Costs some 10 ms. Raises the ScenegenError that `function`
-    raises, and GuardError where the process ends in any other way.
+    For libraries that a stranger's bytes could make hang, crash or take all memory: what they do
+    happens elsewhere, and only the result, which must be picklable, comes back. Costs some 10 ms.
+    Raises the ScenegenError that `function` raises, and GuardError where the process ends in any
+    other way.
     """
     alone: Limited[Task, Any] = Limited(
         _Guarded(function), lambda _: seconds, memory_bytes, lambda _, reason: GuardError(reason)
@@ -165,15 +184,20 @@ class Worker:
         self.pipe, theirs = context.Pipe()
         self._limits = limits = function if isinstance(function, Limited) else None
         given = (function, None) if limits is None else (limits.function, limits.memory_bytes)
-        self.process = context.Process(target=_serve, args=(*given, theirs, os.getpid()), daemon=True)
-        self.process.start()
+        self.process = context.Process(
+            target=_serve, args=(*given, theirs, os.getpid()), daemon=True
+        )
+        with contextlib.nullcontext() if start == "fork" else safe_path():
+            self.process.start()
         theirs.close()
         self.alive = True
 
     def give(self, task: Any) -> None:
         """Have a task worked off; its time begins."""
         self._task = task
-        self._deadline = time.monotonic() + (self._limits.seconds(task) if self._limits else math.inf)
+        self._deadline = time.monotonic() + (
+            self._limits.seconds(task) if self._limits else math.inf
+        )
         self.pipe.send(task)
 
     @property
@@ -182,7 +206,8 @@ class Worker:
         return max(self._deadline - time.monotonic(), 0.0)
 
     def take(self, workers: int) -> Any:
-        """The task's result, or its exception raised here; with limits, what stands for one that did not come."""
+        """The task's result, or its exception raised here; with limits, what stands for one that
+        did not come."""
         if not self.pipe.poll():
             return self._give_up("took too long")
         try:
@@ -191,13 +216,16 @@ class Worker:
             if self._limits:
                 return self._give_up("ended its process: it crashed, or took too much memory")
             raise GenerationError(
-                "a worker process was killed (out of memory?); finished shards are kept: give the same command again "
+                "a worker process was killed (out of memory?); finished shards are kept: give the "
+                "same command again "
                 f"to go on, with fewer --workers than {workers} if it happens again"
             ) from None
         if not succeeded:
             if self._limits:
                 reason = " ".join(str(value).split())[:200]
-                return self._limits.given_up(self._task, f"ended in {type(value).__name__}: {reason}")
+                return self._limits.given_up(
+                    self._task, f"ended in {type(value).__name__}: {reason}"
+                )
             raise value
         return value
 
@@ -215,6 +243,26 @@ class Worker:
         self.pipe.close()
 
 
+@contextlib.contextmanager
+def safe_path() -> Iterator[None]:
+    """While the block runs, a Python that this process starts imports nothing from the working
+    folder.
+
+    Multiprocessing starts its processes by ``python -c``, which would look there first, for
+    `multiprocessing` itself (https://docs.python.org/3/using/cmdline.html#envvar-PYTHONSAFEPATH). A
+    spawned process gets this one's `sys.path`.
+    """
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[SAFE_PATH]
+        else:
+            os.environ[SAFE_PATH] = before
+
+
 def _kill(busy: list[Worker]) -> None:
     """End all at once, for a process that ends itself next."""
     for worker in busy:
@@ -226,7 +274,9 @@ def _kill(busy: list[Worker]) -> None:
 def _ready(busy: list[Worker]) -> list[Worker]:
     """Workers that have a result, have died, or have run out of time."""
     least = min(worker.seconds_left for worker in busy)
-    pipes = multiprocessing.connection.wait([worker.pipe for worker in busy], None if least == math.inf else least)
+    pipes = multiprocessing.connection.wait(
+        [worker.pipe for worker in busy], None if least == math.inf else least
+    )
     return [worker for worker in busy if worker.pipe in pipes or worker.seconds_left == 0.0]
 
 
@@ -242,7 +292,9 @@ def _limit_memory(more_bytes: int) -> None:
         return
 
 
-def _serve(function: Callable[[Any], Any], memory_bytes: int | None, parent: Any, parent_id: int) -> None:
+def _serve(
+    function: Callable[[Any], Any], memory_bytes: int | None, parent: Any, parent_id: int
+) -> None:
     """Work off the tasks that come through the pipe `parent` until that process ends."""
     if memory_bytes is not None:
         _limit_memory(memory_bytes)
@@ -262,7 +314,8 @@ def _serve(function: Callable[[Any], Any], memory_bytes: int | None, parent: Any
 
 
 def _die_with_parent() -> None:
-    """Have the kernel end this process when the thread that began it ends, even if it hangs in a library then."""
+    """Have the kernel end this process when the thread that began it ends, even if it hangs in a
+    library then."""
     import ctypes
 
     with contextlib.suppress(AttributeError, OSError):  # elsewhere than on Linux, `_watch` must do

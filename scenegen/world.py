@@ -19,8 +19,9 @@ from scenegen.quiet import quiet_mujoco
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One world, ready for an engine to scan it. The compiled model is the one source of truth: rays, occupancy and
-    collision checks all read it, whether a recipe drew the world or a person did."""
+    """One world, ready for an engine to scan it. The compiled model is the one source of truth:
+    rays, occupancy and collision checks all read it, whether a recipe drew the world or a person
+    did."""
 
     mjcf: bytes
     """The document, UTF-8."""
@@ -41,8 +42,11 @@ class World:
         return Clearance(self.solids, self.flight_bounds)
 
 
-def compile_world(mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, name: str = "world") -> World:
-    """Compile an archived document. Raises SceneError, naming `name`, where it cannot serve as a world."""
+def compile_world(
+    mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, name: str = "world"
+) -> World:
+    """Compile an archived document. Raises SceneError, naming `name`, where it cannot serve as a
+    world."""
     assets = dict(assets or {})
     with quiet_mujoco():
         try:
@@ -53,7 +57,8 @@ def compile_world(mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, nam
 
 
 def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: NDArray[np.float64]) -> World:
-    """Build a world by adding to an empty drawing, write it as MJCF, and compile what was written."""
+    """Build a world by adding to an empty drawing, write it as MJCF, and compile what was
+    written."""
     with quiet_mujoco():
         drawing = Drawing(flight_bounds)
         add_to(drawing)
@@ -67,7 +72,9 @@ def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name
     seen = visible_geoms(model)
     unseen = tuple(model.geom(int(g)).name or f"number {g}" for g in np.flatnonzero(~seen))
     if not seen.any():
-        raise SceneError(f"{name}: no geom that rays can see; add some, or give those there an alpha above 0")
+        raise SceneError(
+            f"{name}: no geom that rays can see; add some, or give those there an alpha above 0"
+        )
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
@@ -82,14 +89,23 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> NDArray[
     """The document's own flight_bounds, or the box around all that is bounded in it."""
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
         data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, dtype=np.float64)
-        if data.size != 6 or not (data[:3] < data[3:]).all() or not (np.abs(data) <= MOST_LENGTH_M).all():
+        if (
+            data.size != 6
+            or not (data[:3] < data[3:]).all()
+            or not (np.abs(data) <= MOST_LENGTH_M).all()
+        ):
             raise SceneError(
-                f"{name}: <numeric {FLIGHT_BOUNDS}> = {short(data.tolist())}, expected xmin ymin zmin xmax ymax zmax, "
+                f"{name}: <numeric {FLIGHT_BOUNDS}> = {short(data.tolist())}, expected xmin ymin "
+                f"zmin xmax ymax zmax, "
                 f"rising, up to {MOST_LENGTH_M:g}"
             )
         return data.reshape(2, 3)
     bounded = np.isfinite(solids.lower).all(axis=1)
-    corners = np.concatenate([solids.lower[bounded], solids.upper[bounded], solids.triangles.reshape(-1, 3)])
+    corners = np.concatenate(
+        [solids.lower[bounded], solids.upper[bounded], solids.triangles.reshape(-1, 3)]
+    )
     if not len(corners):
-        raise SceneError(f"{name}: only planes, so nothing bounds the flights; add <numeric {FLIGHT_BOUNDS}>")
+        raise SceneError(
+            f"{name}: only planes, so nothing bounds the flights; add <numeric {FLIGHT_BOUNDS}>"
+        )
     return np.stack([corners.min(axis=0), corners.max(axis=0)])

@@ -1,4 +1,5 @@
-"""Every process of the tests computes on one thread, and so do those that it starts: as many run as there are cores."""
+"""Every process of the tests computes on one thread, and so do those that it starts: as many run as
+there are cores."""
 
 import os
 

@@ -1,6 +1,8 @@
-"""Digests of all that lies between a seed and a stored bit, and of what differs from processor to processor.
+"""Digests of all that lies between a seed and a stored bit, and of what differs from processor to
+processor.
 
-Run as ``python -m tests.bits`` under an environment that hides a processor's features, it prints them as JSON.
+Run as ``python -m tests.bits`` under an environment that hides a processor's features, it prints
+them as JSON.
 """
 
 import hashlib
@@ -28,7 +30,9 @@ UNITS = 2
 
 def digest(arrays: Iterable[ArrayLike]) -> str:
     """SHA-256 of the arrays' bytes, one after the other."""
-    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
+    return hashlib.sha256(
+        b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
+    ).hexdigest()
 
 
 def of_processor() -> dict[str, str]:
@@ -43,10 +47,17 @@ def of_processor() -> dict[str, str]:
 
 
 def of_datasets() -> dict[str, str]:
-    """What must not differ: draws, directions, poses, meshes, and samples and worlds of the presets and the scenes."""
+    """What must not differ: draws, directions, poses, meshes, and samples and worlds of the presets
+    and the scenes."""
     rng = np.random.default_rng(0)
     sensors = [
-        Lidar(rows=7, columns=50, vertical_fov_deg=fov, pitch_deg=fov / 3, mount=("tilt", "band")[n % 2])
+        Lidar(
+            rows=7,
+            columns=50,
+            vertical_fov_deg=fov,
+            pitch_deg=fov / 3,
+            mount=("tilt", "band")[n % 2],
+        )
         for n, fov in enumerate(rng.uniform(0.0, 180.0, 60))
     ]
     views = viewpoints(np.cumsum(rng.uniform(-3.0, 3.0, (3000, 3)), axis=0), 1.0, rng=rng)
@@ -81,7 +92,9 @@ def _mesh(rng: np.random.Generator) -> ArrayLike:
     spec.add_mesh(name="m", uservert=rng.uniform(-1.0, 1.0, 300).tolist())
     for attitude in attitudes(20, 1.0, rng=rng):
         place = rng.uniform(-9.0, 9.0, 3)
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="m", quat=attitude, pos=place)
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname="m", quat=attitude, pos=place
+        )
     return solids_of(spec.compile()).triangles
 
 

@@ -29,6 +29,7 @@ shape = [24, 24, 16]
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
     """Exit code, standard output and standard error of a command."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONSAFEPATH", "1")  # as the command line has it, and as it was afterwards
         patch.setattr(sys, "argv", ["scenegen", *map(str, words)])
         with pytest.raises(SystemExit) as ended:
             cli.main()

@@ -32,9 +32,12 @@ MANY = 300
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in any test."""
+    """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in
+    any test."""
     if "PYTEST_XDIST_WORKER" in os.environ:
-        atexit.register(os._exit, 0)  # a worker has reported by then; taking apart what it imported takes seconds
+        atexit.register(
+            os._exit, 0
+        )  # a worker has reported by then; taking apart what it imported takes seconds
     gc.disable()
     try:
         return (yield)
@@ -55,7 +58,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Kernels that no earlier run compiled: the workers of a long run share them, lest each compile all."""
+    """Kernels that no earlier run compiled: the workers of a long run share them, lest each compile
+    all."""
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
     if worker and len(request.session.items) >= MANY:
         from tests.kernels import share
@@ -71,7 +75,8 @@ def small_recipe(kind: str = "pillar", **tables: dict) -> Recipe:
 
 
 def picky_recipe() -> Recipe:
-    """A small recipe that rejects some worlds and some viewpoints of every shard of a few worlds."""
+    """A small recipe that rejects some worlds and some viewpoints of every shard of a few
+    worlds."""
     return small_recipe(
         world={"density": (0.005, 0.06), "height_m": (3.0, 8.0)},
         accept={"min_solids": 2.0, "min_occupied_share": 0.01, "min_returned_share": 0.03},
@@ -80,8 +85,11 @@ def picky_recipe() -> Recipe:
 
 
 def quarter(count: int) -> pytest.MarkDecorator:
-    """A test of so many instances, its argument `count`: a quarter of them by default, all among the slow tests."""
-    return pytest.mark.parametrize("count", [count // 4, pytest.param(count, marks=pytest.mark.slow)])
+    """A test of so many instances, its argument `count`: a quarter of them by default, all among
+    the slow tests."""
+    return pytest.mark.parametrize(
+        "count", [count // 4, pytest.param(count, marks=pytest.mark.slow)]
+    )
 
 
 Once = Callable[[str, Callable[[Path], object]], Path]
@@ -89,7 +97,8 @@ Once = Callable[[str, Callable[[Path], object]], Path]
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
-    """Makes a folder once for all processes that run tests: the first that asks fills it, and the others wait.
+    """Makes a folder once for all processes that run tests: the first that asks fills it, and the
+    others wait.
 
     Tests of several processes read what is in it at the same time, and must not change it.
     """
@@ -100,7 +109,9 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
         folder = base / name
         with open(base / f"{name}.made", "a+") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            if lock.seek(0, os.SEEK_END) == 0:  # which may have been written while this process waited
+            if (
+                lock.seek(0, os.SEEK_END) == 0
+            ):  # which may have been written while this process waited
                 shutil.rmtree(folder, ignore_errors=True)  # which another process could not fill
                 folder.mkdir()
                 fill(folder)

@@ -1,4 +1,5 @@
-"""Every kernel compiled once for all processes that run the tests: each compiles a share, and the others read it."""
+"""Every kernel compiled once for all processes that run the tests: each compiles a share, and the
+others read it."""
 
 import dataclasses
 import fcntl
@@ -14,21 +15,27 @@ import scenegen
 from lidarsim.jit import cache_folder, cache_trouble
 
 STAMP = f"compiled-for-the-tests-{hashlib.sha256(__file__.encode()).hexdigest()[:16]}"
-"""Numba keeps machine code by the path of its source, so what another checkout compiled serves this one nothing."""
+"""Numba keeps machine code by the path of its source, so what another checkout compiled serves this
+one nothing."""
 
 
 def share(worker: int, workers: int, meeting: Path) -> None:
-    """Compile what no other worker has begun on, starting at this one's part; return when all is in the cache.
+    """Compile what no other worker has begun on, starting at this one's part; return when all is in
+    the cache.
 
-    `meeting` is a folder that all workers of this run see. Does nothing where an earlier run compiled everything, or
-    where nothing can be kept. A lock is free again when its worker has ended, however it did, so nobody waits for ever.
+    `meeting` is a folder that all workers of this run see. Does nothing where an earlier run
+    compiled everything, or where nothing can be kept. A lock is free again when its worker has
+    ended, however it did, so nobody waits for ever.
     """
     package = scenegen.__name__
     stamp = cache_folder(package) / STAMP
     if cache_trouble(package) or stamp.exists():
         return
     tasks = TASKS[worker * len(TASKS) // workers :] + TASKS[: worker * len(TASKS) // workers]
-    for mode in (fcntl.LOCK_EX | fcntl.LOCK_NB, fcntl.LOCK_EX):  # what is free first; then what others were busy with
+    for mode in (
+        fcntl.LOCK_EX | fcntl.LOCK_NB,
+        fcntl.LOCK_EX,
+    ):  # what is free first; then what others were busy with
         for task in tasks:
             with open(meeting / f"{task.__name__}.lock", "a") as lock:
                 try:
@@ -102,7 +109,9 @@ def _twins() -> None:
     from scenegen.verify import twins
 
     maps = np.ones((2, 16, 16, 10), np.bool_)
-    signatures, folds = (np.array([each(one) for one in maps]) for each in (twins.signature, twins.fold))
+    signatures, folds = (
+        np.array([each(one) for one in maps]) for each in (twins.signature, twins.fold)
+    )
     twins.candidates(signatures, folds, maps.sum(axis=(1, 2, 3)), np.arange(2))
 
 
@@ -123,7 +132,15 @@ def _maps() -> None:
     grid = _grid()
     free, far = np.zeros(grid.shape, np.bool_), np.full(grid.shape, 2.0, np.float32)
     Extrude().complete(free, free, grid=grid)
-    measure(free, far, free, far, classes=free.view(np.uint8), class_count=1, config=ReconstructionConfig())
+    measure(
+        free,
+        far,
+        free,
+        far,
+        classes=free.view(np.uint8),
+        class_count=1,
+        config=ReconstructionConfig(),
+    )
     count([np.zeros(grid.shape, np.float32)], free, free.view(np.uint8))
 
 
@@ -137,7 +154,8 @@ def _reference() -> None:
 
 
 def _nothing() -> Any:
-    """The solids of an empty world: which kernels are compiled does not depend on what stands in it."""
+    """The solids of an empty world: which kernels are compiled does not depend on what stands in
+    it."""
     import mujoco
 
     from lidarsim.solids.model import solids_of

@@ -1,9 +1,10 @@
 """Python files run one after another as a user runs them, each in a copy of one process.
 
-A process that imports MuJoCo, numba and HDF5 takes a second for it. Here one process imports them, and forks a copy of
-itself for every file that is run. The copy has imported nothing of a user's and no command line; it runs the file as
-the interpreter does, with the file's folder first in `sys.path`. It ends with the interpreter's exit code, less the
-second in which the interpreter takes apart what is imported.
+A process that imports MuJoCo, numba and HDF5 takes a second for it. Here one process imports them,
+and forks a copy of itself for every file that is run. The copy has imported nothing of a user's and
+no command line; it runs the file as the interpreter does, with the file's folder first in
+`sys.path`. It ends with the interpreter's exit code, less the second in which the interpreter takes
+apart what is imported.
 """
 
 import atexit
@@ -22,11 +23,28 @@ from pathlib import Path
 from typing import NoReturn
 
 COMMON = (
-    *(f"scenegen.commands.{name}" for name in ("generate", "inspect", "publish", "verify", "world")),
-    *("scenegen.model.commands.bench", "scenegen.model.evaluation.run", "scenegen.draw", "scenegen.verify.folder"),
-    *("h5py", "lidarsim.engines.mujoco", "numba", "ompl.base", "ompl.geometric", "scipy.ndimage", "trimesh"),
+    *(
+        f"scenegen.commands.{name}"
+        for name in ("generate", "inspect", "publish", "verify", "world")
+    ),
+    *(
+        "scenegen.model.commands.bench",
+        "scenegen.model.evaluation.run",
+        "scenegen.draw",
+        "scenegen.verify.folder",
+    ),
+    *(
+        "h5py",
+        "lidarsim.engines.mujoco",
+        "numba",
+        "ompl.base",
+        "ompl.geometric",
+        "scipy.ndimage",
+        "trimesh",
+    ),
 )
-"""What is imported beforehand. A user's module is not among it, nor `scenegen.__main__`, nor torch."""
+"""What is imported beforehand. A user's module is not among it, nor `scenegen.__main__`, nor
+torch."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +62,9 @@ class Shell:
     def __init__(self) -> None:
         words = [sys.executable, "-c", "from tests.shell import serve; serve()"]
         root = Path(__file__).parents[1]
-        self._server = subprocess.Popen(words, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._server = subprocess.Popen(
+            words, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         script = shutil.which("scenegen", path=str(Path(sys.executable).parent))
         assert script, "install scenegen first: pip install -e ."
         self._script = script
@@ -53,7 +73,11 @@ class Shell:
         """How ``python file words`` ends in the folder `here`."""
         assert self._server.stdin
         assert self._server.stdout
-        print(json.dumps([str(here), str(here / file), *map(str, words)]), file=self._server.stdin, flush=True)
+        print(
+            json.dumps([str(here), str(here / file), *map(str, words)]),
+            file=self._server.stdin,
+            flush=True,
+        )
         return Ended(*json.loads(self._server.stdout.readline()))
 
     def scenegen(self, *words: object, here: Path) -> Ended:
@@ -73,7 +97,8 @@ class Shell:
 
 
 def serve() -> None:
-    """For every line on standard input, a folder, a file and its arguments, run the file in a copy of this process."""
+    """For every line on standard input, a folder, a file and its arguments, run the file in a copy
+    of this process."""
     for name in COMMON:
         importlib.import_module(name)
     assert not {"scenegen.__main__", "torch"} & sys.modules.keys()

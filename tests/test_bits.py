@@ -1,4 +1,5 @@
-"""No stored bit depends on what the processor offers: the same digests where its features are hidden."""
+"""No stored bit depends on what the processor offers: the same digests where its features are
+hidden."""
 
 import json
 import os
@@ -22,7 +23,9 @@ HIDDEN = {
         )
     },
     # glibc before 2.33 calls them *_Usable
-    "libm": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA_Usable,-AVX2,-AVX2_Usable,-FMA4,-FMA4_Usable"},
+    "libm": {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA_Usable,-AVX2,-AVX2_Usable,-FMA4,-FMA4_Usable"
+    },
     "blas": {"OPENBLAS_CORETYPE": "Nehalem"},
     "numba": {"NUMBA_CPU_NAME": "generic"},
 }
@@ -35,7 +38,8 @@ def here() -> dict[str, str]:
 
 
 def check(*parts: str) -> None:
-    """The digests are the same where these parts of the processor are hidden, though others are not."""
+    """The digests are the same where these parts of the processor are hidden, though others are
+    not."""
     hidden = {name: value for part in parts for name, value in HIDDEN[part].items()}
     run = subprocess.run(
         [sys.executable, "-W", "ignore", "-m", "tests.bits"],
@@ -48,9 +52,14 @@ def check(*parts: str) -> None:
     assert run.returncode == 0, run.stderr[-2000:]
     there = json.loads(run.stdout)
     assert there["datasets"] == here()
-    differing = [name for name, value in of_processor().items() if there["processor"][name] != value]
+    differing = [
+        name for name, value in of_processor().items() if there["processor"][name] != value
+    ]
     if parts != ("numba",) and not differing:
-        pytest.skip(f"here, sines, arctangents and products are the same without {', '.join(parts)}: nothing is shown")
+        pytest.skip(
+            f"here, sines, arctangents and products are the same without {', '.join(parts)}: "
+            f"nothing is shown"
+        )
 
 
 def test_without_what_numpy_libm_and_blas_find_in_the_processor() -> None:

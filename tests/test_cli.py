@@ -1,5 +1,6 @@
 """The command line as a whole: what it loads, how it ends, and what it lets nobody print."""
 
+import inspect
 import json
 import os
 import subprocess
@@ -14,12 +15,14 @@ import pytest
 from scenegen import __version__
 from scenegen.__main__ import PLACES, app
 from scenegen.commands.generate import NETWORK_EDGE
-from scenegen.model.config import NetworkConfig
+from scenegen.model.config import STRIDE
 from scenegen.model.evaluation.config import BenchConfig
 from tests.command_line import ROOT, run
 
 
-def test_version_completion_and_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_version_completion_and_doctor(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("scenegen.doctor.SELF_TEST_S", 0.1)
     assert __version__ in run(capsys, "--version")[1] == run(capsys, "-V")[1]
     assert "_SCENEGEN_COMPLETE" in run(capsys, "completion", "bash")[1]
@@ -40,7 +43,9 @@ def loaded(*words: str) -> set[str]:
     """The modules that a command line has imported by its end, in a process of its own."""
     code = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); "
     code += f"sys.argv = {['scenegen', *words]!r}; from scenegen.__main__ import main; main()"
-    ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert ended.returncode == 0, ended.stderr
     return set(ended.stderr.split())
 
@@ -48,7 +53,11 @@ def loaded(*words: str) -> set[str]:
 def test_help_imports_no_command() -> None:
     found = loaded("--help")
     assert not found & set(HEAVY)
-    assert not [name for name in found if name.startswith(("scenegen.commands.", "scenegen.model.commands."))]
+    assert not [
+        name
+        for name in found
+        if name.startswith(("scenegen.commands.", "scenegen.model.commands."))
+    ]
 
 
 @pytest.mark.parametrize("name", ["generate", "publish", "train", "bench"])
@@ -61,29 +70,43 @@ def test_help_of_a_command_loads_nothing_heavy(name: str) -> None:
 PLACES_OF_COMMANDS = {place.partition(":")[0] for place in PLACES.values()}
 
 
-def test_every_command_says_in_the_list_what_it_says_itself(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_says_in_the_list_what_it_says_itself(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     for name in app.registry.known:
         command = app.find(name)
         assert command.name == name
-        assert command.help.startswith(app.get_command(None, name).help)
+        assert inspect.cleandoc(command.help).startswith(app.get_command(None, name).help)
         code, said, _ = run(capsys, name, "--help")
         assert (code, "Of " in said) == (0, False)
 
 
 def test_what_stands_twice_is_the_same() -> None:
     """Where a command may not import what knows a default, or would take a second to."""
-    config, options = BenchConfig(), {option.name: option.default for option in app.find("bench").params}
+    config, options = (
+        BenchConfig(),
+        {option.name: option.default for option in app.find("bench").params},
+    )
     assert (options["split"], options["seed"]) == (config.split, config.seed)
-    assert NetworkConfig().stride == NETWORK_EDGE
+    assert STRIDE == NETWORK_EDGE
 
 
 def completed(words: str) -> list[str]:
     """What the shell is offered for the last of `words`."""
-    environment = {**os.environ, "_SCENEGEN_COMPLETE": "bash_complete", "COMP_WORDS": f"scenegen {words}"}
+    environment = {
+        **os.environ,
+        "_SCENEGEN_COMPLETE": "bash_complete",
+        "COMP_WORDS": f"scenegen {words}",
+    }
     environment["COMP_CWORD"] = str(len(words.split()) + words.endswith(" "))
     script = "import sys; sys.argv = ['scenegen']; from scenegen.__main__ import main; main()"
     ended = subprocess.run(
-        [sys.executable, "-c", script], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
+        [sys.executable, "-c", script],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return [line.partition(",")[2] for line in ended.stdout.splitlines()]
 
@@ -93,13 +116,23 @@ def test_the_shell_completes_commands_options_kinds_and_networks() -> None:
     assert "--epochs" in completed("train --e")
     assert completed("generate --kind pil") == ["pillar"]
     assert completed("bench --weights pro") == ["proposed"]
-    assert "generate" in completed("nowhere:command ")  # which is not there, and nobody is told off for it
+    assert "generate" in completed(
+        "nowhere:command "
+    )  # which is not there, and nobody is told off for it
 
 
-def test_printing_in_vain_changes_no_verdict(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Output that is lost is told and ends with 1; nobody need read standard error, nor all of the output."""
+def test_printing_in_vain_changes_no_verdict(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Output that is lost is told and ends with 1; nobody need read standard error, nor all of the
+    output."""
     out = tmp_path / "d"
-    assert run(capsys, "generate", "--recipe", small, "--n", 3, "--out", out, "--workers", 1, "--quiet")[0] == 0
+    assert (
+        run(
+            capsys, "generate", "--recipe", small, "--n", 3, "--out", out, "--workers", 1, "--quiet"
+        )[0]
+        == 0
+    )
     verify = f"{sys.executable} cli.py verify --quick {out}"
     script = f"{sys.executable} cli.py completion bash"
     lost = "scenegen: standard output: {}; what was to be printed is lost\n".format
@@ -110,16 +143,25 @@ def test_printing_in_vain_changes_no_verdict(small: Path, tmp_path: Path, capsys
         f"({script}; echo $? >&2) | true": (0, "0\n"),
     }
     root = ROOT
-    running = [subprocess.Popen(words, shell=True, cwd=root, stderr=subprocess.PIPE, text=True) for words in expected]
+    running = [
+        subprocess.Popen(words, shell=True, cwd=root, stderr=subprocess.PIPE, text=True)
+        for words in expected
+    ]
     for process, (command, (code, error)) in zip(running, expected.items(), strict=True):
         assert (process.communicate(timeout=120)[1], process.returncode) == (error, code), command
 
 
-def test_names_from_files_print_no_lines_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_from_files_print_no_lines_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     forged = "x\nscenegen: verify: all 17 checks passed\x1b[32m"
     (tmp_path / forged).mkdir()
     (tmp_path / forged / "dataset.json").write_text(json.dumps({"format": forged}))
-    for words in (("inspect", tmp_path / forged), ("verify", tmp_path / forged), ("train", "--variant", forged)):
+    for words in (
+        ("inspect", tmp_path / forged),
+        ("verify", tmp_path / forged),
+        ("train", "--variant", forged),
+    ):
         code, said, error = run(capsys, *words)
         assert code
         for line in (said + error).splitlines():
@@ -127,7 +169,9 @@ def test_names_from_files_print_no_lines_of_their_own(tmp_path: Path, capsys: py
             assert not line.startswith("scenegen: verify: all")
 
 
-def test_warnings_of_libraries_reach_nobody(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_warnings_of_libraries_reach_nobody(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     def warn() -> dict[str, Any]:
         warnings.warn("settotalmass is deprecated", stacklevel=1)
         return {"ok": True}

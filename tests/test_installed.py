@@ -1,12 +1,15 @@
-"""Installed, scenegen shows two packages, `scenegen` and `lidarsim`, and no user's file of any name gets in its way."""
+"""Installed, scenegen shows two packages, `scenegen` and `lidarsim`, and no user's file of any name
+gets in its way."""
 
 import subprocess
 import sys
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 USERS = {
@@ -31,29 +34,56 @@ def environment(folder: Path) -> Path:
     venv.create(folder, with_pip=False)
     (site,) = (folder / "lib").glob("python*/site-packages")
     ours = [path for path in sys.path if path.endswith("site-packages")]
-    # a path from a .pth file: its own .pth files, among them that of our editable install, do not count
+    # a path from a .pth file: its own .pth files, among them that of our editable install, do not
+    # count
     (site / "others.pth").write_text("".join(f"{path}\n" for path in ours))
     return folder / "bin" / "python"
 
 
 def run(*words: object, cwd: Path) -> str:
     """What a command prints; it must end well."""
-    ended = subprocess.run(list(map(str, words)), cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+    ended = subprocess.run(
+        list(map(str, words)), cwd=cwd, capture_output=True, text=True, timeout=300, check=False
+    )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return ended.stdout
 
 
 @pytest.mark.slow
 def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_path: Path) -> None:
-    run(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", tmp_path / "dist", ROOT, cwd=tmp_path)
+    run(
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "-q",
+        "--no-deps",
+        "-w",
+        tmp_path / "dist",
+        ROOT,
+        cwd=tmp_path,
+    )
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         top = {name.split("/")[0] for name in archive.namelist() if "dist-info" not in name}
-        assert {"scenegen/model/weights/proposed.safetensors", "scenegen/py.typed"} <= set(archive.namelist())
+        assert {"scenegen/model/weights/proposed.safetensors", "scenegen/py.typed"} <= set(
+            archive.namelist()
+        )
     assert top == {"scenegen", "lidarsim"}
     python = environment(tmp_path / "env")
     (site,) = (tmp_path / "env" / "lib").glob("python*/site-packages")
-    run(sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", site, wheel, cwd=tmp_path)
+    run(
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--no-deps",
+        "--target",
+        site,
+        wheel,
+        cwd=tmp_path,
+    )
     for name, content in USERS.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(content)
@@ -62,13 +92,43 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     assert "Usage: scenegen" in run(python, "-m", "scenegen", "--help", cwd=tmp_path)
     small = ("--n", 5, "--val", 0, "--test", 5, "--workers", 1, "--quiet")
     run(python, "-m", "scenegen", "generate", "--kind", "pillar", *small, cwd=tmp_path)
-    bench = run(python, "-m", "scenegen", "bench", "--method", "returns", "--quick", "--workers", 1, cwd=tmp_path)
+    bench = run(
+        python,
+        "-m",
+        "scenegen",
+        "bench",
+        "--method",
+        "returns",
+        "--quick",
+        "--workers",
+        1,
+        cwd=tmp_path,
+    )
     assert "returns" in bench
 
 
+def test_what_figures_were_measured_with_is_allowed() -> None:
+    """Every dependency of `all` has a version in benchmarks/constraints.txt, and within its
+    bounds."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = (ROOT / "benchmarks" / "constraints.txt").read_text(encoding="utf-8").splitlines()[1:]
+    measured = dict(line.split("==") for line in lines)
+    extras = project["optional-dependencies"]
+    (everything,) = map(Requirement, extras["all"])
+    for line in [
+        *project["dependencies"],
+        *(line for name in everything.extras for line in extras[name]),
+    ]:
+        needed = Requirement(line)
+        assert needed.specifier.contains(measured[needed.name]), line
+
+
 def test_an_editable_install_shows_our_two_packages_alone() -> None:
-    """Where this suite runs from such an install; the finder maps each package by itself, not the checkout's folder."""
-    finders = [path for entry in sys.path for path in Path(entry).glob("_editable_impl_scenegen*.py")]
+    """Where this suite runs from such an install; the finder maps each package by itself, not the
+    checkout's folder."""
+    finders = [
+        path for entry in sys.path for path in Path(entry).glob("_editable_impl_scenegen*.py")
+    ]
     if not finders:
         pytest.skip("scenegen is not installed as editable here")
     text = finders[0].read_text(encoding="utf-8")

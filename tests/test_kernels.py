@@ -1,4 +1,5 @@
-"""Processes that run the tests share the compiling of kernels: each once, and nobody goes on before all is done."""
+"""Processes that run the tests share the compiling of kernels: each once, and nobody goes on before
+all is done."""
 
 import threading
 import time
@@ -16,7 +17,8 @@ WORKERS = 3
 
 @pytest.fixture
 def ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[str, str]]]:
-    """Stand-ins for the tasks, and a cold cache; every begin and end is noted, with the task's name."""
+    """Stand-ins for the tasks, and a cold cache; every begin and end is noted, with the task's
+    name."""
     noted: list[tuple[str, str]] = []
 
     def stand_in(name: str):
@@ -38,7 +40,9 @@ def ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[
         cached.cache_clear()
 
 
-def test_every_task_is_done_once_and_before_any_worker_goes_on(ran: list[tuple[str, str]], tmp_path: Path) -> None:
+def test_every_task_is_done_once_and_before_any_worker_goes_on(
+    ran: list[tuple[str, str]], tmp_path: Path
+) -> None:
     """Threads stand for processes: a lock belongs to the opened file."""
     done_when_going_on: list[int] = []
 
@@ -51,11 +55,15 @@ def test_every_task_is_done_once_and_before_any_worker_goes_on(ran: list[tuple[s
         thread.start()
     for thread in threads:
         thread.join()
-    assert Counter(name for what, name in ran if what == "begin") == {f"task{n}": 1 for n in range(7)}
+    assert Counter(name for what, name in ran if what == "begin") == {
+        f"task{n}": 1 for n in range(7)
+    }
     assert done_when_going_on == [7] * WORKERS
 
 
-def test_a_run_that_finds_all_compiled_does_nothing(ran: list[tuple[str, str]], tmp_path: Path) -> None:
+def test_a_run_that_finds_all_compiled_does_nothing(
+    ran: list[tuple[str, str]], tmp_path: Path
+) -> None:
     kernels.share(1, 2, tmp_path / "meeting")
     assert len(ran) == 14
     assert ran[0] == ("begin", "task3"), "the second of two begins at the second half"

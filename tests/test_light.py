@@ -1,4 +1,5 @@
-"""Importing, loading and reading what is stored import nothing that draws, casts, derives or learns."""
+"""Importing, loading and reading what is stored import nothing that draws, casts, derives or
+learns."""
 
 import subprocess
 import sys
@@ -10,7 +11,17 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
-HEAVY = ("mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "pydantic", "h5py", "multiprocessing")
+HEAVY = (
+    "mujoco",
+    "ompl",
+    "numba",
+    "scipy",
+    "trimesh",
+    "torch",
+    "pydantic",
+    "h5py",
+    "multiprocessing",
+)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +35,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def imported(code: str) -> set[str]:
     """Which of the heavy modules a new process has imported after `code`."""
     report = f"import sys; print(*(name for name in {HEAVY!r} if name in sys.modules))"
-    done = subprocess.run([sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True
+    )
     return set(done.stdout.split())
 
 
@@ -46,7 +59,9 @@ samples.dataset.manifest.grid, samples.dataset.manifest.lidar, samples.dataset.w
 
 def test_a_stream_needs_no_torch() -> None:
     code = "import scenegen; from tests.conftest import small_recipe; stream = scenegen.stream(small_recipe())"
-    assert "torch" not in imported(f"{code}; stream.__getitems__(next(stream.batches(2))); next(iter(stream)).tudf")
+    assert "torch" not in imported(
+        f"{code}; stream.__getitems__(next(stream.batches(2))); next(iter(stream)).tudf"
+    )
 
 
 def test_what_is_derived_cast_or_drawn_is_imported_then(folder: Path) -> None:

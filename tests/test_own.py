@@ -1,4 +1,5 @@
-"""A user's own kind, method and command, as the docs show them, by the installed script in a folder of the user's."""
+"""A user's own kind, method and command, as the docs show them, by the installed script in a folder
+of the user's."""
 
 import sys
 from collections.abc import Iterator
@@ -12,9 +13,14 @@ from tests.command_line import ROOT, SMALL, run
 from tests.conftest import small_recipe
 from tests.shell import Shell
 
-EXAMPLES = {"my_worlds.py": "recipes.md", "my_methods.py": "bench.md", "my_commands.py": "commands.md"}
+EXAMPLES = {
+    "my_worlds.py": "recipes.md",
+    "my_methods.py": "bench.md",
+    "my_commands.py": "commands.md",
+}
 OTHERS = ("model.py", "cli.py", "data.py", "tests/__init__.py", "tests/helpers.py")
-"""Modules of the user's that have nothing to do with it, under names that are common in the field."""
+"""Modules of the user's that have nothing to do with it, under names that are common in the
+field."""
 
 
 def example(page: str) -> str:
@@ -32,7 +38,9 @@ def here(tmp_path: Path) -> Path:
     for name, page in EXAMPLES.items():
         (tmp_path / name).write_text(example(page))
     own = SMALL.replace('"pillar"', '"my_worlds:Fence"').replace("min_solids = 1", "min_solids = 0")
-    (tmp_path / "fence.toml").write_text(own.replace("[accept]", "[accept]\nmin_occupied_share = 0"))
+    (tmp_path / "fence.toml").write_text(
+        own.replace("[accept]", "[accept]\nmin_occupied_share = 0")
+    )
     return tmp_path
 
 
@@ -42,9 +50,13 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here: Path, shell: Shell) -> 
 
     done("generate", "--recipe", "fence.toml", "-n", "6", "--workers", "2")
     assert '"kind": "my_worlds:Fence"' in (here / "data" / "Fence" / "dataset.json").read_text()
-    assert "ok" in regenerated(done("verify", "data/Fence", "--workers", "2", "--kind", "my_worlds:Fence"))
+    assert "ok" in regenerated(
+        done("verify", "data/Fence", "--workers", "2", "--kind", "my_worlds:Fence")
+    )
     assert "world 0, viewpoint" in done("my_commands:fill", "data/Fence")
-    (here / "my_worlds.py").write_text("raise AssertionError('imported because a manifest names it')")
+    (here / "my_worlds.py").write_text(
+        "raise AssertionError('imported because a manifest names it')"
+    )
     words = ("--method", "my_methods:Grown", "--method", "returns", "--quick", "--workers", "2")
     assert "grown" in done("bench", "data/Fence", *words)
     assert "cannot be drawn again" in regenerated(done("verify", "data/Fence", "--workers", "2"))
@@ -61,29 +73,61 @@ def regenerated(table: str) -> str:
 
 
 LACKING = {
-    "kind without a module": (("generate", "--quiet", "--kind", "absent:Fence"), 1, "there is no module absent"),
-    "kind of another class": (("generate", "--quiet", "--kind", "wrong:Other"), 1, "lacks `version`, a whole number"),
+    "kind without a module": (
+        ("generate", "--quiet", "--kind", "absent:Fence"),
+        1,
+        "there is no module absent",
+    ),
+    "kind of another class": (
+        ("generate", "--quiet", "--kind", "wrong:Other"),
+        1,
+        "lacks `version`, a whole number",
+    ),
     "kind of no base": (
         ("generate", "--quiet", "--kind", "wrong:Loose"),
         1,
         "inherits from scenegen.recipes.kind.WorldKind",
     ),
-    "kind without add_to": (("generate", "--quiet", "--kind", "wrong:Empty"), 1, "lacks `add_to`, a method"),
+    "kind without add_to": (
+        ("generate", "--quiet", "--kind", "wrong:Empty"),
+        1,
+        "lacks `add_to`, a method",
+    ),
     "kind that is no dataclass": (
         ("generate", "--quiet", "--kind", "wrong:Bare"),
         1,
         "is no dataclass; write @dataclass(",
     ),
-    "kind with odd values": (("generate", "--quiet", "--kind", "wrong:Odd"), 1, "cannot stand in a manifest"),
-    "a name beyond what readers take": (("generate", "--quiet", "--kind", f"wrong:{'K' * 95}"), 1, "100 at most"),
-    "method without name": (("bench", "DATASET", "--quiet", "--method", "wrong:Nameless"), 1, "lacks `name`, a string"),
+    "kind with odd values": (
+        ("generate", "--quiet", "--kind", "wrong:Odd"),
+        1,
+        "cannot stand in a manifest",
+    ),
+    "a name beyond what readers take": (
+        ("generate", "--quiet", "--kind", f"wrong:{'K' * 95}"),
+        1,
+        "100 at most",
+    ),
+    "method without name": (
+        ("bench", "DATASET", "--quiet", "--method", "wrong:Nameless"),
+        1,
+        "lacks `name`, a string",
+    ),
     "method with another signature": (
         ("bench", "DATASET", "--quiet", "--method", "wrong:Short"),
         1,
         "does not take (observed, free, *, grid)",
     ),
-    "method that needs arguments": (("bench", "DATASET", "--quiet", "--method", "wrong:Needy"), 1, "without arguments"),
-    "method that is absent": (("bench", "DATASET", "--quiet", "--method", "wrong:Gone"), 1, "has no Gone"),
+    "method that needs arguments": (
+        ("bench", "DATASET", "--quiet", "--method", "wrong:Needy"),
+        1,
+        "without arguments",
+    ),
+    "method that is absent": (
+        ("bench", "DATASET", "--quiet", "--method", "wrong:Gone"),
+        1,
+        "has no Gone",
+    ),
     "command that is a plain function": (("wrong:plain",), 2, "lacks `make_context`"),
     "command that is absent": (("trian",), 2, "did you mean 'train'?"),
     "another kind than the dataset's": (
@@ -95,21 +139,48 @@ LACKING = {
 FAILING = "line {} of wrong.py: KeyError: 'gone'"
 PILLAR = ("generate", "--quiet", "--kind", "pillar", "--workers", 1)
 LACKING |= {
-    "a kind that fails": (("generate", "--quiet", "--kind", "wrong:Failing", "--workers", 1), 1, FAILING.format(3)),
-    "a kind that fails in a worker": (
-        ("generate", "--quiet", "--recipe", "fails.toml", "--n", 99, "--shard-samples", 3, "--workers", 2),
+    "a kind that fails": (
+        ("generate", "--quiet", "--kind", "wrong:Failing", "--workers", 1),
         1,
         FAILING.format(3),
     ),
-    "a method that fails": (("bench", "DATASET", "--quiet", "--method", "wrong:Broken"), 1, FAILING.format(3)),
+    "a kind that fails in a worker": (
+        (
+            "generate",
+            "--quiet",
+            "--recipe",
+            "fails.toml",
+            "--n",
+            99,
+            "--shard-samples",
+            3,
+            "--workers",
+            2,
+        ),
+        1,
+        FAILING.format(3),
+    ),
+    "a method that fails": (
+        ("bench", "DATASET", "--quiet", "--method", "wrong:Broken"),
+        1,
+        FAILING.format(3),
+    ),
     "a method whose error cannot travel": (
         ("bench", "DATASET", "--quiet", "--method", "wrong:Worse", "--workers", 2),
         1,
         "of wrong.py: Failed: two",
     ),
-    "a method that cannot be made": (("bench", "DATASET", "--quiet", "--method", "wrong:Unmade"), 1, FAILING.format(3)),
+    "a method that cannot be made": (
+        ("bench", "DATASET", "--quiet", "--method", "wrong:Unmade"),
+        1,
+        FAILING.format(3),
+    ),
     "a command that fails": (("wrong:failing",), 1, FAILING.format(3)),
-    "a module that ends the process": (("ends:all",), 2, "importing it fails (line 2 of ends.py): SystemExit"),
+    "a module that ends the process": (
+        ("ends:all",),
+        2,
+        "importing it fails (line 2 of ends.py): SystemExit",
+    ),
     "an engine that fails": (
         (*PILLAR, "--engine", "wrong:Still"),
         1,
@@ -126,7 +197,11 @@ LACKING |= {
         1,
         "leave one of the two",
     ),
-    "an engine by a wrong name": (("generate", "--kind", "pillar", "--engine", "mojuco"), 2, "did you mean 'mujoco'?"),
+    "an engine by a wrong name": (
+        ("generate", "--kind", "pillar", "--engine", "mojuco"),
+        2,
+        "did you mean 'mujoco'?",
+    ),
 }
 WRONG = f"""
 def gone():
@@ -178,7 +253,11 @@ class {"K" * 95}(Bare): pass
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small dataset of pillars; not to be changed."""
     folder, recipe = tmp_path_factory.mktemp("made") / "pillar", small_recipe()
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 0, "test": 3}))
+    build(
+        plan_dataset(
+            folder, recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 0, "test": 3}
+        )
+    )
     return folder
 
 

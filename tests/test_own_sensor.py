@@ -1,4 +1,5 @@
-"""The examples of docs/sensor.md, run as a user would: files in a folder of their own, and the command."""
+"""The examples of docs/sensor.md, run as a user would: files in a folder of their own, and the
+command."""
 
 import re
 import shutil
@@ -44,34 +45,87 @@ def examples(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(examples: Path, shell: Shell) -> None:
+def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(
+    examples: Path, shell: Shell
+) -> None:
     made = ("generate", "--recipe", "my.toml", "--n", 6, "--val", 0, "--test", 3, "--workers", 2)
     shell.done(*made, "--out", "data/rosette", "--shard-samples", 3, here=examples)
     (elsewhere := examples / "elsewhere").mkdir()
     shutil.move(examples / "data", elsewhere / "data")
     (elsewhere / "print_one.py").write_text(
-        "import scenegen; sample = scenegen.load('data/rosette')[1]; print(sample.ranges.shape, sample.free.any())"
+        "import scenegen; sample = scenegen.load('data/rosette')[1]; print(sample.ranges.shape, "
+        "sample.free.any())"
     )
     assert shell.python("print_one.py", here=elsewhere).out == "(300,) True\n"
     assert "regenerated  ok" in shell.done("verify", "data/rosette", "--workers", 1, here=elsewhere)
     bench = ("bench", "data/rosette", "--quick", "--method", "returns", "--workers", 1)
     assert "returns" in shell.done(*bench, here=elsewhere)
-    publish = ("publish", "data/rosette", "--repo", "a/b", "--out", "out", "--dry-run", "--workers", 1)
+    publish = (
+        "publish",
+        "data/rosette",
+        "--repo",
+        "a/b",
+        "--out",
+        "out",
+        "--dry-run",
+        "--workers",
+        1,
+    )
     assert "rays.npy" in shell.done(*publish, here=elsewhere)
-    again = ("--n", 6, "--val", 0, "--test", 3, "--shard-samples", 3, "--out", elsewhere / "again", "--workers", 1)
+    again = (
+        "--n",
+        6,
+        "--val",
+        0,
+        "--test",
+        3,
+        "--shard-samples",
+        3,
+        "--out",
+        elsewhere / "again",
+        "--workers",
+        1,
+    )
     shell.done("generate", "--recipe", "recipe.toml", *again, here=elsewhere / "out")
-    assert (elsewhere / "again" / "dataset.json").read_bytes() == (elsewhere / "out" / "dataset.json").read_bytes()
+    assert (elsewhere / "again" / "dataset.json").read_bytes() == (
+        elsewhere / "out" / "dataset.json"
+    ).read_bytes()
 
 
 @pytest.mark.parametrize(
     ("file", "find", "put", "told"),
     [
         ("my.toml", "my_sensor:Rosette", "my_senser:Rosette", "there is no module my_senser"),
-        ("my.toml", "my_sensor:Rosette", "rastar", "unknown sensor 'rastar'; did you mean 'raster'?"),
-        ("my.toml", "petals", "petal", "[lidar]: unknown parameter 'petal'; did you mean 'petals'?"),
-        ("my_sensor.py", "def times_s", "def times", "lacks `times_s`, seconds after the scan begins"),
-        ("my_sensor.py", "np.cos(away),", "2 * np.cos(away),", "[lidar] sensor Rosette: a ray's direction has length"),
-        ("my_sensor.py", "return (self.rays,)", "return (7,)", "directions_body has shape (300, 3), expected (7, 3)"),
+        (
+            "my.toml",
+            "my_sensor:Rosette",
+            "rastar",
+            "unknown sensor 'rastar'; did you mean 'raster'?",
+        ),
+        (
+            "my.toml",
+            "petals",
+            "petal",
+            "[lidar]: unknown parameter 'petal'; did you mean 'petals'?",
+        ),
+        (
+            "my_sensor.py",
+            "def times_s",
+            "def times",
+            "lacks `times_s`, seconds after the scan begins",
+        ),
+        (
+            "my_sensor.py",
+            "np.cos(away),",
+            "2 * np.cos(away),",
+            "[lidar] sensor Rosette: a ray's direction has length",
+        ),
+        (
+            "my_sensor.py",
+            "return (self.rays,)",
+            "return (7,)",
+            "directions_body has shape (300, 3), expected (7, 3)",
+        ),
         ("my_sensor.py", "20.0", "'a' / 2", "[lidar] sensor Rosette: it fails: "),
         ("my.toml", "rays = 300", "rays = 'many'", "[lidar] sensor Rosette: "),
         ("my_sensor.py", "@dataclass(frozen=True, kw_only=True)\n", "", "expected a dataclass"),
@@ -88,7 +142,9 @@ def test_a_sensor_that_is_none_is_told_of_in_one_line(
     assert told in ended.err
 
 
-def test_a_users_engine_makes_a_dataset_that_verify_audits_with_mujoco(examples: Path, shell: Shell) -> None:
+def test_a_users_engine_makes_a_dataset_that_verify_audits_with_mujoco(
+    examples: Path, shell: Shell
+) -> None:
     script = examples / "make.py"
     script.write_text(script.read_text().replace('"train": 5', '"train": 2'))
     assert re.fullmatch(r"[0-9a-f]{64}\n", shell.python("make.py", here=examples).out)

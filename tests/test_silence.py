@@ -1,7 +1,8 @@
 """No command connects anywhere, and none leaves anything where nobody asked for it.
 
-Commands run with a library before all others that notes every connection and every look-up of a name, and refuses it.
-It sees what goes through the C library, as all of Python and every library here does; not a system call made by hand.
+Commands run with a library before all others that notes every connection and every look-up of a
+name, and refuses it. It sees what goes through the C library, as all of Python and every library
+here does; not a system call made by hand.
 """
 
 import importlib.util
@@ -90,7 +91,9 @@ grid = {shape = [16, 16, 16]}
 """
 ONE = ("--workers", "1")
 COMMANDS: dict[str, list[tuple[str, ...]]] = {
-    "generate": [("--recipe", "small.toml", "--n", "4", "--val", "40", "--test", "2", "--out", "d", *ONE)],
+    "generate": [
+        ("--recipe", "small.toml", "--n", "4", "--val", "40", "--test", "2", "--out", "d", *ONE)
+    ],
     "inspect": [("d", "--html", "i.html")],
     "world": [("d", "0", "-o", "w.xml")],
     "verify": [("d", *ONE)],
@@ -128,7 +131,20 @@ COMMANDS: dict[str, list[tuple[str, ...]]] = {
 """Every command, in an order in which each finds what it needs."""
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
-ASKED = {"small.toml", "scan.xyz", "n.onnx", "d", "w.xml", "run", "p.h5", "s.h5", "o.h5", "bench", "publish", "e.onnx"}
+ASKED = {
+    "small.toml",
+    "scan.xyz",
+    "n.onnx",
+    "d",
+    "w.xml",
+    "run",
+    "p.h5",
+    "s.h5",
+    "o.h5",
+    "bench",
+    "publish",
+    "e.onnx",
+}
 ASKED |= {
     "p.png",
     "s.ply",
@@ -144,8 +160,8 @@ ASKED |= {
     "merged",
 }
 FONTS = ".cache/matplotlib/"
-"""Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a user's home besides the
-kernels."""
+"""Where matplotlib keeps its list of fonts, whoever imports it: all that may come to lie in a
+user's home besides the kernels."""
 
 
 @pytest.fixture(scope="session")
@@ -158,14 +174,29 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, source in (("shim", SHIM), ("native", NATIVE)):
         (folder / f"{name}.c").write_text(source)
         subprocess.run(
-            [compiler, "-shared", "-fPIC", "-w", "-o", folder / f"{name}.so", folder / f"{name}.c", "-ldl"], check=True
+            [
+                compiler,
+                "-shared",
+                "-fPIC",
+                "-w",
+                "-o",
+                folder / f"{name}.so",
+                folder / f"{name}.c",
+                "-ldl",
+            ],
+            check=True,
         )
     return folder / "shim.so"
 
 
 def environment(shim: Path, folder: Path) -> dict[str, str]:
-    """Of a user whose home is empty, under the shim; the compiled kernels are where they always are."""
-    kept = {name: os.environ[name] for name in ("PATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV") if name in os.environ}
+    """Of a user whose home is empty, under the shim; the compiled kernels are where they always
+    are."""
+    kept = {
+        name: os.environ[name]
+        for name in ("PATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
+        if name in os.environ
+    }
     for name in ("home", "temporary", "here"):
         (folder / name).mkdir(exist_ok=True)
     return kept | {
@@ -206,7 +237,8 @@ def test_the_shim_sees_python_and_native_libraries(shim: Path, tmp_path: Path) -
         "for act in (lambda: socket.create_connection(('127.0.0.1', 9)),\n"
         "            lambda: socket.gethostbyname('python.invalid'),\n"
         "            lambda: socket.socket().connect(('127.0.0.1', 9)),\n"
-        "            lambda: socket.socket(type=socket.SOCK_DGRAM).sendto(b'', ('127.0.0.1', 9))):\n"
+        "            lambda: socket.socket(type=socket.SOCK_DGRAM).sendto(b'', ('127.0.0.1', "
+        "9))):\n"
         "    try:\n"
         "        act()\n"
         "    except OSError:\n"
@@ -215,7 +247,9 @@ def test_the_shim_sees_python_and_native_libraries(shim: Path, tmp_path: Path) -
         "one.sendall(b'near')\n"
         "assert other.recv(4) == b'near'\n"
     )
-    subprocess.run([sys.executable, "-c", reach], env=environment(shim, tmp_path), check=True, timeout=60)
+    subprocess.run(
+        [sys.executable, "-c", reach], env=environment(shim, tmp_path), check=True, timeout=60
+    )
     seen = noted(tmp_path)
     assert "getaddrinfo native.invalid" in seen
     assert "getaddrinfo 127.0.0.1" in seen
@@ -234,7 +268,9 @@ def lines_of(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 def prepare(here: Path) -> None:
     """What the commands read and do not make."""
     (here / "small.toml").write_text(SMALL)
-    (here / "scan.xyz").write_text("".join(f"{x / 10} {y / 10} 0.3\n" for x in range(9) for y in range(9)))
+    (here / "scan.xyz").write_text(
+        "".join(f"{x / 10} {y / 10} 0.3\n" for x in range(9) for y in range(9))
+    )
     if importlib.util.find_spec("onnx"):
         from tests.mutations.onnx_files import write_onnx
 

@@ -1,4 +1,5 @@
-"""Engines: what a ray meets in a world, and how far away. One file an engine; each fills `Engine`."""
+"""Engines: what a ray meets in a world, and how far away. One file an engine; each fills
+`Engine`."""
 
 from __future__ import annotations
 
@@ -14,22 +15,28 @@ if TYPE_CHECKING:  # the command line asks for the names, and must not load NumP
 
 
 class Engine(Protocol):
-    """Anything that knows one world and can intersect rays with it. An engine serves one thread at a time."""
+    """Anything that knows one world and can intersect rays with it. An engine serves one thread at
+    a time."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
-        """The engine of a compiled world, in its reference configuration, or in that of `data`, which MuJoCo has
-        forwarded. Geoms whose material, or whose own colour without one, has alpha 0 are not there. Neither argument is
-        changed."""
+        """The engine of a compiled world, in its reference configuration, or in that of `data`,
+        which MuJoCo has forwarded. Geoms whose material, or whose own colour without one, has alpha
+        0 are not there. Neither argument is changed."""
         ...
 
-    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
+    def cast(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
+    ) -> NDArray[np.float64]:
         """Metres along the rays to the first surface, for P poses at once.
 
-        `origins` (P, 3) are in the world frame, and so are the unit vectors `directions` (P, *shape, 3). The answer has
-        shape (P, *shape), with ``inf`` where nothing is met within `max_range_m`. What one pose gives does not depend
-        on the others. From inside a solid, a ray meets the surface where it comes out. What is no unit vector to a
-        millionth (a length of 0, a NaN), or starts at no finite place, meets nothing.
+        `origins` (P, 3) are in the world frame, and so are the unit vectors `directions`
+        (P, *shape, 3). The answer has shape (P, *shape), with ``inf`` where nothing is met within
+        `max_range_m`. What one pose gives does not depend on the others. From inside a solid, a ray
+        meets the surface where it comes out. Planes are seen from their front, +z, and within their
+        half sizes where these are not 0. Directions of length 1 to a millionth count as the unit
+        vectors along them; other ones (a length of 0, a NaN), and origins that are not finite, meet
+        nothing.
         """
         ...
 

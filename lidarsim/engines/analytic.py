@@ -33,76 +33,107 @@ class Hits:
     points: NDArray[np.float64]
     """(P, *shape, 3), metres; NaN where nothing was met."""
     normals: NDArray[np.float64]
-    """(P, *shape, 3): unit normals, outward also where a ray comes from inside; NaN where nothing was met. A triangle's
-    is the side from which its corners turn left: outward for a closed mesh."""
+    """(P, *shape, 3): unit normals, outward also where a ray comes from inside; NaN where nothing
+    was met. A triangle's is the side from which its corners turn left: outward for a closed
+    mesh."""
 
 
 class AnalyticEngine:
-    """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields: an `Engine`.
+    """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields:
+    an `Engine`.
 
-    A ray that starts inside a solid returns where it comes out, as MuJoCo's does. (Height fields differ: in MuJoCo's,
-    rays from within also stop at height 0, where no surface is.) A ray whose direction is not of length 1 to a
-    millionth (no length, a NaN), or whose origin is not finite, meets nothing. With many poses at once, `threads` share
-    them, as many as there are processors unless a number is given; one pose stays on one thread.
+    It keeps `Engine.cast` as MuJoCo's rays do, but for height fields: in MuJoCo's, rays from within
+    also stop at height 0, where no surface is. No ray passes between triangles that share an edge
+    or a corner. With many poses at once, `threads` share them, as many as there are processors
+    unless a number is given; one pose stays on one thread.
     """
 
     def __init__(self, solids: Solids, *, threads: int | None = None, parts: ArrayLike = ()):
-        """`parts` (n + m,), numbers from 0 on, say which solids belong together, for `hits` to leave out."""
+        """`parts` (n + m,), numbers from 0 on, say which solids belong together, for `hits` to
+        leave out."""
         self._threads = threads if threads is not None else len(os.sched_getaffinity(0))
         self._around = (np.empty(0),) * 3  # triangles, and the corners of their boxes
         self._take(solids)
-        self._part = _by_item(solids, np.asarray(parts, dtype=np.int64)) if np.size(parts) else np.empty(0, np.int64)
+        self._part = (
+            _by_item(solids, np.asarray(parts, dtype=np.int64))
+            if np.size(parts)
+            else np.empty(0, np.int64)
+        )
         self._hierarchy = Hierarchy.over(*self._boxes())
         self._order = self._bounded.astype(np.uint64)[self._hierarchy.order]
 
     @classmethod
     def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
         """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does."""
-        from lidarsim.solids.model import solids_of  # loads MuJoCo, which an engine over known solids does not need
+        from lidarsim.solids.model import (
+            solids_of,
+        )  # loads MuJoCo, which an engine over known solids does not need
 
         return cls(solids_of(model, data))
 
     def move(self, solids: Solids) -> None:
-        """Take the same solids at other places: the hierarchy is refitted, which is quicker than a new engine.
+        """Take the same solids at other places: the hierarchy is refitted, which is quicker than a
+        new engine.
 
         Raises ValueError for other solids than those that the engine was made of.
         """
         same = ("geom", "shape", "mesh_start")
-        if not all(np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in same):
+        if not all(
+            np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in same
+        ):
             raise ValueError(
-                "other solids than the engine's, expected the same ones at other places; make a new engine"
+                "other solids than the engine's, expected the same ones at other places; make a "
+                "new engine"
             )
         self._take(solids)
         self._hierarchy.refit(*self._boxes())
 
-    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
+    def cast(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
+    ) -> NDArray[np.float64]:
         """See `lidarsim.engines.Engine.cast`."""
         return self.nearest(origins, directions, max_range_m)[0]
 
     def nearest(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float, *, through: ArrayLike | None = None
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        max_range_m: float,
+        *,
+        through: ArrayLike | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Ranges (P, *shape) as `cast` gives them, and the numbers (P, *shape) of the geoms met, or -1; `through` as
-        for `hits`."""
+        """Ranges (P, *shape) as `cast` gives them, and the numbers (P, *shape) of the geoms met, or
+        -1; `through` as for `hits`."""
         starts, rays, shape = _laid_out(origins, directions)
         ranges, items = self._nearest(starts, rays, max_range_m, through)
         return ranges.reshape(shape), self._owners[items].reshape(shape)
 
     def hits(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float, *, through: ArrayLike | None = None
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        max_range_m: float,
+        *,
+        through: ArrayLike | None = None,
     ) -> Hits:
         """Ranges as `cast` gives them, and what was met: geom, point and normal of every ray.
 
-        The rays of pose p pass through the solids of part `through[p]`, (P,), of the engine's `parts`; -1 is none.
-        Where several solids are met at the same distance, it is the first of them: primitives by their numbers, then
-        meshes and height fields by theirs.
+        The rays of pose p pass through the solids of part `through[p]`, (P,), of the engine's
+        `parts`; -1 is none. Where several solids are met at the same distance, it is the first of
+        them: primitives by their numbers, then meshes and height fields by theirs.
         """
         starts, rays, shape = _laid_out(origins, directions)
         ranges, items = self._nearest(starts, rays, max_range_m, through)
         points = starts[:, None] + np.where(items >= 0, ranges, np.nan)[..., None] * rays
         solids = self._solids
         normals = normals_of(
-            items, points, solids.shape, solids.size, solids.position, solids.rotation, solids.triangles
+            items,
+            points,
+            solids.shape,
+            solids.size,
+            solids.position,
+            solids.rotation,
+            solids.triangles,
         )
         return Hits(
             ranges.reshape(shape),
@@ -112,11 +143,17 @@ class AnalyticEngine:
         )
 
     def _nearest(
-        self, starts: NDArray[np.float64], rays: NDArray[np.float64], max_range_m: float, through: ArrayLike | None
+        self,
+        starts: NDArray[np.float64],
+        rays: NDArray[np.float64],
+        max_range_m: float,
+        through: ArrayLike | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Ranges (P, n), and which item was met: a primitive's number, beyond those a triangle's, or -1."""
+        """Ranges (P, n), and which item was met: a primitive's number, beyond those a triangle's,
+        or -1."""
         solids, tree = self._solids, self._hierarchy
         ranges, items = np.full(rays.shape[:2], np.inf), np.full(rays.shape[:2], -1)
+        reach = min(float(max_range_m), np.finfo(np.float64).max)  # what is missed lies at infinity
         own = np.full(len(rays), -1)
         if through is not None and len(self._part):
             own[:] = through
@@ -125,7 +162,7 @@ class AnalyticEngine:
             traverse(
                 starts[poses],
                 rays[poses],
-                float(max_range_m),
+                reach,
                 solids.shape,
                 solids.size,
                 solids.position,
@@ -153,7 +190,9 @@ class AnalyticEngine:
         return ranges, items
 
     def _take(self, solids: Solids) -> None:
-        planes = solids.shape == PLANE  # nothing bounds them: the tree holds the rest, and every ray meets each of them
+        planes = (
+            solids.shape == PLANE
+        )  # nothing bounds them: the tree holds the rest, and every ray meets each of them
         count = len(solids.shape) + len(solids.triangles)
         self._solids = solids
         self._planes = np.flatnonzero(planes).astype(np.uint64)
@@ -162,16 +201,23 @@ class AnalyticEngine:
 
     @cached_property
     def _owners(self) -> NDArray[np.int64]:
-        """The geoms that items belong to, (n + T + 1,): the last one is -1, which the item -1 finds."""
+        """The geoms that items belong to, (n + T + 1,): the last one is -1, which the item -1
+        finds."""
         return np.append(_by_item(self._solids, self._solids.geom), -1)
 
     def _boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Boxes of what the hierarchy holds: least corners (k, 3) and greatest corners (k, 3)."""
         solids, inside = self._solids, self._bounded
         if self._around[0] is not solids.triangles:
-            self._around = solids.triangles, solids.triangles.min(axis=1), solids.triangles.max(axis=1)
+            self._around = (
+                solids.triangles,
+                solids.triangles.min(axis=1),
+                solids.triangles.max(axis=1),
+            )
         _, least, greatest = self._around
-        return np.concatenate([solids.lower, least])[inside], np.concatenate([solids.upper, greatest])[inside]
+        return np.concatenate([solids.lower, least])[inside], np.concatenate(
+            [solids.upper, greatest]
+        )[inside]
 
 
 def _by_item(solids: Solids, values: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,9 +1,12 @@
-"""Where a ray meets a shape, in closed form, and the normal there. Every shape stands in its own frame, as MuJoCo's.
+"""Where a ray meets a shape, in closed form, and the normal there. Every shape stands in its own
+frame, as MuJoCo's.
 
 A ray that starts inside a solid meets its surface where it comes out, as MuJoCo's does.
 """
 
 import math
+
+import numpy as np
 
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
@@ -11,12 +14,14 @@ from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPH
 
 @kernel
 def meet(shape, a, b, c, px, py, pz, dx, dy, dz):
-    """Distance from p along the unit vector d to the shape's surface, in its own frame; inf where it is not met.
-    From inside, that is where the ray comes out."""
-    if shape == PLANE:
-        return -pz / dz if pz > 0.0 and dz < 0.0 else math.inf
+    """Distance from p along the unit vector d to the shape's surface, in its own frame; inf where
+    it is not met. From inside, that is where the ray comes out.
+
+    Shapes are convex: a line is in each from one distance to another. Those of a shape of several
+    parts follow from its parts', so that rounding opens no seam between them. Planes: `meet_plane`.
+    """
     if shape == BOX:
-        return _meet_box(a, b, c, px, py, pz, dx, dy, dz)
+        return _first(*_in_box(a, b, c, px, py, pz, dx, dy, dz))
     if shape == SPHERE:
         return meet_ball(px, py, pz, dx, dy, dz, a)
     if shape == ELLIPSOID:  # a unit ball, stretched; the direction then has another length
@@ -24,113 +29,137 @@ def meet(shape, a, b, c, px, py, pz, dx, dy, dz):
         length = math.sqrt(u * u + v * v + w * w)
         t = meet_ball(px / a, py / b, pz / c, u / length, v / length, w / length, 1.0)
         return t / length
-    radius, half = a, b
-    best = _meet_side(radius, half, px, py, pz, dx, dy, dz)
-    for end in (-half, half):
-        if shape == CAPSULE:
-            best = min(best, _meet_end(radius, end, px, py, pz, dx, dy, dz))
-        elif shape == CYLINDER and dz != 0.0:
-            t = (end - pz) / dz
-            x, y = px + t * dx, py + t * dy
-            if t >= 0.0 and x * x + y * y <= radius * radius:
-                best = min(best, t)
-    return best
+    enter, leave = _in_cylinder(a, b, px, py, pz, dx, dy, dz)
+    if shape == CAPSULE:
+        for end in (-b, b):
+            one, other = _in_ball(px, py, pz - end, dx, dy, dz, a)
+            enter, leave = min(enter, one), max(leave, other)
+    return _first(enter, leave)
 
 
 @kernel
-def _meet_box(a, b, c, px, py, pz, dx, dy, dz):
-    """Slabs (Kay and Kajiya 1986)."""
-    enter, leave = -math.inf, math.inf
-    for axis in range(3):
-        p = px if axis == 0 else (py if axis == 1 else pz)
-        d = dx if axis == 0 else (dy if axis == 1 else dz)
-        half = a if axis == 0 else (b if axis == 1 else c)
-        if d == 0.0:
-            if abs(p) > half:
+def meet_plane(size, position, rotation, ox, oy, oz, x, y, z):
+    """Distance to a plane, seen from above and within its half sizes, where these are not 0."""
+    sx, sy, sz = ox - position[0], oy - position[1], oz - position[2]
+    above = rotation[0, 2] * sx + rotation[1, 2] * sy + rotation[2, 2] * sz
+    rising = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
+    if above < 0.0 or rising >= 0.0:
+        return math.inf
+    t = -above / rising
+    for a in range(2):
+        if size[a] > 0.0:
+            p = rotation[0, a] * sx + rotation[1, a] * sy + rotation[2, a] * sz
+            d = rotation[0, a] * x + rotation[1, a] * y + rotation[2, a] * z
+            if abs(p + t * d) > size[a]:
                 return math.inf
-            continue
-        one, other = (-half - p) / d, (half - p) / d
-        enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+    return t
+
+
+@kernel
+def meet_ball(px, py, pz, dx, dy, dz, radius):
+    """`meet` for a ball."""
+    return _first(*_in_ball(px, py, pz, dx, dy, dz, radius))
+
+
+@kernel
+def _first(enter, leave):
+    """Where a ray meets what its line is in from `enter` to `leave`."""
     if enter > leave or leave < 0.0:
         return math.inf
     return enter if enter >= 0.0 else leave
 
 
 @kernel
-def meet_ball(px, py, pz, dx, dy, dz, radius):
+def _in_box(a, b, c, px, py, pz, dx, dy, dz):
+    """Slabs (Kay and Kajiya 1986)."""
+    enter, leave = _in_slab(a, px, dx)
+    for half, p, d in ((b, py, dy), (c, pz, dz)):
+        one, other = _in_slab(half, p, d)
+        enter, leave = max(enter, one), min(leave, other)
+    return enter, leave
+
+
+@kernel
+def _in_slab(half, p, d):
+    """Where a line along which a coordinate is p + t d has it in [-half, half]."""
+    if d == 0.0:
+        return (-math.inf, math.inf) if abs(p) <= half else (math.inf, -math.inf)
+    one, other = (-half - p) / d, (half - p) / d
+    return min(one, other), max(one, other)
+
+
+@kernel
+def _in_ball(px, py, pz, dx, dy, dz, radius):
     """Roots about the point of closest approach, so that far balls lose no digits."""
     b = px * dx + py * dy + pz * dz
     cx, cy, cz = px - b * dx, py - b * dy, pz - b * dz
     h = radius * radius - (cx * cx + cy * cy + cz * cz)
     if h < 0.0:
-        return math.inf
+        return math.inf, -math.inf
     h = math.sqrt(h)
-    if -b - h >= 0.0:
-        return -b - h
-    return -b + h if -b + h >= 0.0 else math.inf
+    return -b - h, -b + h
 
 
 @kernel
-def _meet_side(radius, half, px, py, pz, dx, dy, dz):
-    """The round side of a cylinder about z, of half length `half`."""
+def _in_cylinder(radius, half, px, py, pz, dx, dy, dz):
+    """The slab between the flat ends of a cylinder about z, and its round side."""
+    enter, leave = _in_slab(half, pz, dz)
     a = dx * dx + dy * dy
     if a == 0.0:
-        return math.inf
+        return (enter, leave) if px * px + py * py <= radius * radius else (math.inf, -math.inf)
     b = -(px * dx + py * dy) / a
     cx, cy = px + b * dx, py + b * dy
     h = (radius * radius - (cx * cx + cy * cy)) / a
     if h < 0.0:
-        return math.inf
+        return math.inf, -math.inf
     h = math.sqrt(h)
-    for t in (b - h, b + h):
-        if t >= 0.0 and abs(pz + t * dz) <= half:
-            return t
-    return math.inf
+    enter, leave = max(enter, b - h), min(leave, b + h)
+    return (enter, leave) if enter <= leave else (math.inf, -math.inf)
 
 
 @kernel
-def _meet_end(radius, end, px, py, pz, dx, dy, dz):
-    """The round end of a capsule at z = `end`: the half of its ball that lies beyond."""
-    q = pz - end
-    b = px * dx + py * dy + q * dz
-    cx, cy, cz = px - b * dx, py - b * dy, q - b * dz
-    h = radius * radius - (cx * cx + cy * cy + cz * cz)
-    if h < 0.0:
-        return math.inf
-    h = math.sqrt(h)
-    for t in (-b - h, -b + h):
-        z = q + t * dz
-        if t >= 0.0 and (z >= 0.0 if end >= 0.0 else z <= 0.0):
-            return t
-    return math.inf
+def set_upright(origin, ray, axes, upright):
+    """Fill axes (3,) and upright (6,) for a ray, as `meet_triangle` takes them: w, the axis along
+    which it runs fastest, behind u and v, the other two; the origin's coordinates along u, v, w;
+    how far the ray runs along u and v for a metre along w; how far along w for a metre of its
+    own."""
+    w = np.uint64(1 if abs(ray[1]) > abs(ray[0]) else 0)
+    w = np.uint64(2 if abs(ray[2]) > abs(ray[w]) else w)
+    u, v = (w + np.uint64(1)) % np.uint64(3), (w + np.uint64(2)) % np.uint64(3)
+    axes[0], axes[1], axes[2] = u, v, w
+    upright[0], upright[1], upright[2] = origin[u], origin[v], origin[w]
+    upright[3], upright[4], upright[5] = ray[u] / ray[w], ray[v] / ray[w], ray[w]
 
 
 @kernel
-def meet_triangle(triangles, k, ox, oy, oz, dx, dy, dz):
-    """Distance to triangle k of (T, 3, 3), seen from either side (Moller and Trumbore 1997)."""
-    x, y, z = triangles[k, 0, 0], triangles[k, 0, 1], triangles[k, 0, 2]
-    ux, uy, uz = triangles[k, 1, 0] - x, triangles[k, 1, 1] - y, triangles[k, 1, 2] - z
-    vx, vy, vz = triangles[k, 2, 0] - x, triangles[k, 2, 1] - y, triangles[k, 2, 2] - z
-    hx, hy, hz = dy * vz - dz * vy, dz * vx - dx * vz, dx * vy - dy * vx
-    det = ux * hx + uy * hy + uz * hz
-    if det == 0.0:
+def meet_triangle(triangles, k, axes, upright):
+    """Distance to triangle k of (T, 3, 3), seen from either side (Woop, Benthin and Wald 2013).
+
+    Corners, relative to the origin, are slid along u and v so that the ray becomes the axis w.
+    Triangles that share a corner slide it to the same bits, and those that share an edge find the
+    axis on opposite sides of it, or both on it: nothing passes between them.
+    """
+    u, v, w = axes[0], axes[1], axes[2]
+    ou, ov, ow = upright[0], upright[1], upright[2]
+    su, sv, dw = upright[3], upright[4], upright[5]
+    wa, wb, wc = triangles[k, 0, w] - ow, triangles[k, 1, w] - ow, triangles[k, 2, w] - ow
+    ua, va = triangles[k, 0, u] - ou - su * wa, triangles[k, 0, v] - ov - sv * wa
+    ub, vb = triangles[k, 1, u] - ou - su * wb, triangles[k, 1, v] - ov - sv * wb
+    uc, vc = triangles[k, 2, u] - ou - su * wc, triangles[k, 2, v] - ov - sv * wc
+    a, b, c = uc * vb - vc * ub, ua * vc - va * uc, ub * va - vb * ua  # weights of the corners
+    if min(a, b, c) < 0.0 < max(a, b, c):
         return math.inf
-    share = 1.0 / det
-    sx, sy, sz = ox - x, oy - y, oz - z
-    u = share * (sx * hx + sy * hy + sz * hz)
-    if u < 0.0 or u > 1.0:
+    total = a + b + c
+    if total == 0.0:  # seen edge-on, and met where the triangles beside it are
         return math.inf
-    qx, qy, qz = sy * uz - sz * uy, sz * ux - sx * uz, sx * uy - sy * ux
-    v = share * (dx * qx + dy * qy + dz * qz)
-    if v < 0.0 or u + v > 1.0:
-        return math.inf
-    t = share * (vx * qx + vy * qy + vz * qz)
+    t = (a * wa + b * wb + c * wc) / (total * dw)
     return t if t >= 0.0 else math.inf
 
 
 @kernel
 def ball_around(shape, size):
-    """Radius of a ball about the shape's centre that holds it, a millionth larger than need be; inf around a plane."""
+    """Radius of a ball about the shape's centre that holds it, a millionth larger than need be; inf
+    around a plane."""
     a, b, c = size[0], size[1], size[2]
     if shape == PLANE:
         return math.inf
@@ -152,7 +181,11 @@ def normal(shape, a, b, c, px, py, pz):
     """Outward unit normal (x, y, z) of the shape at p, a point on its surface, in its own frame."""
     x, y, z = 0.0, 0.0, 1.0  # a plane's
     if shape == BOX:
-        u, v, w = abs(px) - a, abs(py) - b, abs(pz) - c  # how far outside each pair of faces: the greatest is 0
+        u, v, w = (
+            abs(px) - a,
+            abs(py) - b,
+            abs(pz) - c,
+        )  # how far outside each pair of faces: the greatest is 0
         if u >= v and u >= w:
             x, y, z = px, 0.0, 0.0
         elif v >= w:

@@ -1,7 +1,8 @@
 """A hierarchy of bounding boxes: what a ray passes by is left out, group by group.
 
-Groups are cut where the surface area heuristic (Goldsmith and Salmon 1987) expects the least work, in bins (Wald 2007).
-Every node has up to four children (Dammertz et al. 2008), so that a ray visits fewer nodes than in a binary tree.
+Groups are cut where the surface area heuristic (Goldsmith and Salmon 1987) expects the least work,
+in bins (Wald 2007). Every node has up to four children (Dammertz et al. 2008), so that a ray visits
+fewer nodes than in a binary tree.
 """
 
 from dataclasses import dataclass
@@ -19,19 +20,24 @@ IN_LEAF = 4
 BINS = 16
 """Places along an axis at which a group may be cut."""
 LEVELS = 40
-"""Levels of the tree below which groups are halved by count, so that no tree is deeper than 32 more."""
+"""Levels of the tree below which groups are halved by count, so that no tree is deeper than 32
+more."""
 WAITING = (WIDTH - 1) * (LEVELS + 32) + WIDTH
-"""The most groups that wait for their turn while a tree of fewer than 2³² items is walked, nearest child first."""
+"""The most groups that wait for their turn while a tree of fewer than 2³² items is walked, nearest
+child first."""
 SPARE = 1e-9
-"""How much larger than their items boxes are, in shares of one metre and a coordinate, so that rounding loses none."""
+"""How much larger than their items boxes are, in shares of one metre and a coordinate, so that
+rounding loses none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """A tree over n items, with m nodes; node 0 is the root, and children have greater numbers than their parents."""
+    """A tree over n items, with m nodes; node 0 is the root, and children have greater numbers than
+    their parents."""
 
     boxes: NDArray[np.float64]
-    """(m, 6, 4): least and greatest corner of every child's box, metres. A child that is not there has no inside."""
+    """(m, 6, 4): least and greatest corner of every child's box, metres. A child that is not there
+    has no inside."""
     links: NDArray[np.uint64]
     """(m, 4): a child's own node, or where the items of a leaf begin in `order`."""
     ends: NDArray[np.uint64]
@@ -41,11 +47,13 @@ class Hierarchy:
 
     @classmethod
     def over(cls, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> Self:
-        """The tree over items with least corners `lower` (n, 3) and greatest corners `upper` (n, 3), all finite."""
+        """The tree over items with least corners `lower` (n, 3) and greatest corners `upper` (n,
+        3), all finite."""
         return cls(*_build(lower, upper))
 
     def refit(self, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> None:
-        """Take the boxes of items that have moved: quicker than a new tree, and as good while neighbours stay such."""
+        """Take the boxes of items that have moved: quicker than a new tree, and as good while
+        neighbours stay such."""
         _refit(lower, upper, self.boxes, self.links, self.ends, self.order)
 
 
@@ -114,7 +122,8 @@ def _hull(lower, upper, order, begin, end, box):
 
 @kernel
 def _cut(lower, upper, centre, order, begin, end, middle):
-    """Sort order[begin:end] into two parts; where the second begins. `middle` if all centres are one."""
+    """Sort order[begin:end] into two parts; where the second begins. `middle` if all centres are
+    one."""
     axis, first, width = 0, 0.0, 0.0
     for a in range(3):
         low, high = np.inf, -np.inf
@@ -133,7 +142,10 @@ def _cut(lower, upper, centre, order, begin, end, middle):
         b = min(int((centre[g, axis] - first) * scale), BINS - 1)
         held[b] += 1
         for a in range(3):
-            bins[b, a], bins[b, 3 + a] = min(bins[b, a], lower[g, a]), max(bins[b, 3 + a], upper[g, a])
+            bins[b, a], bins[b, 3 + a] = (
+                min(bins[b, a], lower[g, a]),
+                max(bins[b, 3 + a], upper[g, a]),
+            )
     beyond = np.zeros(BINS)  # the cost of what lies from this bin on
     box, count = np.empty(6), 0
     box[:3], box[3:] = np.inf, -np.inf
@@ -141,7 +153,11 @@ def _cut(lower, upper, centre, order, begin, end, middle):
         count += held[b]
         beyond[b] = _grown(box, bins[b]) * count
     box[:3], box[3:] = np.inf, -np.inf
-    least, last, count = np.inf, 0, 0  # the first bin holds the item of least centre, the last that of the greatest
+    least, last, count = (
+        np.inf,
+        0,
+        0,
+    )  # the first bin holds the item of least centre, the last that of the greatest
     for b in range(BINS - 1):
         count += held[b]
         cost = _grown(box, bins[b]) * count + beyond[b + 1]
@@ -182,4 +198,7 @@ def _refit(lower, upper, boxes, links, ends, order):
                 _hull(lower, upper, order, link, end, boxes[node, :, k])
             elif link > 0:  # else there is no such child: none is the root
                 for a in range(3):
-                    boxes[node, a, k], boxes[node, 3 + a, k] = boxes[link, a].min(), boxes[link, 3 + a].max()
+                    boxes[node, a, k], boxes[node, 3 + a, k] = (
+                        boxes[link, a].min(),
+                        boxes[link, 3 + a].max(),
+                    )

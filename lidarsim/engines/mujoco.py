@@ -10,24 +10,29 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.solids.model import check_forwarded, visible_geoms
 
 NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
-"""The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within range."""
+"""The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within
+range."""
 SPARE_M = 1e-6
-"""How much larger geoms' boxes are in that copy: what is left out by them does not depend on rounding."""
+"""How much larger geoms' boxes are in that copy: what is left out by them does not depend on
+rounding."""
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
+ROUNDED = 1e-11
+"""As far, and the vector is taken as it is; beyond, it is made a unit vector."""
 
 
 class MujocoEngine:
-    """Casts rays at every visible geom of a compiled model, in its reference configuration or as `data` stands: an
-    `Engine`.
+    """Casts rays at every visible geom of a compiled model, in its reference configuration or as
+    `data` stands: an `Engine`.
 
-    The model is copied, not changed. Bodies that move in `data` are seen where they are at the time of the cast.
+    The model is copied, not changed. Bodies that move in `data` are seen where they are at the time
+    of the cast.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
         self._model = copy.copy(model)
-        # mj_multiRay passes over geoms by angles to their boxes, from the system's arctangents: with room to spare,
-        # their last bits decide nothing
+        # mj_multiRay passes over geoms by angles to their boxes, from the system's arctangents:
+        # with room to spare, their last bits decide nothing
         self._model.geom_aabb[:, 3:] += SPARE_M
         self._data = data
         _search_every_body(self._model)
@@ -41,20 +46,25 @@ class MujocoEngine:
             mujoco.mj_comPos(model, data)  # where the bodies' bounding volumes are
         return cls(model, data)
 
-    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
-        """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never forwarded, or hold
-        places that are no numbers."""
+    def cast(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
+    ) -> NDArray[np.float64]:
+        """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never
+        forwarded, or hold places that are no numbers."""
         starts = np.ascontiguousarray(origins, dtype=np.float64)
         vectors = np.ascontiguousarray(directions, dtype=np.float64)
         check_forwarded(self._model, self._data)
         ranges = np.empty(vectors.shape[:-1], dtype=np.float64)
-        # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a third of the time
+        # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a
+        # third of the time
         lower, upper = _boxes(self._model, self._data)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             length2 = (vectors * vectors).sum(axis=-1)
-            odd = ~(np.abs(length2 - 1.0) <= SPARE_LENGTH2)  # a NaN is odd, too
-        if odd.any():  # MuJoCo would count ranges in lengths of the vector, and stop at one without length
-            vectors = np.where(odd[..., None], [1.0, 0.0, 0.0], vectors)
+            odd, rough = (~(np.abs(length2 - 1.0) <= spare) for spare in (SPARE_LENGTH2, ROUNDED))
+            if rough.any():  # MuJoCo would count in lengths of the vector, and stop at one without
+                units = vectors / np.sqrt(length2)[..., None]
+                either = [odd[..., None], rough[..., None]]
+                vectors = np.select(either, [np.array([1.0, 0.0, 0.0]), units], vectors)
         for p, origin in enumerate(starts):
             if not np.isfinite(origin).all():
                 odd[p] = True
@@ -68,7 +78,8 @@ class MujocoEngine:
     def _cast_near(
         self, origin: NDArray[np.float64], vectors: NDArray[np.float64], max_range_m: float
     ) -> NDArray[np.float64]:
-        """Ranges (*shape) from one origin (3,) along `vectors` (*shape, 3), among the geoms of group 0."""
+        """Ranges (*shape) from one origin (3,) along `vectors` (*shape, 3), among the geoms of
+        group 0."""
         shape = vectors.shape[:-1]
         count = int(np.prod(shape))
         geoms = np.empty(count, dtype=np.int32)
@@ -91,7 +102,9 @@ class MujocoEngine:
         return np.where(missed, np.inf, distances).reshape(shape)
 
 
-def _boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _boxes(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and greatest corners (ngeom, 3) of the geoms' boxes; planes have no bounds."""
     rotation = data.geom_xmat.reshape(-1, 3, 3)
     centre = data.geom_xpos + np.einsum("gab,gb->ga", rotation, model.geom_aabb[:, :3])
@@ -103,8 +116,9 @@ def _boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.float
 def _search_every_body(model: mujoco.MjModel) -> None:
     """Make rays find visible geoms that collide with nothing.
 
-    mj_multiRay searches a body only if the ray meets the ball around the body's *colliding* geoms (mj_ray has no such
-    shortcut). Where that could hide something, the balls are made as good as infinite.
+    mj_multiRay searches a body only if the ray meets the ball around the body's *colliding* geoms
+    (mj_ray has no such shortcut). Where that could hide something, the balls are made as good as
+    infinite.
     """
     ghosts = visible_geoms(model) & (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     if ghosts.any():

@@ -29,14 +29,18 @@ class WarpEngine:
 
     @classmethod
     def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
-        """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does, and without a GPU."""
-        from lidarsim.solids.model import solids_of  # loads MuJoCo, which an engine over known solids does not need
+        """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does, and without a
+        GPU."""
+        from lidarsim.solids.model import (
+            solids_of,
+        )  # loads MuJoCo, which an engine over known solids does not need
 
         return cls(solids_of(model, data))
 
     @staticmethod
     def missing() -> str:
-        """What this machine lacks, as the end of a sentence; empty where Warp and a GPU's driver are there."""
+        """What this machine lacks, as the end of a sentence; empty where Warp and a GPU's driver
+        are there."""
         if importlib.util.find_spec("warp") is None:
             return "needs NVIDIA Warp; in scenegen's checkout: pip install -e '.[gpu]'"
         try:
@@ -45,10 +49,14 @@ class WarpEngine:
             return "needs an NVIDIA GPU, and no driver of one is found here; the engine analytic gives the same ranges"
         return ""
 
-    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> NDArray[np.float64]:
+    def cast(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
+    ) -> NDArray[np.float64]:
         """See `lidarsim.engines.Engine.cast`."""
         rays = np.asarray(directions, dtype=np.float64)
         poses, count = len(rays), int(np.prod(rays.shape[1:-1]))
         flat = rays.reshape(poses, count, 3)
-        ranges = self._cast(self._worlds, origins, flat, max_range_m, which=np.zeros(poses, dtype=np.int64))
+        ranges = self._cast(
+            self._worlds, origins, flat, max_range_m, which=np.zeros(poses, dtype=np.int64)
+        )
         return ranges.numpy().reshape(rays.shape[:-1])

@@ -1,4 +1,5 @@
-"""Many scans at once into observed and free voxels: one thread a ray, `lidarsim.voxelize` again in Warp."""
+"""Many scans at once into observed and free voxels: one thread a ray, `lidarsim.voxelize` again in
+Warp."""
 
 from typing import Any
 
@@ -18,21 +19,27 @@ TOUCH = wp.constant(wp.float64(TOUCH_M))
 def voxelize(
     ranges: Any, origins: Any, directions: Any, max_range_m: float, *, grid: GridSpec, corners: Any
 ) -> tuple[Any, Any]:
-    """Observed and free voxels of P scans, two Warp arrays (P, *grid.shape) of bool on the device of `ranges`.
+    """Observed and free voxels of P scans, two Warp arrays (P, *grid.shape) of bool on the device
+    of `ranges`.
 
-    `ranges` (P, R) are those of `lidarsim.gpu.rays.cast`, rounded here to float32 as in a `Scan`, of rays from
-    `origins` (P, 3) along `directions` (P, R, 3). The least corners of the grids are `corners` (P, 3), in the world:
-    ``grid.origin_at(origins)`` centres them. A voxel is free where it is not observed and a ray meets it with positive
-    length. Raises ValueError for arrays of other shapes.
+    `ranges` (P, R) are those of `lidarsim.gpu.rays.cast`, rounded here to float32 as in a `Scan`,
+    of rays from `origins` (P, 3) along `directions` (P, R, 3). The least corners of the grids are
+    `corners` (P, 3), in the world: ``grid.origin_at(origins)`` centres them. A voxel is free where
+    it is not observed and a ray meets it with positive length. Raises ValueError for arrays of
+    other shapes.
     """
     device = ranges.device.alias
     poses, count = ranges.shape
-    starts, lows, rays = (on_device(values, wp.vec3d, device) for values in (origins, corners, directions))
+    starts, lows, rays = (
+        on_device(values, wp.vec3d, device) for values in (origins, corners, directions)
+    )
     placed("ranges", ranges, (poses, count), wp.float64, device)
     placed("origins", starts, (poses,), wp.vec3d, device)
     placed("corners", lows, (poses,), wp.vec3d, device)
     placed("directions", rays, (poses, count), wp.vec3d, device)
-    observed, free = (wp.zeros((poses, *grid.shape), dtype=wp.bool, device=device) for _ in range(2))
+    observed, free = (
+        wp.zeros((poses, *grid.shape), dtype=wp.bool, device=device) for _ in range(2)
+    )
     scans = [ranges, starts, rays, lows, grid.voxel_m]
     wp.launch(_clear, dim=ranges.shape, inputs=[*scans, max_range_m, free], device=device)
     wp.launch(_mark, dim=ranges.shape, inputs=[*scans, observed, free], device=device)
@@ -78,7 +85,8 @@ def _clear(
 ) -> None:
     """The voxels on every ray's way, walked from boundary to boundary (Amanatides and Woo 1987).
 
-    Every crossing is computed from its boundary's own number, never by adding up steps, so that errors do not grow.
+    Every crossing is computed from its boundary's own number, never by adding up steps, so that
+    errors do not grow.
     """
     p, n = wp.tid()
     d = directions[p, n]

@@ -15,9 +15,11 @@ from lidarsim.solids.shapes import PLANE, Solids
 
 @wp.struct
 class Packed:
-    """What kernels read. World w owns primitives primitive_start[w] to primitive_start[w + 1]; meshes and boxes alike.
+    """What kernels read. World w owns primitives primitive_start[w] to primitive_start[w + 1];
+    meshes and boxes alike.
 
-    A ray walks its world's boxes in order: from one that it meets to the next, from one that it misses to `beyond`.
+    A ray walks its world's boxes in order: from one that it meets to the next, from one that it
+    misses to `beyond`.
     """
 
     primitive_start: wp.array[wp.int32]
@@ -42,10 +44,12 @@ class Packed:
 
 
 class Worlds:
-    """W worlds on a device, as different as they like: each has its own hierarchy of boxes for rays."""
+    """W worlds on a device, as different as they like: each has its own hierarchy of boxes for
+    rays."""
 
     def __init__(self, solids: Iterable[Solids], *, device: str = "cuda"):
-        """Pack `solids`, one table a world (`lidarsim.solids.model.solids_of`). Raises ValueError without a GPU."""
+        """Pack `solids`, one table a world (`lidarsim.solids.model.solids_of`). Raises ValueError
+        without a GPU."""
         self.device = ready(device)
         arrays = _pack([_tables(one) for one in solids])
         self.count = len(arrays["box_start"]) - 1
@@ -54,15 +58,22 @@ class Worlds:
             setattr(self.packed, name, on_device(arrays[name], variable.type.dtype, self.device))
 
     def which(self, worlds: ArrayLike | None, poses: int) -> Any:
-        """The world of each of `poses`, (P,) on the device: p for pose p unless `worlds` (P,) are given.
+        """The world of each of `poses`, (P,) on the device: p for pose p unless `worlds` (P,) are
+        given.
 
         Raises ValueError for numbers that are no world's.
         """
         chosen = np.arange(poses) if worlds is None else np.asarray(worlds)
         if chosen.shape != (poses,) or not np.issubdtype(chosen.dtype, np.integer):
-            raise ValueError(f"worlds: {chosen.dtype} of shape {chosen.shape}, expected {poses} integers, one a pose")
+            raise ValueError(
+                f"worlds: {chosen.dtype} of shape {chosen.shape}, expected {poses} integers, one "
+                f"a pose"
+            )
         if poses and not 0 <= chosen.min() <= chosen.max() < self.count:
-            raise ValueError(f"worlds: {chosen.min()} to {chosen.max()}, expected numbers from 0 to {self.count - 1}")
+            raise ValueError(
+                f"worlds: {chosen.min()} to {chosen.max()}, expected numbers from 0 to "
+                f"{self.count - 1}"
+            )
         return on_device(chosen, wp.int32, self.device)
 
 
@@ -70,13 +81,29 @@ def _pack(worlds: list[dict[str, NDArray]]) -> dict[str, NDArray]:
     """The tables of all worlds end to end, in numbers that count through."""
     if not worlds:
         raise ValueError("no worlds, expected one or more")
-    counted = {"primitive": "shape", "mesh": "filled", "triangle": "triangles", "box": "beyond", "item": "item"}
-    start = {what: np.cumsum([0, *(len(world[name]) for world in worlds)]) for what, name in counted.items()}
+    counted = {
+        "primitive": "shape",
+        "mesh": "filled",
+        "triangle": "triangles",
+        "box": "beyond",
+        "item": "item",
+    }
+    start = {
+        what: np.cumsum([0, *(len(world[name]) for world in worlds)])
+        for what, name in counted.items()
+    }
     for w, world in enumerate(worlds):
-        for name, what in (("beyond", "box"), ("first", "item"), ("last", "item"), ("triangle_start", "triangle")):
+        for name, what in (
+            ("beyond", "box"),
+            ("first", "item"),
+            ("last", "item"),
+            ("triangle_start", "triangle"),
+        ):
             world[name] = world[name] + start[what][w]
         item = world["item"]
-        world["item"] = np.where(item >= 0, item + start["primitive"][w], item - start["triangle"][w])
+        world["item"] = np.where(
+            item >= 0, item + start["primitive"][w], item - start["triangle"][w]
+        )
     packed = {name: np.concatenate([world[name] for world in worlds]) for name in worlds[0]}
     packed["triangle_start"] = np.append(packed["triangle_start"], start["triangle"][-1])
     return packed | {f"{what}_start": start[what] for what in ("primitive", "mesh", "box")}
@@ -84,7 +111,9 @@ def _pack(worlds: list[dict[str, NDArray]]) -> dict[str, NDArray]:
 
 def _tables(solids: Solids) -> dict[str, NDArray]:
     """One world's arrays, in its own numbers."""
-    planes = np.flatnonzero(solids.shape == PLANE)  # nothing bounds them: a first box of their own, which none misses
+    planes = np.flatnonzero(
+        solids.shape == PLANE
+    )  # nothing bounds them: a first box of their own, which none misses
     inside = np.flatnonzero(solids.shape != PLANE)
     corners = solids.triangles
     tree = Hierarchy.over(
@@ -115,8 +144,8 @@ def _tables(solids: Solids) -> dict[str, NDArray]:
 
 @kernel
 def _walk(boxes, links, ends, planes):
-    """The tree's boxes (k, 6) in the order of a walk that goes down first, behind one around the planes; where it goes
-    on past each (k,), and the items in each, from (k,) to (k,)."""
+    """The tree's boxes (k, 6) in the order of a walk that goes down first, behind one around the
+    planes; where it goes on past each (k,), and the items in each, from (k,) to (k,)."""
     held = np.zeros(len(boxes) + 1, np.int64)  # boxes below a node
     for node in range(len(boxes) - 1, -1, -1):  # children have greater numbers
         for k in range(WIDTH):

@@ -1,4 +1,5 @@
-"""What a real sensor adds to clean ranges: stages that compose, drawn from an explicit `rng`. One file a kind of fault.
+"""What a real sensor adds to clean ranges: stages that compose, drawn from an explicit `rng`. One
+file a kind of fault.
 
 chain = Noise.parse("divergence:3,range:0.02,dropout:0.05")
 seen = chain.observe(scan, engine, rng=np.random.default_rng(0))
@@ -17,18 +18,20 @@ if TYPE_CHECKING:  # the command line asks for the names, and must not load NumP
 
 
 class Stage(Protocol):
-    """One fault: a frozen dataclass, whose fields are its parameters. The same `rng` gives the same bits."""
+    """One fault: a frozen dataclass, whose fields are its parameters. The same `rng` gives the same
+    bits."""
 
     order: int
-    """When its turn is: 0 for where rays begin and go, 1 for what else is cast around them, 2 for what becomes of the
-    returns. A chain has one stage of 0 and one of 1 at most."""
+    """When its turn is: 0 for where rays begin and go, 1 for what else is cast around them, 2 for
+    what becomes of the returns. A chain has one stage of 0 and one of 1 at most."""
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """What is left of `returns`, and where."""
         ...
 
     def bound_m(self, max_range_m: float) -> float:
-        """How far at most it moves a return of a sensor of that range, metres; inf where nothing bounds it."""
+        """How far at most it moves a return of a sensor of that range, metres; inf where nothing
+        bounds it."""
         ...
 
 
@@ -49,7 +52,8 @@ STAGES = Registry(
         "intensity": "lidarsim.noise.light:Intensity",
     },
     needs={
-        "order": "0 where it says how rays are cast, 1 where it casts more, 2 where it changes returns",
+        "order": "0 where it says how rays are cast, 1 where it casts more, 2 where it changes "
+        "returns",
         "apply": "a method: (returns, view, *, rng) -> returns",
         "bound_m": "a method: (max_range_m) -> metres that a return moves at most",
     },

@@ -17,18 +17,20 @@ GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 @dataclass(frozen=True, kw_only=True)
 class Divergence:
-    """Every beam becomes `rays` rays of equal light, spread evenly over its cone, turned by chance about its axis.
+    """Every beam becomes `rays` rays of equal light, spread evenly over its cone, turned by chance
+    about its axis.
 
-    Ranges that lie within `resolution_m` of the nearest of them are one echo, at their mean: over an edge that is a
-    mixed pixel, which lies on neither surface. Further ones are echoes of their own.
+    Ranges that lie within `resolution_m` of the nearest of them are one echo, at their mean: over
+    an edge that is a mixed pixel, which lies on neither surface. Further ones are echoes of their
+    own.
     """
 
     order: ClassVar[int] = 1
     mrad: float = number(3.0, above=0, most=100)
     """Full angle of the cone, thousandths of a radian."""
     returns: Literal["strongest", "first", "last", "dual"] = "strongest"
-    """Which echo is told; `dual` tells the strongest and the last, where they differ. Of equally strong ones the
-    nearest is the strongest."""
+    """Which echo is told; `dual` tells the strongest and the last, where they differ. Of equally
+    strong ones the nearest is the strongest."""
     rays: int = number(9, least=2, most=1000)
     """Rays a beam."""
     resolution_m: float = number(0.3, least=0, most=100)
@@ -48,14 +50,20 @@ class Divergence:
             away = 5e-4 * self.mrad * math.sqrt((n + 0.5) / self.rays)
             sine, cosine = sin_cos(n * GOLDEN)
             ray = along + away * (cosine * one + sine * other)
-            hits[n] = view.cast(returns.origins, ray / np.sqrt((ray**2).sum(axis=-1, keepdims=True)))
+            hits[n] = view.cast(
+                returns.origins, ray / np.sqrt((ray**2).sum(axis=-1, keepdims=True))
+            )
         means, weights = _echoes(np.sort(hits, axis=0), self.resolution_m)
         strongest = np.argmax(weights, axis=0)
         last = np.maximum(np.count_nonzero(weights, axis=0) - 1, 0)
-        chosen = {"strongest": strongest, "first": np.zeros_like(last), "last": last}.get(self.returns, strongest)
+        chosen = {"strongest": strongest, "first": np.zeros_like(last), "last": last}.get(
+            self.returns, strongest
+        )
         ranges = np.take_along_axis(means, chosen[None], axis=0)
         if self.returns == "dual":
-            second = np.where(last == strongest, np.inf, np.take_along_axis(means, last[None], axis=0))
+            second = np.where(
+                last == strongest, np.inf, np.take_along_axis(means, last[None], axis=0)
+            )
             ranges = np.concatenate([ranges, second])
         return returns.but(ranges=ranges)
 
@@ -64,12 +72,18 @@ class Divergence:
         return self.resolution_m + max_range_m * 5e-4 * self.mrad
 
 
-def _echoes(hits: NDArray[np.float64], resolution_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Means (k, *shape) and counts of the echoes of rising `hits` (k, *shape), the nearest echo first; ``inf`` and 0
-    beyond the last."""
+def _echoes(
+    hits: NDArray[np.float64], resolution_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Means (k, *shape) and counts of the echoes of rising `hits` (k, *shape), the nearest echo
+    first; ``inf`` and 0 beyond the last."""
     means, weights = np.full(hits.shape, np.inf), np.zeros(hits.shape, np.int64)
     number = np.zeros(hits.shape[1:], np.int64)
-    begin, total, count = hits[0].copy(), np.zeros(hits.shape[1:]), np.zeros(hits.shape[1:], np.int64)
+    begin, total, count = (
+        hits[0].copy(),
+        np.zeros(hits.shape[1:]),
+        np.zeros(hits.shape[1:], np.int64),
+    )
     for hit in hits:
         met = np.isfinite(hit)
         new = met & (np.where(met, hit, 0.0) - np.where(met, begin, 0.0) > resolution_m)
@@ -78,7 +92,9 @@ def _echoes(hits: NDArray[np.float64], resolution_m: float) -> tuple[NDArray[np.
         total = np.where(new, 0.0, total) + np.where(met, hit, 0.0)
         count = np.where(new, 0, count) + met
         some = count > 0
-        np.put_along_axis(means, number[None], np.where(some, total / np.maximum(count, 1), np.inf)[None], axis=0)
+        np.put_along_axis(
+            means, number[None], np.where(some, total / np.maximum(count, 1), np.inf)[None], axis=0
+        )
         np.put_along_axis(weights, number[None], count[None], axis=0)
     return means, weights
 

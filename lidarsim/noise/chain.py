@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidarsim.engines import Engine
 from lidarsim.noise import STAGES, Stage
 from lidarsim.noise.returns import Returns, View
-from lidarsim.scan import Scan
+from lidarsim.scan import Scan, check_ranges
 from lidarsim.sensors import Sensor
 
 DATASHEET = "datasheet"
@@ -36,22 +36,25 @@ class Noise:
         for before, stage in zip(self.stages, self.stages[1:], strict=False):
             if stage.order < max(before.order, 2 * (before.order == stage.order)):
                 raise ValueError(
-                    f"noise: {_text(stage)} casts rays anew, so it comes before {_text(before)}, and once; "
+                    f"noise: {_text(stage)} casts rays anew, so it comes before {_text(before)}, "
+                    f"and once; "
                     "put motion first, then divergence, then the rest"
                 )
 
     @classmethod
     def parse(cls, text: str, sensor: Sensor | None = None) -> "Noise":
-        """The chain of a text such as ``divergence:3:returns=last,range:0.02``: stages by name, or a user's own as
-        ``module:Object``, each with its values in the order of its fields, or by name. ``datasheet`` stands for the
-        noise that the `sensor` comes with. Raises ValueError, in one line."""
+        """The chain of a text such as ``divergence:3:returns=last,range:0.02``: stages by name, or
+        a user's own as ``module:Object``, each with its values in the order of its fields, or by
+        name. ``datasheet`` stands for the noise that the `sensor` comes with. Raises ValueError, in
+        one line."""
         stages: list[Stage] = []
         for part in text.split(","):
             if part.strip() == DATASHEET:
                 own = getattr(sensor, "noise", "")
                 if not own:
                     raise ValueError(
-                        f"noise: this sensor comes with none for {DATASHEET!r}; expected stages, as {SUCH_AS}"
+                        f"noise: this sensor comes with none for {DATASHEET!r}; expected stages, "
+                        f"as {SUCH_AS}"
                     )
                 stages += cls.parse(own).stages
             else:
@@ -59,13 +62,23 @@ class Noise:
         return cls(tuple(stages))
 
     def observe(
-        self, scan: Scan, engine: Engine, *, rng: np.random.Generator, albedo: NDArray[np.float64] | None = None
+        self,
+        scan: Scan,
+        engine: Engine,
+        *,
+        rng: np.random.Generator,
+        albedo: NDArray[np.float64] | None = None,
     ) -> Returns:
-        """What the sensor of a clean `scan` really returns; `engine` knows the scan's world, and `albedo` is that of
-        `View`. Every stage has a stream of its own, so that one added at the end changes none before it."""
+        """What the sensor of a clean `scan` really returns; `engine` knows the scan's world, and
+        `albedo` is that of `View`. Every stage has a stream of its own, so that one added at the
+        end changes none before it.
+
+        Raises ValueError where a stage gives what are no ranges of the sensor.
+        """
         returns, view = Returns.of(scan), View(engine, scan.lidar, scan.pose, albedo)
         for stage, stream in zip(self.stages, rng.spawn(len(self.stages)), strict=True):
             returns = stage.apply(returns, view, rng=stream)
+            check_ranges(returns.ranges, scan.lidar, f"noise stage {_text(stage)}")
         return returns
 
     def bound_m(self, max_range_m: float) -> float:
@@ -92,7 +105,9 @@ def _stage(text: str) -> Stage:
         raise ValueError(f"noise: {STAGES.unknown(words[0])}")
     found = STAGES.find(name)
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
-        raise ValueError(f"noise stage {name}: expected a dataclass, whose fields are its parameters")
+        raise ValueError(
+            f"noise stage {name}: expected a dataclass, whose fields are its parameters"
+        )
     fields = [item.name for item in dataclasses.fields(found)]
     given: dict[str, Any] = {}
     for place, word in enumerate(values):
@@ -101,7 +116,8 @@ def _stage(text: str) -> Stage:
             field = fields[place]
         if field not in fields or field in given:
             raise ValueError(
-                f"noise stage {name}: {word[:40]!a}: expected values of {', '.join(fields)}, each once, in this "
+                f"noise stage {name}: {word[:40]!a}: expected values of {', '.join(fields)}, each "
+                f"once, in this "
                 "order or as name=value"
             )
         given[field] = _number(value)

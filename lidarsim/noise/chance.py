@@ -1,4 +1,5 @@
-"""Normal numbers with the same bits on every processor: numpy's own go through the mathematical library."""
+"""Normal numbers with the same bits on every processor: numpy's own go through the mathematical
+library."""
 
 import math
 

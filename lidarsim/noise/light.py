@@ -12,8 +12,8 @@ from lidarsim.parameters import check, number
 
 @dataclass(frozen=True, kw_only=True)
 class Intensity:
-    """Intensity as albedo × cosine of the angle of incidence (Lambert), freed of the range as sensors' own is, with
-    normal noise of `sigma`, from 0 to 1."""
+    """Intensity as albedo × cosine of the angle of incidence (Lambert), freed of the range as
+    sensors' own is, with normal noise of `sigma`, from 0 to 1."""
 
     order: ClassVar[int] = 2
     sigma: float = number(0.0, least=0, most=1)

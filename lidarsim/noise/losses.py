@@ -57,8 +57,8 @@ class Far(Loss):
 
 @dataclass(frozen=True, kw_only=True)
 class Grazing(Loss):
-    """Returns of surfaces met at a flat angle are lost: none up to `from_deg` off the normal, all at 90°, and with a
-    probability that grows evenly between."""
+    """Returns of surfaces met at a flat angle are lost: none up to `from_deg` off the normal, all
+    at 90°, and with a probability that grows evenly between."""
 
     from_deg: float = number(75.0, least=0, below=90)
     """Angle between ray and normal from which returns are lost, degrees."""
@@ -66,15 +66,19 @@ class Grazing(Loss):
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
         angle = np.degrees(np.arccos(np.clip(view.surfaces(returns)[0], 0.0, 1.0)))
-        return _lost(returns, np.clip((angle - self.from_deg) / (90.0 - self.from_deg), 0.0, 1.0), rng)
+        return _lost(
+            returns, np.clip((angle - self.from_deg) / (90.0 - self.from_deg), 0.0, 1.0), rng
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Faint(Loss):
-    """Returns too weak to be found: light falls with the square of the range, and grows with albedo × cosine.
+    """Returns too weak to be found: light falls with the square of the range, and grows with albedo
+    × cosine.
 
-    A surface of 10 % reflectivity, met head on, is found up to `range_m`; one of albedo ρ at an angle of cosine c up to
-    ``range_m · sqrt(ρ c / 0.1)``, times ``1 + softness · n`` with n standard normal.
+    A surface of 10 % reflectivity, met head on, is found up to `range_m`; one of albedo ρ at an
+    angle of cosine c up to ``range_m · sqrt(ρ c / 0.1)``, times ``1 + softness · n`` with n
+    standard normal.
     """
 
     range_m: float = number(40.0, above=0, most=1e4)
@@ -92,8 +96,8 @@ class Faint(Loss):
 
 @dataclass(frozen=True, kw_only=True)
 class Spurious:
-    """Returns of dust, rain or glare: with probability `share` a ray returns from anywhere before what it would
-    have met, evenly along its way."""
+    """Returns of dust, rain or glare: with probability `share` a ray returns from anywhere before
+    what it would have met, evenly along its way."""
 
     order: ClassVar[int] = 2
     share: float = number(0.001, least=0, most=1)
@@ -114,7 +118,10 @@ class Spurious:
         return math.inf
 
 
-def _lost(returns: Returns, share: float | NDArray[np.float64], rng: np.random.Generator) -> Returns:
-    """Returns of which each is lost with the probability `share`, one for all or one for each ray."""
+def _lost(
+    returns: Returns, share: float | NDArray[np.float64], rng: np.random.Generator
+) -> Returns:
+    """Returns of which each is lost with the probability `share`, one for all or one for each
+    ray."""
     lost = rng.random(returns.ranges.shape) < share
     return returns.but(ranges=np.where(lost, np.inf, returns.ranges))

@@ -15,11 +15,11 @@ from lidarsim.pose import rotate
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """The sensor moves on at an even pace, and turns about the body's z axis through itself, from the scan's begin;
-    every ray is cast from where the sensor is at the ray's time.
+    """The sensor moves on at an even pace, and turns about the body's z axis through itself, from
+    the scan's begin; every ray is cast from where the sensor is at the ray's time.
 
-    A sensor that does not know of its motion takes all rays to be cast from the pose at the begin: walls bend. One that
-    `corrected` its scan places every return where it was.
+    A sensor that does not know of its motion takes all rays to be cast from the pose at the begin:
+    walls bend. One that `corrected` its scan places every return where it was.
     """
 
     order: ClassVar[int] = 0
@@ -44,7 +44,9 @@ class Motion:
         times = view.sensor.times_s
         length = float(times.max()) / self.poses
         number_of = (
-            np.minimum(times // length, self.poses - 1).astype(np.int64) if length else np.zeros_like(times, int)
+            np.minimum(times // length, self.poses - 1).astype(np.int64)
+            if length
+            else np.zeros_like(times, int)
         )
         body = view.sensor.directions_body
         origins, directions = returns.origins.copy(), returns.directions.copy()
@@ -61,8 +63,8 @@ class Motion:
         return returns.but(ranges=ranges, origins=origins, directions=directions, **told)
 
     def moved(self, time_s: float) -> tuple[NDArray[np.float64], float]:
-        """How far the sensor is from where it began, (3,) metres in its first frame, and by how much it turned,
-        radians: an arc, or a straight line where it does not turn."""
+        """How far the sensor is from where it began, (3,) metres in its first frame, and by how
+        much it turned, radians: an arc, or a straight line where it does not turn."""
         rate = math.radians(self.yaw_rate_deg_s)
         turn = rate * time_s
         sine, cosine = (float(part) for part in sin_cos(turn))

@@ -12,12 +12,14 @@ from lidarsim.noise.returns import Returns, View
 from lidarsim.parameters import check, number
 
 SIGMAS = 4.0
-"""Normal noise is cut here, so that it has a bound; the standard deviation is 0.05 % less for it."""
+"""Normal noise is cut here, so that it has a bound; the standard deviation is 0.05 % less for
+it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """Normal noise along the ray, of standard deviation ``sigma_m + share · r + quadratic_per_m · r²``."""
+    """Normal noise along the ray, of standard deviation ``sigma_m + share · r + quadratic_per_m ·
+    r²``."""
 
     order: ClassVar[int] = 2
     sigma_m: float = number(0.02, least=0, most=1)
@@ -43,9 +45,11 @@ class Range:
 
 @dataclass(frozen=True, kw_only=True)
 class Depth:
-    """Noise of a stereo camera: that of disparity is even, so that of depth z grows as ``quadratic_per_m · z²``.
+    """Noise of a stereo camera: that of disparity is even, so that of depth z grows as
+    ``quadratic_per_m · z²``.
 
-    Depth is measured along the mean of the sensor's directions, a camera's optical axis; the point moves along its ray.
+    Depth is measured along the mean of the sensor's directions, a camera's optical axis; the point
+    moves along its ray.
     """
 
     order: ClassVar[int] = 2
@@ -61,7 +65,9 @@ class Depth:
         axis = rays.reshape(-1, 3).mean(axis=0)
         cosine = rays @ (axis / math.sqrt(float((axis**2).sum())))
         ranges = returns.ranges
-        sigma = self.quadratic_per_m * np.where(np.isfinite(ranges), ranges, 0.0) ** 2 * np.abs(cosine)
+        sigma = (
+            self.quadratic_per_m * np.where(np.isfinite(ranges), ranges, 0.0) ** 2 * np.abs(cosine)
+        )
         return returns.but(ranges=_kept(ranges + sigma * _normal(ranges.shape, rng), view))
 
     def bound_m(self, max_range_m: float) -> float:
@@ -102,7 +108,9 @@ class Near:
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
-        return returns.but(ranges=np.where(returns.ranges < self.min_range_m, np.inf, returns.ranges))
+        return returns.but(
+            ranges=np.where(returns.ranges < self.min_range_m, np.inf, returns.ranges)
+        )
 
     def bound_m(self, max_range_m: float) -> float:
         """See `Stage.bound_m`."""

@@ -41,7 +41,8 @@ class Returns:
         return cls(scan.ranges.astype(np.float64)[None], origins, directions, origins, directions)
 
     def points(self, echo: int = 0) -> NDArray[np.float64]:
-        """Where the sensor takes the returns of one echo to be, (M, 3) in the world, in ray order."""
+        """Where the sensor takes the returns of one echo to be, (M, 3) in the world, in ray
+        order."""
         hit = np.isfinite(self.ranges[echo])
         return self.told_origins[hit] + self.ranges[echo][hit][:, None] * self.told_directions[hit]
 
@@ -50,7 +51,9 @@ class Returns:
         changed = dataclasses.replace(self, **changes)
         if changed.intensity is None:
             return changed
-        return dataclasses.replace(changed, intensity=np.where(np.isfinite(changed.ranges), changed.intensity, 0.0))
+        return dataclasses.replace(
+            changed, intensity=np.where(np.isfinite(changed.ranges), changed.intensity, 0.0)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +64,14 @@ class View:
     sensor: Sensor
     pose: Pose
     albedo: NDArray[np.float64] | None = None
-    """(geoms,): what share of light every geom of the model reflects, see `albedo_of`; `GREY` for all where None."""
+    """(geoms,): what share of light every geom of the model reflects, see `albedo_of`; `GREY` for
+    all where None."""
 
-    def cast(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Clean ranges (*shape) of rays that begin at origins (*shape, 3); ``inf`` beyond the sensor's range."""
+    def cast(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Clean ranges (*shape) of rays that begin at origins (*shape, 3); ``inf`` beyond the
+        sensor's range."""
         ranges = np.empty(directions.shape[:-1])
         for group, origin in _by_origin(origins):
             ranges[group] = np.asarray(
@@ -73,14 +80,18 @@ class View:
         return ranges
 
     def surfaces(self, returns: Returns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Cosine of the angle between ray and normal, and albedo, (*shape) each, of what the rays meet first; 0 where
-        that is nothing. Raises ValueError for an engine that cannot tell."""
+        """Cosine of the angle between ray and normal, and albedo, (*shape) each, of what the rays
+        meet first; 0 where that is nothing. Raises ValueError for an engine that cannot tell."""
         hits = getattr(self.engine, "hits", None)
         if hits is None:
             raise ValueError(
-                f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use the engine analytic"
+                f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use "
+                f"the engine analytic"
             )
-        cosine, albedo = np.zeros(returns.directions.shape[:-1]), np.zeros(returns.directions.shape[:-1])
+        cosine, albedo = (
+            np.zeros(returns.directions.shape[:-1]),
+            np.zeros(returns.directions.shape[:-1]),
+        )
         for group, origin in _by_origin(returns.origins):
             directions = returns.directions[group]
             found = hits(origin[None], directions[None], self.sensor.max_range_m)
@@ -93,12 +104,14 @@ class View:
 
 
 def albedo_of(model: mujoco.MjModel) -> NDArray[np.float64]:
-    """What share of light every geom reflects, (ngeom,): the brightness of its material's colour, or of its own without
-    one, by the weights of ITU-R BT.709. Textures are not looked at."""
+    """What share of light every geom reflects, (ngeom,): the brightness of its material's colour,
+    or of its own without one, by the weights of ITU-R BT.709. Textures are not looked at."""
     colour = model.geom_rgba[:, :3].astype(np.float64)
     dressed = model.geom_matid >= 0
     colour[dressed] = model.mat_rgba[model.geom_matid[dressed], :3]
-    return np.clip((0.2126 * colour[:, 0] + 0.7152 * colour[:, 1]) + 0.0722 * colour[:, 2], 0.0, 1.0)
+    return np.clip(
+        (0.2126 * colour[:, 0] + 0.7152 * colour[:, 1]) + 0.0722 * colour[:, 2], 0.0, 1.0
+    )
 
 
 def _by_origin(origins: NDArray[np.float64]) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:

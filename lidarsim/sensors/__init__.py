@@ -1,6 +1,8 @@
-"""Sensors: where the rays point, when each is cast, how far they reach. One file a family; each fills `Sensor`.
+"""Sensors: where the rays point, when each is cast, how far they reach. One file a family; each
+fills `Sensor`.
 
-Nothing else in the toolkit knows what a sensor is made of, so a new family is one new file, here or in a user's folder.
+Nothing else in the toolkit knows what a sensor is made of, so a new family is one new file, here or
+in a user's folder.
 """
 
 from __future__ import annotations
@@ -15,14 +17,16 @@ if TYPE_CHECKING:  # the command line asks for the names, and must not load NumP
 
 
 class Sensor(Protocol):
-    """Rays that start together, from one point of a body. Attributes are read-only, and the same at every reading.
+    """Rays that start together, from one point of a body. Attributes are read-only, and the same at
+    every reading.
 
     A sensor is a value: equal ones are equal by ``==``, and ``str`` says in a phrase what it is.
     """
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """How the rays are ordered: (rows, columns), or (rays,), or any other way; a scan's ranges have this shape."""
+        """How the rays are ordered: (rows, columns), or (rays,), or any other way; a scan's ranges
+        have this shape."""
         ...
 
     @property
@@ -32,7 +36,8 @@ class Sensor(Protocol):
 
     @property
     def times_s(self) -> NDArray[np.float64]:
-        """When each ray is cast, (*shape), seconds after the scan begins; zeros where all are cast at once."""
+        """When each ray is cast, (*shape), seconds after the scan begins; zeros where all are cast
+        at once."""
         ...
 
     @property
@@ -51,11 +56,19 @@ FAMILIES = {
 }
 """Families: dataclasses whose fields are the parameters."""
 CATALOGUE = {
-    **{f"velodyne-{name.lower().replace('_', '-')}": name for name in ("VLP_16", "HDL_32E", "HDL_64E")},
+    **{
+        f"velodyne-{name.lower().replace('_', '-')}": name
+        for name in ("VLP_16", "HDL_32E", "HDL_64E")
+    },
     **{f"ouster-os{n}-{beams}": f"OS{n}_{beams}" for n in (0, 1, 2) for beams in (32, 64, 128)},
     **{"hesai-xt-32": "XT_32", "hesai-qt-128": "QT_128"},
     **{"robosense-helios-1615": "HELIOS_1615", "robosense-helios-16p": "HELIOS_16P"},
-    **{"livox-mid-360": "MID_360", "livox-avia": "AVIA", "realsense-d435": "D435", "realsense-d455": "D455"},
+    **{
+        "livox-mid-360": "MID_360",
+        "livox-avia": "AVIA",
+        "realsense-d435": "D435",
+        "realsense-d455": "D455",
+    },
 }
 """Sensors that people have: names, each with its object in `lidarsim.sensors.catalogue`."""
 
@@ -69,7 +82,7 @@ SENSORS = Registry(
         "max_range_m": "metres",
     },
 )
-"""Sensors by name, for a recipe's ``[lidar] sensor = "…"``: families, and sensors of the catalogue, whose fields a
-recipe changes."""
+"""Sensors by name, for a recipe's ``[lidar] sensor = "…"``: families, and sensors of the catalogue,
+whose fields a recipe changes."""
 RASTER = "raster"
 """The sensor of a recipe that names none."""

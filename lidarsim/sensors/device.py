@@ -1,4 +1,5 @@
-"""What sensors that are sold have in common: a name, a source of their figures, a mount, and limits of range."""
+"""What sensors that are sold have in common: a name, a source of their figures, a mount, and limits
+of range."""
 
 import dataclasses
 import math
@@ -14,25 +15,32 @@ from lidarsim.parameters import check, number
 from lidarsim.pose import rotate
 
 MOST_TEXT = 300
-"""Characters of a sensor's name, source or noise."""
-ABOUT = ("name", "source", "noise")
+"""Characters of a field that is text."""
+ABOUT = ("name", "source", "checked", "error", "noise")
 """Fields that say something of a sensor and change none of its rays."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and `times_s`."""
+    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and
+    `times_s`."""
 
     name: str = ""
     """What it is called; the catalogue's names are taken."""
     source: str = ""
-    """The document that its figures come from."""
+    """The documents and files that its figures come from."""
+    checked: str = ""
+    """What its figures were held against."""
+    error: str = ""
+    """How far a unit may be from them, and what is left out."""
     noise: str = ""
-    """Its faults by that document, as a chain of `lidarsim.noise`: what `--noise datasheet` adds."""
+    """Its faults by that document, as a chain of `lidarsim.noise`: what `--noise datasheet`
+    adds."""
     max_range_m: float = number(100.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
     """Farthest return, metres; nothing is returned beyond."""
     min_range_m: float = number(0.0, least=0, most=MOST_RANGE_M)
-    """Nearest return, metres. Clean scans hold nearer ones, too; the noise stage `near` takes them out."""
+    """Nearest return, metres. Clean scans hold nearer ones, too; the noise stage `near` takes them
+    out."""
     pitch_deg: float = number(0.0, least=-90, most=90)
     """How far the sensor is turned nose down as a rigid body, degrees."""
     lever_arm_m: tuple[float, float, float] = number((0.0, 0.0, 0.0), least=-100, most=100)
@@ -42,13 +50,18 @@ class Device:
         check(self)
         for item in ABOUT:
             if len(said := getattr(self, item)) > MOST_TEXT or not said.isprintable():
-                raise ValueError(f"{item} = {said[:40]!a}: expected {MOST_TEXT} printable characters at most")
+                raise ValueError(
+                    f"{item} = {said[:40]!a}: expected {MOST_TEXT} printable characters at most"
+                )
         if self.min_range_m >= self.max_range_m:
             raise ValueError(
-                f"min_range_m = {self.min_range_m:g}: expected less than max_range_m = {self.max_range_m:g}"
+                f"min_range_m = {self.min_range_m:g}: expected less than max_range_m = "
+                f"{self.max_range_m:g}"
             )
         if not 0 < math.prod(self.shape) <= MOST_RAYS:
-            raise ValueError(f"{' × '.join(map(str, self.shape))} rays: expected from 1 to {MOST_RAYS}")
+            raise ValueError(
+                f"{' × '.join(map(str, self.shape))} rays: expected from 1 to {MOST_RAYS}"
+            )
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -94,8 +107,22 @@ class Device:
         return f"{rays} rays of {self.name or type(self).__name__.lower()}{tilt}, up to {self.max_range_m:g} m"
 
 
-def pointing(elevation_deg: NDArray[np.float64], azimuth_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors (..., 3) of angles (...) that broadcast: up from the horizon, and from x towards y."""
+def pointing(
+    elevation_deg: NDArray[np.float64], azimuth_deg: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Unit vectors (..., 3) of angles (...) that broadcast: up from the horizon, and from x towards
+    y."""
     sin_e, cos_e = sin_cos(np.radians(elevation_deg))
     sin_a, cos_a = sin_cos(np.radians(azimuth_deg))
     return np.stack(np.broadcast_arrays(cos_e * cos_a, cos_e * sin_a, sin_e), axis=-1)
+
+
+def angles_deg(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Elevation and azimuth (2, ...) of vectors (..., 3), degrees, the inverse of `pointing`.
+
+    They are rounded to a billionth: NumPy's arctangent has other last bits on other processors, and
+    what is printed or drawn of an angle such as 11.25° must not hang on them.
+    """
+    x, y, z = np.moveaxis(np.asarray(directions), -1, 0)
+    angles = np.degrees([np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)])
+    return np.asarray(angles.round(9) + 0.0)  # and no -0

@@ -1,4 +1,5 @@
-"""Sensors whose pattern does not repeat: two motions whose rates have no common measure. A scan is a window in time."""
+"""Sensors whose pattern does not repeat: two motions whose rates have no common measure. A scan is
+a window in time."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ HOUR_S = 3600.0
 
 @dataclass(frozen=True, kw_only=True)
 class Windowed(Device):
-    """Points one after the other at a steady rate, seen for a window that begins where `seed` says."""
+    """Points one after the other at a steady rate, seen for a window that begins where `seed`
+    says."""
 
     points_hz: float = number(100_000.0, least=1, most=1e8)
     """Points a second."""
@@ -45,9 +47,9 @@ class Windowed(Device):
 class Rosette(Windowed):
     """Two wedge prisms that turn before the beam (Risley), about the forward axis.
 
-    To first order every prism deflects by a fixed angle, in the direction that it has turned to, and the two
-    deflections add up: a curve of many petals between the difference and the sum of them (Brazeal et al. 2021, Sensors
-    21, 4722).
+    To first order every prism deflects by a fixed angle, in the direction that it has turned to,
+    and the two deflections add up: a curve of many petals between the difference and the sum of
+    them (Brazeal et al. 2021, Sensors 21, 4722).
     """
 
     horizontal_fov_deg: float = number(40.0, above=1, most=180)
@@ -66,7 +68,10 @@ class Rosette(Windowed):
         """See `Device.directions_sensor`."""
         time = self._turns_begun_s
         left, up = np.zeros(time.shape), np.zeros(time.shape)
-        for rate, share in ((self.first_hz, 1 - self.second_share), (self.second_hz, self.second_share)):
+        for rate, share in (
+            (self.first_hz, 1 - self.second_share),
+            (self.second_hz, self.second_share),
+        ):
             sine, cosine = sin_cos(2 * math.pi * np.remainder(rate * time, 1.0))
             left += share * cosine
             up += share * sine
@@ -80,7 +85,8 @@ class Rosette(Windowed):
 
 @dataclass(frozen=True, kw_only=True)
 class Coil(Windowed):
-    """A mirror that turns about the vertical, and a beam that swings up and down at an even pace meanwhile."""
+    """A mirror that turns about the vertical, and a beam that swings up and down at an even pace
+    meanwhile."""
 
     lowest_deg: float = number(-10.0, least=-90, most=90)
     """Elevation of the lowest points, degrees."""
@@ -95,7 +101,8 @@ class Coil(Windowed):
         super().__post_init__()
         if self.highest_deg - self.lowest_deg < 4:
             raise ValueError(
-                f"lowest_deg = {self.lowest_deg:g}, highest_deg = {self.highest_deg:g}: expected degrees, the highest "
+                f"lowest_deg = {self.lowest_deg:g}, highest_deg = {self.highest_deg:g}: expected "
+                f"degrees, the highest "
                 "4 or more above the lowest"
             )
 

@@ -14,9 +14,11 @@ from lidarsim.sensors.device import Device
 
 @dataclass(frozen=True, kw_only=True)
 class Pinhole(Device):
-    """A camera without distortion that looks forward: a `Sensor` of shape (height, width), row 0 at the top.
+    """A camera without distortion that looks forward: a `Sensor` of shape (height, width), row 0 at
+    the top.
 
-    `max_range_m` bounds the distance along a ray, not the depth. All rays are cast at once: a global shutter.
+    `max_range_m` bounds the distance along a ray, not the depth. All rays are cast at once: a
+    global shutter.
     """
 
     width: int = number(320, least=1, most=MOST_RAYS)
@@ -32,7 +34,8 @@ class Pinhole(Device):
         super().__post_init__()
         if 0 < self.vertical_fov_deg < 4:
             raise ValueError(
-                f"vertical_fov_deg = {self.vertical_fov_deg:g}: expected degrees from 4, or 0 for square pixels"
+                f"vertical_fov_deg = {self.vertical_fov_deg:g}: expected degrees from 4, or 0 for "
+                f"square pixels"
             )
 
     @property
@@ -49,11 +52,17 @@ class Pinhole(Device):
     def directions_sensor(self) -> NDArray[np.float64]:
         """See `Device.directions_sensor`."""
         wide = _tangent(self.horizontal_fov_deg / 2)
-        high = _tangent(self.vertical_fov_deg / 2) if self.vertical_fov_deg else wide * self.height / self.width
+        high = (
+            _tangent(self.vertical_fov_deg / 2)
+            if self.vertical_fov_deg
+            else wide * self.height / self.width
+        )
         left = wide * (1 - (2 * np.arange(self.width) + 1) / self.width)
         up = high * (1 - (2 * np.arange(self.height) + 1) / self.height)
         rays = np.stack(np.broadcast_arrays(1.0, left, up[:, None]), axis=-1)
-        return rays / np.sqrt((rays[..., 0] ** 2 + rays[..., 1] ** 2) + rays[..., 2] ** 2)[..., None]
+        return (
+            rays / np.sqrt((rays[..., 0] ** 2 + rays[..., 1] ** 2) + rays[..., 2] ** 2)[..., None]
+        )
 
 
 def _tangent(angle_deg: float) -> float:

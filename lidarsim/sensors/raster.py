@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,22 @@ from lidarsim.pose import rotate
 
 @dataclass(frozen=True, kw_only=True)
 class Lidar:
-    """A spinning LiDAR of `rows` x `columns` rays, all from one point, without lever arm to the body: a `Sensor`.
+    """A spinning LiDAR of `rows` x `columns` rays, all from one point, without lever arm to the
+    body: a `Sensor`.
 
-    Ray (r, c) has, in the sensor frame (x forward, y left, z up), elevation from ``-vertical_fov / 2`` (r = 0) to
-    ``+vertical_fov / 2``, both ends included, and azimuth from ``-horizontal_fov / 2`` (c = 0) counter-clockwise; a
-    full turn leaves its end out, a narrower field includes it. The counts, 60 and 30
-    degrees and 10 m are the paper's; the full turn and the rigid tilt are how we read it.
+    Ray (r, c) has, in the sensor frame (x forward, y left, z up), elevation from ``-vertical_fov /
+    2`` (r = 0) to ``+vertical_fov / 2``, both ends included, and azimuth from ``-horizontal_fov /
+    2`` (c = 0) counter-clockwise; a full turn leaves its end out, a narrower field includes it. The
+    counts, 60 and 30 degrees and 10 m are the paper's; the full turn and the rigid tilt are how we
+    read it.
     """
 
+    source: ClassVar[str] = (
+        "The defaults (16 × 120 rays, 60°, 30° down, 10 m): Yu, Zhao, Xu, Planning-Oriented 3D "
+        "Scene Completion via Coupled TUDF–Occupancy Representation Learning from Partial "
+        "Observations"
+    )
+    error: ClassVar[str] = "The full turn and the rigid tilt are how we read the paper"
     rows: int = number(16, least=1, most=MOST_RAYS)
     """Lines, one elevation each."""
     columns: int = number(120, least=1, most=MOST_RAYS)
@@ -36,13 +44,15 @@ class Lidar:
     max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
     """Farthest return, metres; nothing is returned beyond."""
     mount: Literal["tilt", "band"] = "tilt"
-    """`tilt`: the sensor is turned nose down as a rigid body, so forward rays look down and rear rays up.
-    `band`: every ray's elevation is lowered by the pitch instead, the same all around."""
+    """`tilt`: the sensor is turned nose down as a rigid body, so forward rays look down and rear
+    rays up. `band`: every ray's elevation is lowered by the pitch instead, the same all around."""
 
     def __post_init__(self) -> None:
         check(self)
         if self.rows * self.columns > MOST_RAYS:
-            raise ValueError(f"rows = {self.rows}, columns = {self.columns}: expected {MOST_RAYS} rays at most")
+            raise ValueError(
+                f"rows = {self.rows}, columns = {self.columns}: expected {MOST_RAYS} rays at most"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -51,9 +61,12 @@ class Lidar:
 
     @cached_property
     def directions_body(self) -> NDArray[np.float64]:
-        """Unit vectors (rows, columns, 3) in the body frame, with the same bits on every processor."""
+        """Unit vectors (rows, columns, 3) in the body frame, with the same bits on every
+        processor."""
         elevation = _spread(self.vertical_fov_deg, self.rows, closed=True)
-        azimuth = _spread(self.horizontal_fov_deg, self.columns, closed=self.horizontal_fov_deg < 360.0)
+        azimuth = _spread(
+            self.horizontal_fov_deg, self.columns, closed=self.horizontal_fov_deg < 360.0
+        )
         if self.mount == "band":
             elevation = elevation - self.pitch_deg
         sin_e, cos_e = sin_cos(np.radians(elevation)[:, None])
@@ -73,13 +86,15 @@ class Lidar:
     def __str__(self) -> str:
         mounted = "nose down" if self.mount == "tilt" else "down all around"
         return (
-            f"{self.rows} × {self.columns} rays over {self.vertical_fov_deg:g}° × {self.horizontal_fov_deg:g}°, "
+            f"{self.rows} × {self.columns} rays over {self.vertical_fov_deg:g}° × "
+            f"{self.horizontal_fov_deg:g}°, "
             f"{self.pitch_deg:g}° {mounted}, up to {self.max_range_m:g} m"
         )
 
 
 def _spread(fov_deg: float, count: int, *, closed: bool) -> NDArray[np.float64]:
-    """`count` angles over a field of view around zero, degrees; a single one looks straight ahead."""
+    """`count` angles over a field of view around zero, degrees; a single one looks straight
+    ahead."""
     if count == 1:
         return np.zeros(1)
     step = fov_deg / (count - 1 if closed else count)

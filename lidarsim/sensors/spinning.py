@@ -18,16 +18,19 @@ FINEST_DEG = 0.04
 class Spinning(Device):
     """Beams on a turning head: a `Sensor` of shape (beams, columns).
 
-    Beam b of column c is fired at ``c · cycle + firing_times_s[b]`` after the scan begins. The head stands then at the
-    azimuth that its rate gives, begun at the rear, and the beam points `azimuth_offsets_deg[b]` beside it.
+    Beam b of column c is fired at ``c · cycle + firing_times_s[b]`` after the scan begins. The head
+    stands then at the azimuth that its rate gives, begun at the rear, and the beam points
+    `azimuth_offsets_deg[b]` beside it.
     """
 
     elevations_deg: tuple[float, ...] = number(least=-90, most=90)
     """Elevation of every beam, degrees."""
     azimuth_offsets_deg: tuple[float, ...] = number((), least=-180, most=180)
-    """How far every beam points beside the head, counter-clockwise, degrees; none for beams in one plane."""
+    """How far every beam points beside the head, counter-clockwise, degrees; none for beams in one
+    plane."""
     firing_times_s: tuple[float, ...] = number((), least=0, most=1)
-    """When every beam fires after its column begins, seconds; none where all of a column fire at once."""
+    """When every beam fires after its column begins, seconds; none where all of a column fire at
+    once."""
     columns: int = number(0, least=0, most=MOST_RAYS)
     """Columns of a turn; 0 for as many as firing cycles fit into it."""
     firing_cycle_s: float = number(0.0, least=0, most=1)
@@ -43,26 +46,45 @@ class Spinning(Device):
         check(self)
         beams = len(self.elevations_deg)
         if not beams:
-            raise ValueError("elevations_deg = []: a sensor has one beam at least; give the elevation of each, degrees")
+            raise ValueError(
+                "elevations_deg = []: a sensor has one beam at least; give the elevation of each, "
+                "degrees"
+            )
         if (self.columns == 0) == (self.firing_cycle_s == 0):
             raise ValueError(
-                f"columns = {self.columns}, firing_cycle_s = {self.firing_cycle_s}: expected one of the two, and the "
+                f"columns = {self.columns}, firing_cycle_s = {self.firing_cycle_s}: expected one "
+                f"of the two, and the "
                 "other 0"
             )
         super().__post_init__()
         for name in ("azimuth_offsets_deg", "firing_times_s"):
             if (count := len(getattr(self, name))) not in (0, beams):
-                raise ValueError(f"{name}: {count} numbers for {beams} beams; expected one for each, or none")
-        if len(set(zip(self.elevations_deg, self.azimuth_offsets_deg or (0.0,) * beams, strict=True))) < beams:
-            raise ValueError("elevations_deg: two beams point the same way; expected different ones")
+                raise ValueError(
+                    f"{name}: {count} numbers for {beams} beams; expected one for each, or none"
+                )
+        if (
+            len(
+                set(
+                    zip(
+                        self.elevations_deg, self.azimuth_offsets_deg or (0.0,) * beams, strict=True
+                    )
+                )
+            )
+            < beams
+        ):
+            raise ValueError(
+                "elevations_deg: two beams point the same way; expected different ones"
+            )
         span = max(self.elevations_deg) - min(self.elevations_deg)
         if beams > 3 and span < FINEST_DEG * (beams - 1):
             raise ValueError(
-                f"elevations_deg: {beams} beams within {span:g}°; expected degrees, and these look like radians"
+                f"elevations_deg: {beams} beams within {span:g}°; expected degrees, and these "
+                f"look like radians"
             )
         if self.firing_times_s and max(self.firing_times_s) >= self.cycle_s:
             raise ValueError(
-                f"firing_times_s: up to {max(self.firing_times_s):g} s, in a cycle of {self.cycle_s:g} s; expected "
+                f"firing_times_s: up to {max(self.firing_times_s):g} s, in a cycle of "
+                f"{self.cycle_s:g} s; expected "
                 "seconds within the cycle"
             )
 
@@ -75,19 +97,29 @@ class Spinning(Device):
     def shape(self) -> tuple[int, int]:
         """(beams, columns)."""
         columns = self.columns or 1.0 / (self.rate_hz * self.firing_cycle_s)
-        return len(self.elevations_deg), math.floor(columns * self.horizontal_fov_deg / 360.0 + 1e-9)
+        return len(self.elevations_deg), math.floor(
+            columns * self.horizontal_fov_deg / 360.0 + 1e-9
+        )
 
     @property
     def times_s(self) -> NDArray[np.float64]:
         """See `Sensor.times_s`."""
         beams, columns = self.shape
-        return np.array(self.firing_times_s or (0.0,) * beams)[:, None] + np.arange(columns) * self.cycle_s
+        return (
+            np.array(self.firing_times_s or (0.0,) * beams)[:, None]
+            + np.arange(columns) * self.cycle_s
+        )
 
     @property
     def directions_sensor(self) -> NDArray[np.float64]:
         """See `Device.directions_sensor`."""
-        apart = self.firing_times_s or self.azimuth_offsets_deg  # else one beam's azimuths serve all
+        apart = (
+            self.firing_times_s or self.azimuth_offsets_deg
+        )  # else one beam's azimuths serve all
         offsets = np.array(self.azimuth_offsets_deg or (0.0,))[:, None]
         times = self.times_s if apart else self.times_s[:1]
         turned = 360.0 * self.rate_hz * times - self.horizontal_fov_deg / 2
-        return pointing(np.array(self.elevations_deg)[:, None], offsets + (-turned if self.clockwise else turned))
+        return pointing(
+            np.array(self.elevations_deg)[:, None],
+            offsets + (-turned if self.clockwise else turned),
+        )

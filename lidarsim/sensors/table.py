@@ -34,8 +34,8 @@ class BeamTable:
     """
 
     rays: NDArray[np.float64]
-    """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast, seconds after the scan
-    begins."""
+    """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast,
+    seconds after the scan begins."""
     max_range_m: float = 10.0
     """Farthest return, metres."""
     made_by: str = ""
@@ -44,19 +44,33 @@ class BeamTable:
     def __post_init__(self) -> None:
         rays = np.array(self.rays, dtype=np.float64)
         shape = rays.shape[:-1]
-        if rays.shape[-1:] != (4,) or not 1 <= len(shape) <= MOST_AXES or not 0 < math.prod(shape) <= MOST_RAYS:
-            raise ValueError(f"rays of shape {rays.shape}: expected (*shape, 4), from 1 to {MOST_RAYS} rays")
+        if (
+            rays.shape[-1:] != (4,)
+            or not 1 <= len(shape) <= MOST_AXES
+            or not 0 < math.prod(shape) <= MOST_RAYS
+        ):
+            raise ValueError(
+                f"rays of shape {rays.shape}: expected (*shape, 4), from 1 to {MOST_RAYS} rays"
+            )
         lengths = np.sqrt((rays[..., :3] ** 2).sum(axis=-1))
         if not (np.abs(lengths - 1.0) <= UNIT).all():
             worst = float(lengths.flat[np.argmax(~(np.abs(lengths - 1.0) <= UNIT))])
-            raise ValueError(f"a ray's direction has length {worst:g}, expected 1, as float64 has it")
+            raise ValueError(
+                f"a ray's direction has length {worst:g}, expected 1, as float64 has it"
+            )
         if not ((rays[..., 3] >= 0) & np.isfinite(rays[..., 3])).all():
-            raise ValueError("a ray's time is negative or no number; expected seconds after the scan begins")
+            raise ValueError(
+                "a ray's time is negative or no number; expected seconds after the scan begins"
+            )
         if len(self.made_by) > MOST_MADE_BY or not self.made_by.isprintable():
-            raise ValueError(f"made_by = {shown(self.made_by)}: expected {MOST_MADE_BY} printable characters at most")
+            raise ValueError(
+                f"made_by = {shown(self.made_by)}: expected {MOST_MADE_BY} printable characters "
+                f"at most"
+            )
         if not LEAST_RANGE_M <= self.max_range_m <= MOST_RANGE_M:
             raise ValueError(
-                f"max_range_m = {shown(self.max_range_m)}: expected metres from {LEAST_RANGE_M:g} to {MOST_RANGE_M:g}"
+                f"max_range_m = {shown(self.max_range_m)}: expected metres from {LEAST_RANGE_M:g} "
+                f"to {MOST_RANGE_M:g}"
             )
         rays.setflags(write=False)
         object.__setattr__(self, "rays", rays)
@@ -64,9 +78,13 @@ class BeamTable:
 
     @classmethod
     def of(cls, sensor: Sensor) -> "BeamTable":
-        """The table of any sensor's rays, with the same bits. Raises ValueError where the sensor is none."""
+        """The table of any sensor's rays, with the same bits. Raises ValueError where the sensor is
+        none."""
         shape = tuple(int(count) for count in sensor.shape)
-        directions, times = _numbers(sensor.directions_body, "directions_body"), _numbers(sensor.times_s, "times_s")
+        directions, times = (
+            _numbers(sensor.directions_body, "directions_body"),
+            _numbers(sensor.times_s, "times_s"),
+        )
         for name, there, expected in (
             ("directions_body", directions.shape, (*shape, 3)),
             ("times_s", times.shape, shape),
@@ -74,7 +92,11 @@ class BeamTable:
             if there != expected:
                 raise ValueError(f"{name} has shape {there}, expected {expected}, as `shape` says")
         rays = np.concatenate([directions, times[..., None]], axis=-1)
-        return cls(rays=rays, max_range_m=sensor.max_range_m, made_by=getattr(sensor, "made_by", _maker(sensor)))
+        return cls(
+            rays=rays,
+            max_range_m=sensor.max_range_m,
+            made_by=getattr(sensor, "made_by", _maker(sensor)),
+        )
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -95,7 +117,9 @@ class BeamTable:
     def npy(self) -> bytes:
         """`rays` as an .npy file: little-endian, C order, format 1.0."""
         file = io.BytesIO()
-        np.lib.format.write_array(file, self.rays.astype("<f8", order="C"), version=(1, 0), allow_pickle=False)
+        np.lib.format.write_array(
+            file, self.rays.astype("<f8", order="C"), version=(1, 0), allow_pickle=False
+        )
         return file.getvalue()
 
     @property
@@ -138,16 +162,24 @@ class BeamFile:
     @cached_property
     def _table(self) -> BeamTable:
         if not self.rays.is_file():  # and no pipe, whose reading might never end
-            raise ValueError(f"rays = {self.rays.name!a}: there is no such file in {str(self.rays.parent)!a}")
+            raise ValueError(
+                f"rays = {self.rays.name!a}: there is no such file in {str(self.rays.parent)!a}"
+            )
         with open(self.rays, "rb") as file:
             content = file.read(most_bytes(MOST_RAYS) + 1)
         if self.sha256 and hashlib.sha256(content).hexdigest() != self.sha256:
-            raise ValueError(f"rays = {self.rays.name!a}: is not the file whose sha256 is {self.sha256[:64]!a}")
+            raise ValueError(
+                f"rays = {self.rays.name!a}: is not the file whose sha256 is {self.sha256[:64]!a}"
+            )
         return BeamTable(rays=read_npy(content), max_range_m=self.max_range_m, made_by=self.made_by)
 
     shape = property(lambda self: self._table.shape, doc="How the rays are ordered.")
-    directions_body = property(lambda self: self._table.directions_body, doc="(*shape, 3), in the body frame.")
-    times_s = property(lambda self: self._table.times_s, doc="(*shape), seconds after the scan begins.")
+    directions_body = property(
+        lambda self: self._table.directions_body, doc="(*shape, 3), in the body frame."
+    )
+    times_s = property(
+        lambda self: self._table.times_s, doc="(*shape), seconds after the scan begins."
+    )
 
 
 def most_bytes(rays: int) -> int:
@@ -156,11 +188,15 @@ def most_bytes(rays: int) -> int:
 
 
 def read_npy(content: bytes) -> NDArray[np.float64]:
-    """The rays in an .npy file, in no more memory than it has bytes. Raises ValueError where it is none of rays."""
+    """The rays in an .npy file, in no more memory than it has bytes. Raises ValueError where it is
+    none of rays."""
     file = io.BytesIO(content)
     try:
         version = np.lib.format.read_magic(file)
-        readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        readers = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }
         if version not in readers:
             raise ValueError(f"version {version}")
         shape, fortran, dtype = readers[version](file)
@@ -168,20 +204,26 @@ def read_npy(content: bytes) -> NDArray[np.float64]:
         raise ValueError(f"no .npy file of rays ({str(error).splitlines()[0][:100]})") from None
     data = content[file.tell() :]
     if dtype != np.dtype("<f8") or fortran or len(data) != 8 * math.prod(shape):
-        raise ValueError(f"an .npy file of {dtype} {shown(shape)}: expected float64 (*shape, 4), in C order")
+        raise ValueError(
+            f"an .npy file of {dtype} {shown(shape)}: expected float64 (*shape, 4), in C order"
+        )
     return np.frombuffer(data, np.dtype("<f8")).reshape(shape)
 
 
 def _maker(sensor: Sensor) -> str:
-    """A sensor's class and parameters: ``my_sensor:Rosette(petals=7)``; files by their names alone."""
+    """A sensor's class and parameters: ``my_sensor:Rosette(petals=7)``; files by their names
+    alone."""
     values: dict[str, Any] = {}
     if dataclasses.is_dataclass(sensor):
         values = {item.name: getattr(sensor, item.name) for item in dataclasses.fields(sensor)}
     given = ", ".join(
-        f"{name}={value.name if isinstance(value, Path) else repr(value)}" for name, value in values.items()
+        f"{name}={value.name if isinstance(value, Path) else repr(value)}"
+        for name, value in values.items()
     )
     said = f"{type(sensor).__module__}:{type(sensor).__name__}({given})"
-    return "".join(character if character.isprintable() else "?" for character in said)[:MOST_MADE_BY]
+    return "".join(character if character.isprintable() else "?" for character in said)[
+        :MOST_MADE_BY
+    ]
 
 
 def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:

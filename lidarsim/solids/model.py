@@ -23,10 +23,11 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solid
 
 
 class ModelSolids:
-    """The solids of a model, whose shapes are read once and whose places are read as often as its data move.
+    """The solids of a model, whose shapes are read once and whose places are read as often as its
+    data move.
 
-    Raises ValueError for a geom whose shape has no closed form here (a signed distance field's), for numbers that are
-    not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
+    Raises ValueError for a geom whose shape has no closed form here (a signed distance field's),
+    for numbers that are not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
     """
 
     def __init__(self, model: mujoco.MjModel):
@@ -38,24 +39,33 @@ class ModelSolids:
         self._shape = model.geom_type[self._plain].astype(np.int64)
         self._size = model.geom_size[self._plain].astype(np.float64)
         surface = functools.cache(
-            lambda shape, number: mesh_surface(model, number) if shape == MESH else height_field(model, number)
+            lambda shape, number: (
+                mesh_surface(model, number) if shape == MESH else height_field(model, number)
+            )
         )
-        self._surfaces = [surface(int(model.geom_type[geom]), int(model.geom_dataid[geom])) for geom in self._bent]
+        self._surfaces = [
+            surface(int(model.geom_type[geom]), int(model.geom_dataid[geom])) for geom in self._bent
+        ]
         self._start = np.cumsum([0, *(len(faces) for _, faces, _ in self._surfaces)])
         self._filled = np.array([closed for *_, closed in self._surfaces], dtype=np.bool_)
         self.geom = np.concatenate([self._plain, self._bent])
         """(n + m,): see `Solids.geom`."""
-        self._triangles, self._placed = np.empty((int(self._start[-1]), 3, 3)), np.full((len(self._bent), 12), np.nan)
+        self._triangles, self._placed = (
+            np.empty((int(self._start[-1]), 3, 3)),
+            np.full((len(self._bent), 12), np.nan),
+        )
 
     def at(self, data: mujoco.MjData) -> Solids:
-        """The solids where `data` has them; triangles are computed anew for geoms that moved since the last call.
+        """The solids where `data` has them; triangles are computed anew for geoms that moved since
+        the last call.
 
-        Raises ValueError for data that were never forwarded, or are another model's, and for places that are not finite
-        or beyond `MOST_LENGTH_M`.
+        Raises ValueError for data that were never forwarded, or are another model's, and for places
+        that are not finite or beyond `MOST_LENGTH_M`.
         """
         if data.geom_xpos.shape != (self._model.ngeom, 3):
             raise ValueError(
-                f"the MjData has {len(data.geom_xpos)} geoms, the model {self._model.ngeom}: give data of that model"
+                f"the MjData has {len(data.geom_xpos)} geoms, the model {self._model.ngeom}: give "
+                f"data of that model"
             )
         check_forwarded(self._model, data)
         _check_places(self._model, data, self._seen)
@@ -70,8 +80,12 @@ class ModelSolids:
                 vertices, faces, _ = self._surfaces[n]
                 # term by term: what a matrix product gives depends on the processor
                 columns = data.geom_xmat[self._bent[n]].reshape(3, 3).T
-                world = (vertices[:, :1] * columns[0] + vertices[:, 1:2] * columns[1]) + vertices[:, 2:] * columns[2]
-                self._triangles[self._start[n] : self._start[n + 1]] = (world + data.geom_xpos[self._bent[n]])[faces]
+                world = (vertices[:, :1] * columns[0] + vertices[:, 1:2] * columns[1]) + vertices[
+                    :, 2:
+                ] * columns[2]
+                self._triangles[self._start[n] : self._start[n + 1]] = (
+                    world + data.geom_xpos[self._bent[n]]
+                )[faces]
         return Solids(
             self._shape,
             self._size,
@@ -87,13 +101,18 @@ class ModelSolids:
 
 
 def check_forwarded(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Raise ValueError for data in which no geom has a place yet, and which would show an empty world."""
+    """Raise ValueError for data in which no geom has a place yet, and which would show an empty
+    world."""
     if model.ngeom and not data.geom_xmat[0].any():  # no rotation is all zeros
-        raise ValueError("the MjData was never forwarded, so no geom has a place: call mujoco.mj_forward(model, data)")
+        raise ValueError(
+            "the MjData was never forwarded, so no geom has a place: call "
+            "mujoco.mj_forward(model, data)"
+        )
 
 
 def visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Which geoms rays can see, (ngeom,): those whose material, or whose own colour without one, has alpha above 0."""
+    """Which geoms rays can see, (ngeom,): those whose material, or whose own colour without one,
+    has alpha above 0."""
     alpha = model.geom_rgba[:, 3].copy()
     dressed = model.geom_matid >= 0
     alpha[dressed] = model.mat_rgba[model.geom_matid[dressed], 3]
@@ -106,12 +125,16 @@ def _check_places(model: mujoco.MjModel, data: mujoco.MjData, seen: NDArray[np.b
         _check_numbers(model, what, values, seen)
 
 
-def _check_numbers(model: mujoco.MjModel, what: str, values: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
+def _check_numbers(
+    model: mujoco.MjModel, what: str, values: NDArray[np.float64], seen: NDArray[np.bool_]
+) -> None:
     """Raise ValueError for `values` (ngeom, n) of geoms that are not finite, or too large."""
     odd = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # a NaN is not
     if odd.any():
         value = values[np.argmax(odd)].tolist()
-        raise ValueError(f"geom {_name(model, odd)}: {what} = {value}, expected numbers up to {MOST_LENGTH_M:g}")
+        raise ValueError(
+            f"geom {_name(model, odd)}: {what} = {value}, expected numbers up to {MOST_LENGTH_M:g}"
+        )
 
 
 def _check_shapes(model: mujoco.MjModel, seen: NDArray[np.bool_]) -> None:
@@ -119,7 +142,8 @@ def _check_shapes(model: mujoco.MjModel, seen: NDArray[np.bool_]) -> None:
     odd = seen & (model.geom_type > MESH)
     if odd.any():
         raise ValueError(
-            f"geom {_name(model, odd)} is neither a primitive, a mesh nor a height field; use one of these"
+            f"geom {_name(model, odd)} is neither a primitive, a mesh nor a height field; use one "
+            f"of these"
         )
     _check_numbers(model, "size", model.geom_size, seen)
     for what, values in (
@@ -129,12 +153,15 @@ def _check_shapes(model: mujoco.MjModel, seen: NDArray[np.bool_]) -> None:
     ):
         if not (np.abs(values) <= MOST_LENGTH_M).all():
             raise ValueError(f"{what}: expected finite numbers, up to {MOST_LENGTH_M:g}")
-    triangles = int(model.mesh_facenum[model.geom_dataid[seen & (model.geom_type == MESH)]].sum(dtype=np.int64))
+    triangles = int(
+        model.mesh_facenum[model.geom_dataid[seen & (model.geom_type == MESH)]].sum(dtype=np.int64)
+    )
     for field in model.geom_dataid[seen & (model.geom_type == HFIELD)]:
         triangles += 4 * int(model.hfield_nrow[field]) * int(model.hfield_ncol[field])
     if triangles > MOST_TRIANGLES:
         raise ValueError(
-            f"meshes and height fields of {triangles} triangles, expected {MOST_TRIANGLES} at most; use coarser ones"
+            f"meshes and height fields of {triangles} triangles, expected {MOST_TRIANGLES} at "
+            f"most; use coarser ones"
         )
 
 

@@ -15,7 +15,8 @@ PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
 
 @dataclass(frozen=True, eq=False)
 class Solids:
-    """Every geom of a model that rays can see, filled: n primitives and m meshes of T triangles in all.
+    """Every geom of a model that rays can see, filled: n primitives and m meshes of T triangles in
+    all.
 
     Height fields are meshes too: their surface closed by walls and a base.
     """
@@ -43,7 +44,8 @@ class Solids:
 
     @cached_property
     def boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Bounding boxes of all n + m solids: least corners (n + m, 3) and greatest corners (n + m, 3)."""
+        """Bounding boxes of all n + m solids: least corners (n + m, 3) and greatest corners (n + m,
+        3)."""
         meshes = [self.triangles[a:b].reshape(-1, 3) for a, b in pairwise(self.mesh_start)]
         lower = np.array([corners.min(axis=0) for corners in meshes]).reshape(-1, 3)
         upper = np.array([corners.max(axis=0) for corners in meshes]).reshape(-1, 3)
@@ -70,6 +72,8 @@ def bounding_boxes(shape, size, position, rotation):
             elif shape[n] == BOX:
                 reach = abs(u) * size[n, 0] + abs(v) * size[n, 1] + abs(w) * size[n, 2]
             elif shape[n] == ELLIPSOID:
-                reach = np.sqrt((u * size[n, 0]) ** 2 + (v * size[n, 1]) ** 2 + (w * size[n, 2]) ** 2)
+                reach = np.sqrt(
+                    (u * size[n, 0]) ** 2 + (v * size[n, 1]) ** 2 + (w * size[n, 2]) ** 2
+                )
             lower[n, a], upper[n, a] = position[n, a] - reach, position[n, a] + reach
     return lower, upper

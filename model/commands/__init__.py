@@ -1,1 +1,2 @@
-"""The commands that train networks, complete maps and score completions, one a file; see `scenegen.commands`."""
+"""The commands that train networks, complete maps and score completions, one a file; see
+`scenegen.commands`."""

@@ -43,9 +43,11 @@ METHODS = Registry(
         "seen": "scenegen.model.evaluation.seen:Seen",
     },
 )
-"""Classes of completers and of rows, made without arguments; a user's own completer as ``module:Class``."""
+"""Classes of completers and of rows, made without arguments; a user's own completer as
+``module:Class``."""
 USUAL = tuple(name for name in METHODS.known if name != "seen")
 """The rows without any named: `seen` compiles every world, and is measured when it is asked for."""
+REPORTS = ("report.json", "report.md", "report.html")
 QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 """What `--quick` measures of every dataset."""
 
@@ -55,32 +57,48 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 @click.option(
     "--method",
     "names",
+    type=Named(METHODS),
     multiple=True,
-    shell_complete=Named(METHODS).shell_complete,
-    help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS; repeatable.  [default: all of these but seen]",
+    metavar="METHOD",
+    help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS; repeatable.  [default: all of "
+    f"these but seen]",
 )
 @click.option(
-    "--weights", type=Weights(), multiple=True, help="A network's row: a bundled name, a file, a run's folder, hf://…"
+    "--weights",
+    type=Weights(),
+    multiple=True,
+    help="A network's row: a bundled name, a file, a run's folder, hf://…",
 )
 @click.option(
-    "--predictions", type=click.Path(path_type=Path), help="HDF5 file of somebody's predictions: one more row."
+    "--predictions",
+    type=click.Path(path_type=Path),
+    help="HDF5 file of somebody's predictions: one more row.",
 )
 @out_option("Folder of the report.", Path("bench"))
 @options_of(BenchConfig, split="The split that is measured; calibrate on val alone.")
-@click.option("--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most.")
+@click.option(
+    "--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most."
+)
 @options_of(
     BenchConfig,
     study="Study planning and errors besides, with pictures: slower. See docs/bench.md.",
-    seed="Decides the goals and the intervals.",
+    seed="Decides the goals.",
 )
 @workers_option
 @on_option
 @json_option
 @quiet_option
 def bench(
-    datasets: tuple[Path | str, ...], out: Path, workers: int, on: str, as_json: bool, quiet: bool, **options: Any
+    datasets: tuple[Path | str, ...],
+    out: Path,
+    workers: int,
+    on: str,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
 ) -> None:
-    """Score completion methods on reconstruction and planning: the paper's two tables, and more in the report."""
+    """Score completion methods on reconstruction and planning: the paper's two tables, and more in
+    the report."""
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
@@ -118,20 +136,23 @@ def run_bench(
     warn: Callable[[str], None] = lambda line: None,
     **given: Any,
 ) -> dict[str, Any]:
-    """Measure as the `BenchConfig` of what is `given` says, write ``report.json``, ``report.md`` and
-    ``report.html`` into `out`, and return the report. `warn` is told of networks that meet another sensor than in
-    training.
+    """Measure as the `BenchConfig` of what is `given` says, write ``report.json``, ``report.md``
+    and ``report.html`` into `out`, and return the report. `warn` is told of networks that meet
+    another sensor than in training.
 
-    Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown method.
+    Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown
+    method.
     """
     from scenegen.checkout import commit
     from scenegen.dataset.read import Dataset
-    from scenegen.files import write_whole
+    from scenegen.files import check_ours, write_result
     from scenegen.model.evaluation.page import to_html
     from scenegen.model.evaluation.predicted import Predicted
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
 
+    for name in REPORTS:
+        check_ours(out / name)
     execute = executor(on, workers)
     methods = [*choose_methods(names), *map(network_row, weights)]
     predicted = None if predictions is None else Predicted(predictions)
@@ -140,9 +161,12 @@ def run_bench(
     kinds = [dataset.manifest.kind for dataset in datasets]
     if len(set(kinds)) < len(kinds):
         raise DatasetError(
-            f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one of each"
+            f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one "
+            f"of each"
         )
-    config = BenchConfig(**given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {}))
+    config = BenchConfig(
+        **given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {})
+    )
     if predicted is not None:
         for dataset in datasets:
             predicted.check(dataset, config.split)
@@ -150,29 +174,38 @@ def run_bench(
     for dataset in datasets:
         for method in methods:
             unlike = getattr(method, "unlike", lambda *met: "")
-            if warning := unlike(dataset.lidar, dataset.manifest.mapping, dataset.manifest.noise_stages):
+            if warning := unlike(
+                dataset.lidar, dataset.manifest.mapping, dataset.manifest.noise_stages
+            ):
                 warn(f"note: {dataset.folder}: {warning}")
     results = []
     for dataset in datasets:
         with progress(dataset.manifest.kind) as shown:
             results.append(
-                measure(dataset, methods, config, execute=execute, on_start=shown.start, on_done=shown.count)
+                measure(
+                    dataset,
+                    methods,
+                    config,
+                    execute=execute,
+                    on_start=shown.start,
+                    on_done=shown.count,
+                )
             )
     report = build_report(
-        results, seed=config.seed, about={"command": command, "commit": commit(), "split": config.split}
+        results,
+        seed=config.seed,
+        about={"command": command, "commit": commit(), "split": config.split},
     )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DatasetError(f"{out}: cannot be made: {error.strerror}; choose another folder with --out") from None
-    write_whole(out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
-    write_whole(out / "report.md", to_markdown(report).encode())
+    write_result(
+        out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
+    )
+    write_result(out / "report.md", to_markdown(report).encode())
     pairs = zip(results, datasets, strict=True)
     pictures = {result.kind: _failures(result, dataset, methods) for result, dataset in pairs}
-    write_whole(out / "report.html", to_html(report, pictures).encode())
+    write_result(out / "report.html", to_html(report, pictures).encode())
     if config.study:
         for name, picture in draw_study(report).items():
-            write_whole(out / name, picture)
+            write_result(out / name, picture)
     return report
 
 
@@ -187,8 +220,8 @@ def _failures(result: Any, dataset: Any, methods: "Sequence[Method]") -> list[tu
 
 
 def draw_study(report: dict[str, Any]) -> dict[str, bytes]:
-    """The pictures of a report's study by their files' names; none without matplotlib, with which a study can still be
-    drawn later: ``python docs/figures.py bench/report.json``."""
+    """The pictures of a report's study by their files' names; none without matplotlib, with which a
+    study can still be drawn later: ``python docs/figures.py bench/report.json``."""
     from scenegen.model.evaluation.study.figures import draw
 
     try:
@@ -200,7 +233,8 @@ def draw_study(report: dict[str, Any]) -> dict[str, bytes]:
 def choose_methods(names: Sequence[str]) -> "list[Method]":
     """Rows by name: a known one, or ``module:Class`` of a completer; the usual ones for none.
 
-    Raises ScenegenError for a name that leads to none, and for a completer that does not keep the protocol.
+    Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
+    protocol.
     """
     return [_method(name) for name in names or USUAL]
 
@@ -215,14 +249,18 @@ def _method(name: str) -> "Method":
     try:
         made = found()
     except TypeError as error:
-        raise ScenegenError(f"--method {name}: cannot be made by calling it without arguments: {error}") from None
+        raise ScenegenError(
+            f"--method {name}: cannot be made by calling it without arguments: {error}"
+        ) from None
     if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
         return made
     row = Completed(made)
     try:
         inspect.signature(made.complete).bind(None, None, grid=None)
     except TypeError as error:
-        raise ScenegenError(f"--method {name}: `complete` does not take (observed, free, *, grid): {error}") from None
+        raise ScenegenError(
+            f"--method {name}: `complete` does not take (observed, free, *, grid): {error}"
+        ) from None
     return row
 
 
@@ -230,7 +268,9 @@ def one_name_each(methods: "Sequence[Method]") -> tuple[str, ...]:
     """The methods' names. Raises ScenegenError where two have one."""
     named = tuple(method.name for method in methods)
     if twice := [name for name in named if named.count(name) > 1]:
-        raise ScenegenError(f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder")
+        raise ScenegenError(
+            f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder"
+        )
     return named
 
 
@@ -245,12 +285,23 @@ def network_row(weights: str) -> "Method":
 
 def show_tables(report: dict[str, Any]) -> None:
     """Both tables: means, at the paper's thresholds."""
-    from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+    from scenegen.model.evaluation.metrics import PLAN_METRICS
+    from scenegen.model.evaluation.report import reconstruction_table
+    from scenegen.model.evaluation.statistics import caution
+    from scenegen.model.evaluation.tables import threshold
 
-    for kind in report["datasets"]:
-        for table, names in (("reconstruction", tuple(METRICS)), ("planning", tuple(PLAN_METRICS))):
-            rows = {
-                method: [f"{row[name]['mean']:.3f}" if row[name]["n"] else "–" for name in names]
-                for method, row in report[table][kind].items()
+    for kind, about in report["datasets"].items():
+        for table, (names, rows) in (
+            ("reconstruction", reconstruction_table(report["reconstruction"][kind])),
+            ("planning", (PLAN_METRICS, report["planning"][kind])),
+        ):
+            cells = {
+                method: [
+                    f"{row[name]['mean']:.3f}{threshold(row[name])}" if row[name]["n"] else "–"
+                    for name in names
+                ]
+                for method, row in rows.items()
             }
-            show_figures(rows, names, f"{kind}, {table}")
+            show_figures(cells, list(names), f"{kind}, {table}")
+        if few := caution(about["worlds"]):
+            say(f"note: {kind}: {few}")

@@ -25,7 +25,9 @@ from scenegen.terminal.show import say
 @click.argument("weights", type=Weights())
 @datasets_argument
 @split_option("val", help="The split whose worlds are looked at; one that no training saw.")
-@click.option("--samples", type=click.IntRange(1, MOST_SAMPLES), help="At most so many maps of each dataset.")
+@click.option(
+    "--samples", type=click.IntRange(1, MOST_SAMPLES), help="At most so many maps of each dataset."
+)
 @click.option(
     "--trials",
     type=click.IntRange(0, 100),
@@ -34,7 +36,10 @@ from scenegen.terminal.show import say
     help="Paths planned on each map at every risk; 0 leaves the risk of paths out.",
 )
 @seed_option("Decides the goals.")
-@out_option("File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]", file=True)
+@out_option(
+    "File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]",
+    file=True,
+)
 @workers_option
 @json_option
 @quiet_option
@@ -50,25 +55,32 @@ def calibrate(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its file."""
-    from scenegen.files import make_parent
+    """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its
+    file."""
+    from scenegen.files import check_ours, make_parent
     from scenegen.model.checkpoint import CheckpointError
     from scenegen.model.completion.completer import HUB, called, locate
-    from scenegen.model.config import bundled
+    from scenegen.model.config import bundled, split_own
     from scenegen.model.evaluation.calibrate import calibrate as fit
 
     talk = not (quiet or as_json)
     path = locate(weights)
     if path.suffix == ".onnx":
-        raise CheckpointError(f"{path}: an exported network; calibrate its .safetensors file, then export that again")
-    elsewhere = weights in bundled() or weights.startswith(HUB)
-    out = out or (Path(f"{called(weights, path)}.safetensors") if elsewhere else path)
+        raise CheckpointError(
+            f"{path}: an exported network; calibrate its .safetensors file, then export that again"
+        )
+    plain = split_own(weights)[1]
+    elsewhere = plain in bundled() or plain.startswith(HUB)
+    if out is None and elsewhere:
+        out = Path(f"{called(weights, path)}.safetensors")
+        check_ours(out)
+    out = out or path
     make_parent(out)
     if talk:
         announce_compilation()
     with Progress("calibrate", shown=talk) as progress:
         found = fit(
-            path,
+            weights,
             find_datasets(datasets, shown=talk),
             out,
             split=split,
@@ -85,5 +97,8 @@ def calibrate(
         heat = "" if found.temperature is None else f"temperature {found.temperature:.3f}, "
         say(f"{found.worlds} worlds: {heat}bounds down to a risk of {found.risks[-1]:g}")
         if found.path_risks:
-            say(f"paths planned on them collide in at most {', '.join(f'{one:.3f}' for one in found.path_risks)}")
+            say(
+                f"paths planned on them collide in at most "
+                f"{', '.join(f'{one:.3f}' for one in found.path_risks)}"
+            )
         say(f"written: {out}")

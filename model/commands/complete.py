@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 @click.option(
     *("-o", "--output", "--out", "out"),
     type=OutputFile(folders=True),
-    help="File to write; of a folder of scans, a folder.  [default: predictions.h5, or <scan>.completed.h5]",
+    help="File to write; of a folder of scans, a folder.  [default: predictions.h5, or "
+    "<scan>.completed.h5]",
 )
 @click.option(
     "--sensor",
@@ -46,7 +47,13 @@ if TYPE_CHECKING:
     help="Where a scan's sensor was: X Y Z, m.",
 )
 @device_option
-@click.option("--batch", type=click.IntRange(1, MOST_BATCH), default=8, show_default=True, help="Maps at once.")
+@click.option(
+    "--batch",
+    type=click.IntRange(1, MOST_BATCH),
+    default=8,
+    show_default=True,
+    help="Maps at once.",
+)
 @workers_option
 @on_option
 @quiet_option
@@ -62,17 +69,19 @@ def complete(
     on: str,
     quiet: bool,
 ) -> None:
-    """Complete a dataset's split, or a scan, or all scans in a folder and below it, such as a sequence of KITTI's.
+    """Complete a dataset's split, or a scan, or all scans in a folder and below it, such as a
+    sequence of KITTI's.
 
-    Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the origin. One process
-    completes; with --on or --workers, so many do, each on one thread of a processor unless --device says more.
+    Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the
+    origin. One process completes; with --on or --workers, so many do, each on one thread of a
+    processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
     from scenegen.executors import executor
-    from scenegen.files import check_target, make_parent
+    from scenegen.files import check_target, make_parent, remove_drafts
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.points import scans_in
     from scenegen.model.completion.predictions import predict_scan, predict_split
@@ -87,13 +96,18 @@ def complete(
     usual = POINTS_NETWORK if scans else DEFAULT_NETWORK
     completer = Completer.from_pretrained(weights or usual, device=chosen, batch=batch)
     if execute is not None and found.exists() and not (found / NAME).exists():
-        raise DatasetError(f"{found}: --on and --workers complete a dataset's split; leave them out for scans")
+        raise DatasetError(
+            f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
+        )
     if found.is_dir() and scans:
-        _complete_all(completer, found, scans, out or Path(f"{found.resolve().name}.completed"), sensor, quiet)
+        _complete_all(
+            completer, found, scans, out or Path(f"{found.resolve().name}.completed"), sensor, quiet
+        )
         return
     out = out or (Path("predictions.h5") if found.is_dir() else found.with_suffix(".completed.h5"))
     check_target(out)
     make_parent(out)
+    remove_drafts(out.parent, out.name)
     missing = 0
     there = out.exists()
     if found.is_dir():
@@ -109,7 +123,9 @@ def complete(
                 on_done=progress.count,
             )
         about = Dataset(found).manifest
-        if not quiet and (warning := completer.unlike(about.lidar, about.mapping, about.noise_stages)):
+        if not quiet and (
+            warning := completer.unlike(about.lidar, about.mapping, about.noise_stages)
+        ):
             note(f"note: {warning}")
     else:
         used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())
@@ -129,20 +145,24 @@ def _complete_all(
     sensor: tuple[float, float, float],
     quiet: bool,
 ) -> None:
-    """Complete each of the `scans` in `folder` into a file of the same name, but .h5, in the folder `out`.
+    """Complete each of the `scans` in `folder` into a file of the same name, but .h5, in the folder
+    `out`.
 
-    Those that are there already are passed over. Raises DatasetError at the end where some could not be completed.
+    Those that are there already are passed over. Raises DatasetError at the end where some could
+    not be completed.
     """
     from scenegen.errors import DatasetError, printable
-    from scenegen.files import make_parent
+    from scenegen.files import make_parent, remove_drafts
     from scenegen.model.completion.predictions import predict_scan
     from scenegen.model.config import Thresholds
 
     broken = 0
+    targets = {scan: (out / scan.relative_to(folder)).with_suffix(".h5") for scan in scans}
+    for parent in {target.parent for target in targets.values()}:
+        remove_drafts(parent)
     with Progress("complete", shown=not quiet) as progress:
         progress.start(len(scans))
-        for scan in scans:
-            target = (out / scan.relative_to(folder)).with_suffix(".h5")
+        for scan, target in targets.items():
             if not target.exists():
                 make_parent(target)
                 try:
@@ -152,6 +172,9 @@ def _complete_all(
                     note(printable(error))
             progress.count(1)
     if broken:
-        raise DatasetError(f"{folder}: {broken} of {len(scans)} scans could not be completed; the others are in {out}")
+        raise DatasetError(
+            f"{folder}: {broken} of {len(scans)} scans could not be completed; the others are in "
+            f"{out}"
+        )
     if not quiet:
         say(f"{out}: {len(scans)} completions")

@@ -5,7 +5,7 @@ from pathlib import Path
 import rich_click as click
 
 from scenegen.model.commands.weights import Weights
-from scenegen.model.config import DEFAULT_NETWORK
+from scenegen.model.config import DEFAULT_NETWORK, split_own
 from scenegen.terminal.options import out_option
 from scenegen.terminal.show import say
 
@@ -15,13 +15,12 @@ from scenegen.terminal.show import say
 @out_option("File to write.  [default: <name>.onnx]", file=True)
 def export(weights: str, out: Path | None) -> None:
     """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
-    from scenegen.files import make_parent
-    from scenegen.model.checkpoint import load_network
-    from scenegen.model.completion.completer import locate
+    from scenegen.files import check_ours
+    from scenegen.model.completion.completer import open_network
     from scenegen.model.export import export_onnx
 
-    network, grid, about = load_network(locate(weights))
-    out = out or Path(f"{Path(weights).stem}.onnx")
-    make_parent(out)
+    network, grid, about = open_network(weights)
+    out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")
+    check_ours(out)
     export_onnx(network, grid, out, about=about)
     say(f"written: {out}")

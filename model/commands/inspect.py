@@ -13,8 +13,8 @@ from scenegen.commands.inspect import inspect_options, show
 def inspect(dataset: Path | str, as_json: bool, **options: Any) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
 
-    A folder of datasets is listed; of a world (.xml), a scan, a file of predictions (.h5), or a run's folder, it says
-    what it is.
+    A folder of datasets is listed; of a world (.xml), a scan, a file of predictions (.h5), or a
+    run's folder, it says what it is.
     """
     show(dataset, as_json=as_json, others=_others, misfit=_misfit, **options)
 

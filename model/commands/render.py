@@ -12,7 +12,9 @@ from scenegen.model.commands.shown import chosen, shown_options
 @click.command()
 @render_options
 @shown_options
-def render(predictions: Path | None, weights: tuple[str, ...], trial: int, no_paths: bool, **options: Any) -> None:
+def render(
+    predictions: Path | None, weights: tuple[str, ...], trial: int, no_paths: bool, **options: Any
+) -> None:
     """Draw samples of a dataset, and what is predicted of them.
 
     Or a world (.xml), a scan, a completion of one (.h5), a run's curve from its folder.

@@ -1,6 +1,7 @@
 """`scenegen reproduce`: the study of the paper's claims, from a seed to its report."""
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -25,22 +26,47 @@ from scenegen.terminal.show import say, show_table
     ReproduceConfig,
     scale="Share of all samples, maps and trials; 0.02 takes some ten minutes on two cores.",
     maps="Maps that every network sees, at scale 1.",
-    seed="Decides datasets, goals and intervals.",
+    seed="Decides datasets and goals.",
 )
-@click.option("--only", multiple=True, metavar="RUN", help="A run to train, several times for several.  [default: all]")
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="RUN",
+    help="A run to train, several times for several.  [default: all]",
+)
 @device_option
 @out_option("Folder of the study.", Path("study"))
+@click.option(
+    "--from",
+    "records",
+    type=click.Path(path_type=Path),
+    metavar="RECORDS",
+    help="Judge the claims again from a study's records.npz, and do nothing else; all of it with "
+    "--json.",
+)
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and do nothing.")
 @workers_option
 @json_option
 @quiet_option
-def reproduce(device: str, out: Path, workers: int, dry_run: bool, as_json: bool, quiet: bool, **options: Any) -> None:
+def reproduce(
+    device: str,
+    out: Path,
+    records: Path | None,
+    workers: int,
+    dry_run: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
     """Repeat the study of the paper's claims: datasets, networks, bench, verdicts.
 
     Given again after a stop, it goes on where it was.
     """
+    if records is not None:
+        _judge_again(records, as_json)
+        return
     from scenegen.model.reproduce.estimate import estimate
-    from scenegen.model.reproduce.stages import STUDY, TEXT, begin, runs
+    from scenegen.model.reproduce.stages import RECORDS, STUDY, TEXT, begin, runs
     from scenegen.model.reproduce.stages import reproduce as make
 
     talk = not (quiet or as_json)
@@ -57,9 +83,35 @@ def reproduce(device: str, out: Path, workers: int, dry_run: bool, as_json: bool
         return
     if talk:
         announce_compilation()
-    study = make(out, config, device=device, workers=workers, progress=lambda label: Progress(label, shown=talk))
+    study = make(
+        out,
+        config,
+        device=device,
+        workers=workers,
+        progress=lambda label: Progress(label, shown=talk),
+    )
     if as_json:
         print(json.dumps({"folder": str(out), "verdicts": study["verdicts"]}))
     elif talk:
-        show_table({name: said["verdict"] for name, said in study["verdicts"].items()})
-        say(f"written: {out / TEXT}, {out / STUDY}")
+        _show_verdicts(study)
+        say(f"written: {out / TEXT}, {out / STUDY}, {out / RECORDS}")
+
+
+def _judge_again(path: Path, as_json: bool) -> None:
+    from scenegen.model.reproduce.claims import judge
+    from scenegen.model.reproduce.records import Records
+
+    found = judge(Records.read(path))
+    if as_json:
+        print(json.dumps(found, allow_nan=False))
+    else:
+        _show_verdicts(found)
+
+
+def _show_verdicts(study: dict[str, Any]) -> None:
+    """The questions' answers, and how many claims have which verdict."""
+    counts = Counter(claim["verdict"] for claim in study["claims"])
+    told = ", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items()))
+    show_table(
+        {name: said["verdict"] for name, said in study["verdicts"].items()} | {"claims": told}
+    )

@@ -22,7 +22,8 @@ def shown_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--predictions",
             type=click.Path(path_type=Path),
-            help="An HDF5 file of predictions of the split, as `complete` writes: shown beside the truth.",
+            help="An HDF5 file of predictions of the split, as `complete` writes: shown beside "
+            "the truth.",
         ),
         click.option(
             "--weights",
@@ -43,10 +44,15 @@ def shown_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def chosen(
-    dataset: "Dataset", split: str, predictions: Path | None, weights: Sequence[str], trial: int, no_paths: bool
+    dataset: "Dataset",
+    split: str,
+    predictions: Path | None,
+    weights: Sequence[str],
+    trial: int,
+    no_paths: bool,
 ) -> "tuple[Guesses | None, tuple[str, ...]]":
-    """Who predicts samples of `dataset`, and what they are called. Raises ScenegenError for predictions that do not fit
-    `split`, and for networks that are not there."""
+    """Who predicts samples of `dataset`, and what they are called. Raises ScenegenError for
+    predictions that do not fit `split`, and for networks that are not there."""
     if not weights and predictions is None:
         return None, ()
     from scenegen.model.commands.bench import network_row, one_name_each

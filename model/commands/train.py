@@ -15,7 +15,16 @@ from scenegen import stream
 from scenegen.commands.datasets import find_datasets
 from scenegen.limits import MOST_SAMPLES, MOST_SEED
 from scenegen.model.commands.weights import Weights
-from scenegen.model.config import PROTOCOLS, LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.config import (
+    INPUTS,
+    LOSSES,
+    NETWORKS,
+    PROTOCOLS,
+    LossConfig,
+    NetworkConfig,
+    TrainConfig,
+    split_own,
+)
 from scenegen.terminal import stops
 from scenegen.terminal.options import (
     device_option,
@@ -28,7 +37,7 @@ from scenegen.terminal.options import (
 )
 from scenegen.terminal.progress import Progress
 from scenegen.terminal.show import curve, say
-from scenegen.terminal.types import DatasetPath
+from scenegen.terminal.types import Choice, DatasetPath, Named
 
 if TYPE_CHECKING:
     from scenegen.model.training.data import Samples
@@ -40,12 +49,12 @@ VAL_MAPS = 500
 
 
 class Weighted(click.ParamType):
-    """What is trained on, with its weight: NAME, or NAME=WEIGHT; with `of`, a name of that type."""
+    """What is trained on, with its weight: NAME, or NAME=WEIGHT, a name of the type `of`; `unsaid`
+    is the weight of what is given without."""
 
     name = "name[=weight]"
 
-    def __init__(self, of: click.ParamType | None = None, *, unsaid: float | None = 1):
-        """`unsaid` is the weight of what is given without."""
+    def __init__(self, of: click.ParamType = click.STRING, unsaid: float | None = 1):
         self.of, self.unsaid = of, unsaid
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[Any, float | None]:
@@ -53,31 +62,42 @@ class Weighted(click.ParamType):
         if isinstance(value, tuple):
             return value
         name, sign, weight = value.rpartition("=")
-        if not sign or (self.of is not None and Path(value).exists()):
-            return self._named(value, param, ctx), self.unsaid
+        if not sign or Path(value).exists():
+            return self.of.convert(value, param, ctx), self.unsaid
         try:
-            return self._named(name, param, ctx), float(weight)
+            return self.of.convert(name, param, ctx), float(weight)
         except ValueError:
             self.fail(f"{value!r}: expected NAME or NAME=WEIGHT, such as pillar=2", param, ctx)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[Any]:
         """As the name's type does."""
-        return (
-            super().shell_complete(ctx, param, incomplete)
-            if self.of is None
-            else self.of.shell_complete(ctx, param, incomplete)
-        )
-
-    def _named(self, name: str, param: Any, ctx: Any) -> Any:
-        return name if self.of is None else self.of.convert(name, param, ctx)
+        return self.of.shell_complete(ctx, param, incomplete)
 
 
 @click.command()
-@click.argument("datasets", nargs=-1, type=Weighted(DatasetPath(), unsaid=None), metavar="[DATASET[=WEIGHT]]...")
-@options_of(NetworkConfig, variant="Which network to train; docs/network.md says what they are.")
+@click.argument(
+    "datasets", nargs=-1, type=Weighted(DatasetPath(), unsaid=None), metavar="[DATASET[=WEIGHT]]..."
+)
+@click.option(
+    "--variant",
+    type=Named(NETWORKS),
+    default=NetworkConfig.variant,
+    show_default=True,
+    metavar="VARIANT",
+    help=f"The network: {', '.join(NETWORKS.known)}, or MODULE:CLASS; docs/own-network.md.",
+)
+@click.option(
+    "--loss",
+    "objective",
+    type=Named(LOSSES),
+    default=LossConfig.objective,
+    show_default=True,
+    metavar="LOSS",
+    help="What it learns by: coupled, the paper's, whose weights are options, or MODULE:OBJECT.",
+)
 @click.option(
     "--protocol",
-    type=click.Choice(list(PROTOCOLS)),
+    type=Choice(list(PROTOCOLS)),
     default=next(iter(PROTOCOLS)),
     show_default=True,
     help="What options stand at unless they are given; docs/training.md says how the two differ.",
@@ -89,7 +109,8 @@ class Weighted(click.ParamType):
     interval="Maps between two looks at validation, instead of a pass.",
     batch="Maps a step, on all devices together.",
     lr="Learning rate after the warm-up.",
-    schedule="How it falls: from when validation stalls or the budget nears its end, or along a cosine.",
+    schedule="How it falls: from when validation stalls or the budget nears its end, or along a "
+    "cosine.",
     patience="Looks at validation without a lower loss after which it has stalled.",
     choose="Which network of the run is kept.",
     seed="Decides the first weights and the order of samples.",
@@ -97,10 +118,12 @@ class Weighted(click.ParamType):
 @click.option(
     "--input",
     "inputs",
+    type=Named(INPUTS),
     multiple=True,
     default=NetworkConfig.inputs,
     show_default=True,
-    help="A channel that the network takes; several times for several.",
+    metavar="INPUT",
+    help=f"A channel that it takes: {', '.join(INPUTS.known)}, or MODULE:FUNCTION; repeatable.",
 )
 @options_of(
     NetworkConfig,
@@ -108,9 +131,16 @@ class Weighted(click.ParamType):
     stem_stride="Where resolution is halved first; 1 is slower, and sees finer.",
 )
 @click.option(
-    "--weights", type=Weights(), help="Begin with a network's weights: a bundled name, a file, a run's folder, hf://…"
+    "--weights",
+    type=Weights(),
+    help="Begin with a network's weights: a bundled name, a file, a run's folder, hf://…",
 )
-@options_of(LossConfig, "lambda-", occupancy="Weight of occupancy in the objective.", tudf="Weight of distances in it.")
+@options_of(
+    LossConfig,
+    "lambda-",
+    occupancy="Weight of occupancy in the objective.",
+    tudf="Weight of distances in it.",
+)
 @options_of(
     LossConfig,
     eikonal="Weight of the Eikonal term among distances.",
@@ -129,16 +159,28 @@ class Weighted(click.ParamType):
     "streams",
     multiple=True,
     type=Weighted(),
-    help="Train on maps drawn anew, of a kind, recipe or scenes: NAME or NAME=WEIGHT; several times for a mixture.",
+    help="Train on maps drawn anew, of a kind, recipe or scenes: NAME or NAME=WEIGHT; several "
+    "times for a mixture.",
 )
-@click.option("--stream-seed", type=click.IntRange(0, MOST_SEED), default=0, show_default=True, help="Its seed.")
 @click.option(
-    "--val-maps", type=click.IntRange(1, MOST_SAMPLES), help="Maps of its own to validate on.  [default: 500]"
+    "--stream-seed",
+    type=click.IntRange(0, MOST_SEED),
+    default=0,
+    show_default=True,
+    help="Its seed.",
+)
+@click.option(
+    "--val-maps",
+    type=click.IntRange(1, MOST_SAMPLES),
+    help="Maps of its own to validate on.  [default: 500]",
 )
 @device_option
-@click.option("--workers", type=click.IntRange(min=0), help="Loader processes.  [default: 0 on a CPU, else up to 8]")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=0),
+    help="Loader processes.  [default: 0 on a CPU, else up to 8]",
+)
 @out_option("The run's folder.  [default: runs/<variant>]")
-@click.option("--resume", is_flag=True, hidden=True, help="Accepted from older scripts: a run goes on by itself.")
 @json_option
 @quiet_option
 def train(
@@ -152,8 +194,8 @@ def train(
 ) -> None:
     """Train the completion network on datasets, or on a stream; under torchrun, on several GPUs.
 
-    Maps of datasets with weights come in proportion to these, however many each holds. Given again after a stop, it
-    goes on where it was. With --stream, datasets serve validation alone.
+    Maps of datasets with weights come in proportion to these, however many each holds. Given again
+    after a stop, it goes on where it was. With --stream, datasets serve validation alone.
     """
     from scenegen.model.training.device import choose_device
     from scenegen.model.training.loop import Watcher
@@ -163,9 +205,13 @@ def train(
 
     first = int(os.environ.get("RANK", "0")) == 0
     talk = first and not (quiet or as_json)
-    weights = None if options["weights"] is None else _weights(options)
+    weights = options["weights"]
+    if weights is not None:
+        _take_settings(weights, options)
     try:
-        options |= {name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)}
+        options |= {
+            name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)
+        }
         config = TrainConfig(
             network=NetworkConfig(**taken(NetworkConfig, options)),
             loss=LossConfig(**taken(LossConfig, options)),
@@ -173,14 +219,16 @@ def train(
         )
     except ValueError as error:
         raise click.UsageError(str(error)) from None
-    out = options["out"] or Path("runs") / config.network.variant
+    out = options["out"] or Path("runs") / config.network.variant.rpartition(":")[2]
     begin = time.monotonic()
     # the loop looks for a stop between two steps
     with Progress(config.network.variant, shown=talk) as progress, stops.noted() as stop:
         training, checking = _samples(datasets, config, options, talk)
         chosen = choose_device(device)
         if workers is None:
-            workers = 0 if chosen.type == "cpu" else min(MOST_LOADERS, 1 << (cores().bit_length() - 1))
+            workers = (
+                0 if chosen.type == "cpu" else min(MOST_LOADERS, 1 << (cores().bit_length() - 1))
+            )
         shown = _Shown(config, progress, talk)
         rows = run(
             training,
@@ -191,12 +239,16 @@ def train(
             workers=workers,
             command=shlex.join(["scenegen", *sys.argv[1:]]),
             weights=weights,
-            watcher=Watcher(on_start=shown.on_start, on_step=shown.on_step, on_epoch=shown.on_epoch, stop=stop),
+            watcher=Watcher(
+                on_start=shown.on_start, on_step=shown.on_step, on_epoch=shown.on_epoch, stop=stop
+            ),
         )
     best = kept(rows, config.choose)
     seconds = time.monotonic() - begin
     if first and as_json:
-        print(json.dumps({"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}))
+        print(
+            json.dumps({"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds})
+        )
     if not talk:
         return
     if not shown.begun:
@@ -204,11 +256,17 @@ def train(
     for name, column in (("loss", "val_loss"), ("IoU", "val_iou")) if len(rows) > 1 else ():
         values = [row[column] for row in rows]
         say(f"validation {name:4}  {curve(values)}  {values[0]:.4f} to {values[-1]:.4f}")
-    say(f"best: epoch {best['epoch']:.0f} of {len(rows)}, {_validated(best)}; {out}, {seconds:.0f} s")
+    say(
+        f"best: epoch {best['epoch']:.0f} of {len(rows)}, {_validated(best)}; {out}, "
+        f"{seconds:.0f} s"
+    )
 
 
 def _samples(
-    datasets: tuple[tuple[Path | str, float | None], ...], config: TrainConfig, options: dict[str, Any], talk: bool
+    datasets: tuple[tuple[Path | str, float | None], ...],
+    config: TrainConfig,
+    options: dict[str, Any],
+    talk: bool,
 ) -> tuple[list["Samples"], list["Samples"]]:
     """What is trained on, and what validates."""
     from scenegen.model.training.data import opened
@@ -217,47 +275,65 @@ def _samples(
     parts, seed, count = options["streams"], options["stream_seed"], options["val_maps"]
     if not parts:
         if count is not None or was_given("stream_seed"):
-            raise click.UsageError("--stream-seed and --val-maps are a stream's; name one, such as --stream pillar")
+            raise click.UsageError(
+                "--stream-seed and --val-maps are a stream's; name one, such as --stream pillar"
+            )
         folders = find_datasets(names, shown=talk)
         weights = [weight for _, weight in datasets] or [None] * len(folders)
         return opened(list(zip(folders, weights, strict=True)), "train"), opened(folders, "val")
     if config.maps is None:
-        raise click.UsageError("--stream has no end; say how many maps to see with --maps, such as --maps 200000")
+        raise click.UsageError(
+            "--stream has no end; say how many maps to see with --maps, such as --maps 200000"
+        )
     if datasets and count is not None:
-        raise click.UsageError("--val-maps validates on the stream, and datasets are named; leave one of the two out")
+        raise click.UsageError(
+            "--val-maps validates on the stream, and datasets are named; leave one of the two out"
+        )
     training: list[Samples] = [stream(parts, seed=seed)]
     if datasets:
         if any(weight is not None for _, weight in datasets):
-            raise click.UsageError("with --stream, datasets validate, and have no weights; give those of --stream")
+            raise click.UsageError(
+                "with --stream, datasets validate, and have no weights; give those of --stream"
+            )
         return training, opened(find_datasets(names, shown=talk), "val")
     return training, [stream(parts, seed=seed, split="val", samples=count or VAL_MAPS)]
 
 
-def _weights(options: dict[str, Any]) -> Path:
-    """The file of --weights. Its network stands for the options of one, which must not be given, too; its loss, where
-    it says what it learned by, for those of the loss that are not given."""
-    from scenegen.model.checkpoint import load_network
-    from scenegen.model.completion.completer import locate
+def _take_settings(weights: str, options: dict[str, Any]) -> None:
+    """Let the network called `weights` stand for the options of one, which must not be given, too,
+    and its loss, where it says what it learned by, for those of the loss that are not given."""
+    from scenegen.model.checkpoint import check_own
+    from scenegen.model.completion.completer import open_network
 
-    names = [item.name for item in dataclasses.fields(NetworkConfig) if item.name in options]
-    if given := [name for name in names if was_given(name)]:
-        raise click.UsageError(f"--weights brings its network; leave out what else says of one: {', '.join(given)}")
-    path = locate(options["weights"])
-    network, _, about = load_network(path)
+    if given := [name for name in taken(NetworkConfig, options) if was_given(name)]:
+        raise click.UsageError(
+            f"--weights brings its network; leave out what else says of one: {', '.join(given)}"
+        )
+    network, _, about = open_network(weights)
     try:
         said = about["settings"]["loss"]  # earlier commits had other terms
         loss = vars(
-            LossConfig(**{item.name: said[item.name] for item in dataclasses.fields(LossConfig) if item.name in said})
+            LossConfig(
+                **{
+                    item.name: said[item.name]
+                    for item in dataclasses.fields(LossConfig)
+                    if item.name in said
+                }
+            )
         )
     except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
         loss = {}
-    options |= vars(network.config)
-    options |= {name: value for name, value in loss.items() if name not in options or not was_given(name)}
-    return path
+    loss = {
+        name: value for name, value in loss.items() if name not in options or not was_given(name)
+    }
+    own, plain = split_own(weights)
+    check_own(plain, own, loss.get("objective", ""))
+    options |= vars(network.config) | loss
 
 
 class _Shown:
-    """What a run shows of itself: the loss of the last steps, the rate, the time left, and a line an epoch."""
+    """What a run shows of itself: the loss of the last steps, the rate, the time left, and a line
+    an epoch."""
 
     def __init__(self, config: TrainConfig, progress: Progress, talk: bool):
         self._config, self._progress, self._talk = config, progress, talk

@@ -12,8 +12,11 @@ from scenegen.model.commands.shown import chosen, shown_options
 @click.command()
 @view_options
 @shown_options
-def view(predictions: Path | None, weights: tuple[str, ...], trial: int, no_paths: bool, **options: Any) -> None:
-    """Show a dataset in a browser, from this machine; or, with --html, write one file that shows some of it."""
+def view(
+    predictions: Path | None, weights: tuple[str, ...], trial: int, no_paths: bool, **options: Any
+) -> None:
+    """Show a dataset in a browser, from this machine; or, with --html, write one file that shows
+    some of it."""
     split = options["split"]
     show(
         **options,

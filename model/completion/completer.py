@@ -25,9 +25,9 @@ from scenegen.errors import needs, printable
 from scenegen.mapping import Mapper
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
-from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled
-from scenegen.model.inputs import INPUTS, centres, of_sample, of_scan
-from scenegen.model.network import Output
+from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own
+from scenegen.model.inputs import centres, channels, input_called
+from scenegen.model.network import Output, placed
 from scenegen.model.runtime import load_onnx
 from scenegen.model.uncertainty.calibration import Calibration
 from scenegen.sample import Sample
@@ -41,7 +41,8 @@ NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 
 
 class Completer:
-    """A network with the grid it was trained on. It is a `MapCompleter`, too, so it can be a row of the bench."""
+    """A network with the grid it was trained on. It is a `MapCompleter`, too, so it can be a row of
+    the bench."""
 
     def __init__(
         self,
@@ -70,57 +71,66 @@ class Completer:
         self.path: Path | None = None
         """The file that `from_pretrained` opened."""
         self.opened: tuple[str, str, int] | None = None
-        """Name, device and batch, by which `opened_once` has it in other processes, if it came by its name."""
+        """Name, device and batch, by which `opened_once` has it in other processes, if it came by
+        its name."""
 
     @classmethod
     def from_pretrained(
-        cls, name: str | Path = DEFAULT_NETWORK, *, device: str | torch.device = "cpu", batch: int = 8, threads: int = 0
+        cls,
+        name: str | Path = DEFAULT_NETWORK,
+        *,
+        device: str | torch.device = "cpu",
+        batch: int = 8,
+        threads: int = 0,
     ) -> "Completer":
-        """The network called `name`: one that comes with scenegen (`scenegen.model.config.bundled` lists them), a
-        .safetensors file, a run's folder, an .onnx file, which runs on the CPU, or ``hf://user/name[@revision]``, which
-        alone is fetched.
+        """The network called `name`: one that comes with scenegen (`scenegen.model.config.bundled`
+        lists them), a .safetensors file, a run's folder, an .onnx file, which runs on the CPU, or
+        ``hf://user/name[@revision]``, which alone is fetched. One that is made of code of one's own
+        is given as "my_net:Net@runs/mine": its module is then imported, and never because a file
+        says so.
 
-        At most `batch` maps are completed at once; an .onnx file runs on `threads` threads, 0 for all. Raises
-        CheckpointError where there is none, or it is damaged.
+        At most `batch` maps are completed at once; an .onnx file runs on `threads` threads, 0 for
+        all. Raises CheckpointError where there is none, or it is damaged.
         """
-        path = locate(name)
-        title = called(name, path)
+        path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
-            run, found = load_onnx(path, threads=threads)
-            made = cls(run, found.grid, name=title, inputs=found.config.inputs, about=found.about, batch=batch)
+            run, found = load_onnx(path, threads=threads, own=own)
+            grid, about, inputs = found.grid, found.about, found.config.inputs
         else:
-            made = cls._of_torch(path, torch.device(device), title, batch)
-        everywhere = str(name).startswith(HUB) or str(name) in bundled()
-        made.path, made.opened = path, (str(name if everywhere else path.absolute()), str(device), batch)
+            network, grid, about = load_network(path, own)
+            inputs = network.config.inputs
+            placed(network, device)
+
+            def run(maps: Mapping[str, Tensor]) -> Output:
+                return Output(*network({name: values.to(device) for name, values in maps.items()}))
+
+        made = cls(run, grid, name=called(name, path), inputs=inputs, about=about, batch=batch)
+        if not (plain.startswith(HUB) or plain in bundled()):
+            name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
+        made.path, made.opened = path, (str(name), str(device), batch)
         return made
-
-    @classmethod
-    def _of_torch(cls, path: Path, device: torch.device, title: str, batch: int) -> "Completer":
-        network, grid, about = load_network(path)
-        network.placed(device)
-
-        def forward(maps: Mapping[str, Tensor]) -> Output:
-            return Output(*network({name: values.to(device) for name, values in maps.items()}))
-
-        return cls(forward, grid, name=title, inputs=network.config.inputs, about=about, batch=batch)
 
     def __call__(self, maps: Sample | Maps | Mapping[str, Maps]) -> Prediction:
         """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
 
-        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the observed voxels alone, from
-        which other inputs are then derived as from a scan of points, one at the centre of each, seen from the map's:
-        less than a sample tells, completed worse, and warned of. Numpy or torch, numbers 0 and 1 or bool where an input
-        is binary. What comes back has the same shape and is float32, numpy for numpy and torch for torch (on the same
-        device); distances are metres, at most the truncation; what the network's variant does not predict is None.
-        Raises ValueError where an input is missing, for another grid, or for values that an input cannot hold;
-        PredictionError where the network says NaN, or what is no probability or distance.
+        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the observed
+        voxels alone, from which other inputs are then derived as from a scan of points, one at the
+        centre of each, seen from the map's: less than a sample tells, completed worse, and warned
+        of. Numpy or torch, numbers 0 and 1 or bool where an input is binary. What comes back has
+        the same shape and is float32, numpy for numpy and torch for torch (on the same device);
+        distances are metres, at most the truncation; what the network's variant does not predict is
+        None. Raises ValueError where an input is missing, for another grid, or for values that an
+        input cannot hold; PredictionError where the network says NaN, or what is no probability or
+        distance.
         """
         if isinstance(maps, Sample):
-            batch: Mapping[str, Maps] = of_sample(self.inputs, maps, self.grid, None)
+            batch: Mapping[str, Maps] = channels(self.inputs, maps, self.grid)
         else:
             batch = maps if isinstance(maps, Mapping) else self._derived(maps)
         if missing := [name for name in self.inputs if name not in batch]:
-            raise ValueError(f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not given")
+            raise ValueError(
+                f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not given"
+            )
         given = {name: self._checked(name, batch[name]) for name in self.inputs}
         shapes = {tuple(values.shape) for values in given.values()}
         if len(shapes) > 1:
@@ -128,18 +138,30 @@ class Completer:
         (shape,) = shapes
         flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
         split = [values.split(self._batch) for values in flat.values()]
-        parts = [self._complete(dict(zip(flat, part, strict=True))) for part in zip(*split, strict=True)]
-        joined = [None if part[0] is None else torch.cat(part).reshape(shape) for part in zip(*parts, strict=True)]
+        parts = [
+            self._complete(dict(zip(flat, part, strict=True))) for part in zip(*split, strict=True)
+        ]
+        joined = [
+            None if part[0] is None else torch.cat(part).reshape(shape)
+            for part in zip(*parts, strict=True)
+        ]
         check_prediction(Prediction(*joined), shape, self.name)
         first = batch[self.inputs[0]] if isinstance(maps, Sample | Mapping) else maps
-        if isinstance(first, Tensor):
-            parted = [None if part is None else part.to(first.device) for part in joined]
-        else:
-            parted = [None if part is None else part.numpy(force=True) for part in joined]
-        return Prediction(parted[0], parted[1], uncertainty=self.calibration, grid=self.grid)
+        probability, tudf = (
+            part
+            if part is None
+            else part.to(first.device)
+            if isinstance(first, Tensor)
+            else part.numpy(force=True)
+            for part in joined
+        )
+        return Prediction(probability, tudf, self.calibration, self.grid)
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
-        """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network takes other inputs."""
+    def complete(
+        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
+    ) -> Prediction:
+        """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network
+        takes other inputs."""
         self.check_grid(grid)
         return self({"observed": observed, "free": free})
 
@@ -148,13 +170,9 @@ class Completer:
         if grid != self.grid:
             raise ValueError(f"{self.name} completes maps on {self.grid}, these are on {grid}")
 
-    def unlike(self, lidar: Any, mapping: Mapper | None = None, noise: str = "") -> str:
-        """How the sensor `lidar`, its `noise` (stages as a manifest spells them), and maps made by `mapping`, differ
-        from those that the network learned from, in one line; "" where they do not.
-
-        Networks of earlier commits name none: they learned from the paper's, without noise.
-        """
-        return unlike(self.name, self.about, lidar, mapping, noise)
+    def unlike(self, *met: Any) -> str:
+        """`unlike`, of this network."""
+        return unlike(self.name, self.about, *met)
 
     def _derived(self, observed: Maps) -> dict[str, Maps]:
         """All inputs of maps of which the observed voxels alone are known."""
@@ -162,29 +180,42 @@ class Completer:
         if self.inputs == ("observed",):
             return {"observed": observed}
         warnings.warn(
-            f"{self.name} takes {', '.join(self.inputs)}, and derives what is not given from the observed voxels, "
+            f"{self.name} takes {', '.join(self.inputs)}, and derives what is not given from the "
+            f"observed voxels, "
             "which say less; give it a sample, or all of these by name",
             stacklevel=3,
         )
         flat = seen.reshape(-1, *self.grid.shape).bool().numpy(force=True)
-        found = [of_scan(self.inputs, centres(one, self.grid)) for one in flat]
+        found = [channels(self.inputs, centres(one, self.grid), self.grid) for one in flat]
         return {
-            name: torch.from_numpy(np.stack([one[name] for one in found])).reshape(seen.shape) for name in self.inputs
+            name: torch.from_numpy(np.stack([one[name] for one in found])).reshape(seen.shape)
+            for name in self.inputs
         }
 
     def _checked(self, name: str, maps: Maps) -> Tensor:
         """An input as a tensor, if it can be one."""
-        given = maps if isinstance(maps, Tensor) else _numbers(name, maps)
+        try:
+            given = (
+                maps if isinstance(maps, Tensor) else torch.from_numpy(np.ascontiguousarray(maps))
+            )
+        except TypeError:
+            said = (
+                f"{name} is of type {type(maps).__name__}; expected a sample, or a map as an array"
+            )
+            raise ValueError(said) from None
         if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
             raise ValueError(
-                f"{name} has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, *{self.grid.shape}): "
+                f"{name} has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, "
+                f"*{self.grid.shape}): "
                 f"{self.name} completes maps of voxels of {self.grid.voxel_m} m, indexed x, y, z"
             )
         if not given.numel():
             raise ValueError(f"{name} holds no map; give at least one")
-        if INPUTS[name].binary:
+        if input_called(name).binary:
             if given.dtype != torch.bool and not ((given == 0) | (given == 1)).all():
-                raise ValueError(f"{name} holds values other than 0 and 1; expected a mask of voxels")
+                raise ValueError(
+                    f"{name} holds values other than 0 and 1; expected a mask of voxels"
+                )
         elif not given.isfinite().all():
             raise ValueError(f"{name} holds NaN or infinity; expected finite numbers")
         return given
@@ -197,36 +228,47 @@ class Completer:
         return probability, tudf
 
 
-def _numbers(name: str, maps: Any) -> Tensor:
-    """An array as a tensor. Raises ValueError for what is none."""
-    try:
-        return torch.from_numpy(np.ascontiguousarray(maps))
-    except TypeError:
-        raise ValueError(f"{name} is of type {type(maps).__name__}; expected a sample, or a map as an array") from None
-
-
 @cache
 def opened_once(name: str, device: str, batch: int) -> Completer:
-    """A network for a task of many, on one thread of a processor: each process opens it once, and by itself."""
+    """A network for a task of many, on one thread of a processor: each process opens it once, and
+    by itself."""
     torch.set_num_threads(1)
     return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 
-def unlike(name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None = None, noise: str = "") -> str:
-    """See `Completer.unlike`, of the network called `name` that `about` tells of."""
+def unlike(
+    name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None = None, noise: str = ""
+) -> str:
+    """How the sensor `lidar`, its `noise` (stages as a manifest spells them), and maps made by
+    `mapping`, differ from those that the network called `name` learned from, as `about` tells, in
+    one line; "" where they do not.
+
+    Networks of earlier commits name none: they learned from the paper's, without noise.
+    """
     plain = described(Mapper())
-    learned = (about.get("lidar") or entry_of(Lidar()), {"mapping": about.get("mapping") or plain["mapping"]})
+    learned = (
+        about.get("lidar") or entry_of(Lidar()),
+        {"mapping": about.get("mapping") or plain["mapping"]},
+    )
     met = (entry_of(lidar), plain if mapping is None else described(mapping))
     sensor, maps = (differences(*both) for both in zip(learned, met, strict=True))
-    if sensor and any("sensor" in one for one in (learned[0], met[0])):  # tables of rays have nothing else to compare
+    if sensor and any(
+        "sensor" in one for one in (learned[0], met[0])
+    ):  # tables of rays have nothing else to compare
         sensor = [f"sensor is {_titled(learned[0])} there, {_titled(met[0])} asked for"]
-    known = about.get("noise") or [""]
-    faults = [f"noise is {' or '.join(one or 'none' for one in known)} there, {noise or 'none'} asked for"]
-    if noise in known:
-        faults = []
+    known, faults = about.get("noise") or [""], []
+    if noise not in known:
+        faults = [
+            f"noise is {' or '.join(one or 'none' for one in known)} there, {noise or 'none'} "
+            f"asked for"
+        ]
     if not sensor + faults + maps:
         return ""
-    said = "; ".join(sensor + faults + maps)[:MOST_SAID].replace("there", "in training").replace("asked for", "here")
+    said = (
+        "; ".join(sensor + faults + maps)[:MOST_SAID]
+        .replace("there", "in training")
+        .replace("asked for", "here")
+    )
     what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
     return f"{name} was trained on {what}, so expect worse completions: {printable(said)}"
 
@@ -238,32 +280,48 @@ def _titled(entry: Mapping[str, Any]) -> str:
 
 
 def called(name: str | Path, path: Path) -> str:
-    """What the network `name`, found at `path`, is called in tables: by its file, its run, or its repository."""
-    if str(name).startswith(HUB):
-        return str(name).removeprefix(HUB).partition("@")[0].rpartition("/")[2]
+    """What the network `name`, found at `path`, is called in tables: by its file, its run, or its
+    repository."""
+    if (name := split_own(name)[1]).startswith(HUB):
+        return name.removeprefix(HUB).partition("@")[0].rpartition("/")[2]
     return path.resolve().parent.name if path.name in NAMES_IN_FOLDER else path.stem
+
+
+def open_network(name: str | Path) -> tuple[Any, GridSpec, dict[str, Any]]:
+    """The network called `name`, as `load_network` gives it; see `Completer.from_pretrained`."""
+    return load_network(locate(name), split_own(name)[0])
 
 
 def locate(name: str | Path) -> Path:
     """The file of the network called `name`; see `Completer.from_pretrained`.
 
-    Raises CheckpointError where there is none. Only names that begin with ``hf://`` reach for the network.
+    Raises CheckpointError where there is none. Only names that begin with ``hf://`` reach for the
+    network.
     """
-    if str(name).startswith(HUB):
-        return _fetch(str(name))
-    if str(name) in bundled():
+    name = split_own(name)[1]
+    if name.startswith(HUB):
+        return _fetch(name)
+    if name in bundled():
         return BUNDLED / f"{name}.safetensors"
     path = Path(name)
     if path.is_dir():
-        for inside in NAMES_IN_FOLDER:
-            if (path / inside).is_file():
-                return path / inside
-        raise CheckpointError(f"{path}: a folder without {' or '.join(NAMES_IN_FOLDER)}; give a run's folder or a file")
+        if there := [path / inside for inside in NAMES_IN_FOLDER if (path / inside).is_file()]:
+            return there[0]
+        raise CheckpointError(
+            f"{path}: a folder without {' or '.join(NAMES_IN_FOLDER)}; give a run's folder or a "
+            f"file"
+        )
     if path.is_file():
         return path
-    hint = f"; a repository on the Hub is {HUB}{name}" if re.fullmatch(r"[\w.-]+/[\w.-]+", str(name)) else ""
-    known = f"known names are {', '.join(bundled())}" if bundled() else "none comes with this scenegen"
-    raise CheckpointError(f"{name}: no such network: {known}; or give a .safetensors file, or a run's folder{hint}")
+    hint = (
+        f"; a repository on the Hub is {HUB}{name}"
+        if re.fullmatch(r"[\w.-]+/[\w.-]+", name)
+        else ""
+    )
+    known = f"known names are {', '.join(bundled())}"
+    raise CheckpointError(
+        f"{name}: no such network: {known}; or give a .safetensors file, or a run's folder{hint}"
+    )
 
 
 def _fetch(name: str) -> Path:

@@ -26,12 +26,16 @@ PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"
 
 
 def read_points(path: Path) -> NDArray[np.float64]:
-    """The points of a scan, (N, 3), metres; a point of NaN or infinity is a ray that returned nothing.
+    """The points of a scan, (N, 3), metres; a point of NaN or infinity is a ray that returned
+    nothing.
 
-    Raises DatasetError for a file that holds none, that holds fewer than it promises, or that is too large.
+    Raises DatasetError for a file that holds none, that holds fewer than it promises, or that is
+    too large.
     """
     if path.suffix not in READERS:
-        raise DatasetError(f"{path}: neither a dataset's folder nor a scan; expected one of {', '.join(READERS)}")
+        raise DatasetError(
+            f"{path}: neither a dataset's folder nor a scan; expected one of {', '.join(READERS)}"
+        )
     try:
         content = read_bounded(path, MOST_SCAN_BYTES)
     except FileNotFoundError:
@@ -39,26 +43,37 @@ def read_points(path: Path) -> NDArray[np.float64]:
     try:
         found = READERS[path.suffix](content)
     except Exception as error:  # numpy's parsers raise anything
-        raise DatasetError(f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}") from None
+        raise DatasetError(
+            f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}"
+        ) from None
     if found.ndim != 2 or found.shape[1] < 3 or not len(found) or found.dtype.kind not in "fiu":
         raise DatasetError(
-            f"{path}: holds {found.dtype} of shape {found.shape}, expected (N, 3) numbers: x, y, z in metres"
+            f"{path}: holds {found.dtype} of shape {found.shape}, expected (N, 3) numbers: x, y, "
+            f"z in metres"
         )
     if len(found) > MOST_POINTS:
-        raise DatasetError(f"{path}: holds more than {MOST_POINTS} points; give one scan, not a map of many")
+        raise DatasetError(
+            f"{path}: holds more than {MOST_POINTS} points; give one scan, not a map of many"
+        )
     return found[:, :3].astype(np.float64)
 
 
 def _read_npy(content: bytes) -> NDArray[np.generic]:
     file = io.BytesIO(content)
     major, _ = np.lib.format.read_magic(file)
-    read_header = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}[major]
+    read_header = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}[
+        major
+    ]
     shape, by_column, dtype = read_header(file, max_header_size=10_000)
     if dtype.hasobject or dtype.kind not in "fiu":
         raise ValueError(f"an array of {dtype}, expected numbers")
     if math.prod(shape) * dtype.itemsize != len(content) - file.tell():
-        raise ValueError(f"promises an array of shape {shape} and holds {len(content) - file.tell()} bytes")
-    return np.frombuffer(content, dtype, offset=file.tell()).reshape(shape, order="F" if by_column else "C")
+        raise ValueError(
+            f"promises an array of shape {shape} and holds {len(content) - file.tell()} bytes"
+        )
+    return np.frombuffer(content, dtype, offset=file.tell()).reshape(
+        shape, order="F" if by_column else "C"
+    )
 
 
 def _read_xyz(content: bytes) -> NDArray[np.generic]:
@@ -76,7 +91,8 @@ def _read_ply(content: bytes) -> NDArray[np.generic]:
         columns = [list(properties).index(axis) for axis in "xyz"]
     except (ValueError, KeyError, IndexError):
         raise ValueError(
-            "expected a header of `format`, then `element vertex`, with x, y and z among its properties, and no lists"
+            "expected a header of `format`, then `element vertex`, with x, y and z among its "
+            "properties, and no lists"
         ) from None
     if not 0 <= count <= MOST_POINTS:
         raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
@@ -93,7 +109,8 @@ def _read_ply(content: bytes) -> NDArray[np.generic]:
 
 
 def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
-    """Byte order ("" for text), number of vertices, and numpy's types of their properties by name."""
+    """Byte order ("" for text), number of vertices, and numpy's types of their properties by
+    name."""
     magic, *rest = [line.split() for line in head.decode("latin-1").splitlines()]
     (_, form, _), (element, vertex, count), *lines = [
         line for line in rest if line and line[0] not in ("comment", "obj_info")
@@ -108,13 +125,18 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
 
 
 def _numbers(text: bytes, columns: Sequence[int], most: int) -> NDArray[np.float64]:
-    """`columns` of the first `most` lines. Raises ValueError where a line holds far more than a point."""
+    """`columns` of the first `most` lines. Raises ValueError where a line holds far more than a
+    point."""
     ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
     if np.diff(ends, prepend=-1, append=len(text)).max() > MOST_LINE_BYTES:
-        raise ValueError(f"a line of more than {MOST_LINE_BYTES} bytes, expected x y z and little more")
+        raise ValueError(
+            f"a line of more than {MOST_LINE_BYTES} bytes, expected x y z and little more"
+        )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of lines that hold nothing
-        return np.loadtxt(io.BytesIO(text), ndmin=2, usecols=columns, max_rows=most, encoding="ascii")
+        return np.loadtxt(
+            io.BytesIO(text), ndmin=2, usecols=columns, max_rows=most, encoding="ascii"
+        )
 
 
 def _read_pcd(content: bytes) -> NDArray[np.generic]:
@@ -122,27 +144,42 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
     head, mark, rest = content[:MOST_HEADER_BYTES].partition(b"\nDATA ")
     form = rest.partition(b"\n")[0].strip()
     start = len(head) + len(mark) + len(rest.partition(b"\n")[0]) + 1
-    lines = [line.split() for line in head.decode("latin-1").splitlines() if line and line[0] != "#"]
+    lines = [
+        line.split() for line in head.decode("latin-1").splitlines() if line and line[0] != "#"
+    ]
     said = {line[0]: line[1:] for line in lines if line}
     if form not in (b"ascii", b"binary"):
-        raise ValueError(f"DATA is {printable(form.decode('latin-1'))[:30]!r}, expected ascii or binary")
+        raise ValueError(
+            f"DATA is {printable(form.decode('latin-1'))[:30]!r}, expected ascii or binary"
+        )
     names, count = said["FIELDS"], int(said["POINTS"][0])
     if (
         not 0 <= count <= MOST_POINTS
         or not {"x", "y", "z"} <= set(names)
         or len(set(names) - {"_"}) + names.count("_") < len(names)
     ):
-        raise ValueError(f"promises {count} points of {' '.join(names)[:60]}, expected x, y and z once each")
+        raise ValueError(
+            f"promises {count} points of {' '.join(names)[:60]}, expected x, y and z once each"
+        )
     repeats = list(map(int, said.get("COUNT", ["1"] * len(names))))
     parts = [PCD_TYPES[kind + size] for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
     if form == b"ascii":
         starts = np.cumsum([0, *repeats])
-        points = _numbers(content[start:], [int(starts[names.index(axis)]) for axis in "xyz"], count)
+        points = _numbers(
+            content[start:], [int(starts[names.index(axis)]) for axis in "xyz"], count
+        )
     else:
-        fields = [(f"{n}", f"<{part}", (many,)) for n, (part, many) in enumerate(zip(parts, repeats, strict=True))]
+        fields = [
+            (f"{n}", f"<{part}", (many,))
+            for n, (part, many) in enumerate(zip(parts, repeats, strict=True))
+        ]
         dtype = np.dtype(fields)
-        rows = np.frombuffer(content, dtype, count=min(count, (len(content) - start) // dtype.itemsize), offset=start)
-        points = np.stack([rows[str(names.index(axis))][:, 0].astype(np.float64) for axis in "xyz"], axis=1)
+        rows = np.frombuffer(
+            content, dtype, count=min(count, (len(content) - start) // dtype.itemsize), offset=start
+        )
+        points = np.stack(
+            [rows[str(names.index(axis))][:, 0].astype(np.float64) for axis in "xyz"], axis=1
+        )
     if len(points) != count:
         raise ValueError(f"promises {count} points and holds {len(points)}")
     return points
@@ -160,13 +197,19 @@ def _read_npz(content: bytes) -> NDArray[np.generic]:
     with zipfile.ZipFile(io.BytesIO(content)) as members:
         about = members.getinfo("points.npy")
         if about.file_size > MOST_SCAN_BYTES:
-            raise ValueError(f"points of {about.file_size} bytes, expected {MOST_SCAN_BYTES} at most")
+            raise ValueError(
+                f"points of {about.file_size} bytes, expected {MOST_SCAN_BYTES} at most"
+            )
         with members.open(about) as member:
             return _read_npy(member.read(MOST_SCAN_BYTES))
 
 
 PCD_TYPES = {
-    **{f"{kind}{size}": f"{name}{size}" for kind, name in (("I", "i"), ("U", "u")) for size in (1, 2, 4, 8)},
+    **{
+        f"{kind}{size}": f"{name}{size}"
+        for kind, name in (("I", "i"), ("U", "u"))
+        for size in (1, 2, 4, 8)
+    },
     **{"F4": "f4", "F8": "f8"},
 }
 """numpy's names of a PCD's types, by TYPE and SIZE."""
@@ -178,8 +221,13 @@ READERS = {
 
 
 def scans_in(folder: Path) -> list[Path]:
-    """Files of these types in a folder and those below it, sorted. Raises DatasetError for more than `MOST_SCANS`."""
-    found = list(itertools.islice((path for path in folder.rglob("*") if path.suffix in READERS), MOST_SCANS + 1))
+    """Files of these types in a folder and those below it, sorted. Raises DatasetError for more
+    than `MOST_SCANS`."""
+    found = list(
+        itertools.islice(
+            (path for path in folder.rglob("*") if path.suffix in READERS), MOST_SCANS + 1
+        )
+    )
     if len(found) > MOST_SCANS:
         raise DatasetError(f"{folder}: holds more than {MOST_SCANS} scans; give a folder of fewer")
     return sorted(found)

@@ -1,8 +1,8 @@
 """What a completion is, and the one protocol of everything that completes a map.
 
-A completer sees what one scan tells of a map and says what is there. What it leaves out is derived as the paper does
-for its single-task networks: distances by the transform of the predicted occupancy, occupancy by a threshold on the
-distance.
+A completer sees what one scan tells of a map and says what is there. What it leaves out is derived
+as the paper does for its single-task networks: distances by the transform of the predicted
+occupancy, occupancy by a threshold on the distance.
 """
 
 from dataclasses import dataclass
@@ -20,15 +20,16 @@ from scenegen.truth import distance_field
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a method says about a map, or a batch of them; at least one of the two is given. Raises ValueError where
-    neither is."""
+    """What a method says about a map, or a batch of them; at least one of the two is given. Raises
+    ValueError where neither is."""
 
     occupancy_probability: Any = None
     """float32 (*shape), numpy or torch: the probability of being occupied, from 0 to 1."""
     tudf: Any = None
     """float32 (*shape), numpy or torch: distance to the nearest occupied voxel's centre, metres."""
     uncertainty: Uncertainty | None = None
-    """What tells how sure the method is; None where nothing does, as of a network that was not calibrated."""
+    """What tells how sure the method is; None where nothing does, as of a network that was not
+    calibrated."""
     grid: GridSpec | None = None
     """The map's, where `uncertainty` needs distances that are derived."""
 
@@ -37,8 +38,9 @@ class Prediction:
             raise ValueError("a completion needs a probability of occupancy, a distance, or both")
 
     def occupied(self, thresholds: Thresholds) -> NDArray[np.bool_]:
-        """The binary map, (*shape): where the probability is greater than its threshold ("greater than" in the paper's
-        section "Implementation Details"), or, without one, the distance less than its own."""
+        """The binary map, (*shape): where the probability is greater than its threshold ("greater
+        than" in the paper's section "Implementation Details"), or, without one, the distance less
+        than its own."""
         if self.occupancy_probability is not None:
             return self.occupancy_probability > np.float32(thresholds.probability)
         assert self.tudf is not None
@@ -52,8 +54,8 @@ class Prediction:
 
     @property
     def probability(self) -> Any:
-        """float32 (*shape), numpy or torch: the calibrated probability of being occupied; None where there is none.
-        `occupancy_probability` is what the paper's thresholds are for."""
+        """float32 (*shape), numpy or torch: the calibrated probability of being occupied; None
+        where there is none. `occupancy_probability` is what the paper's thresholds are for."""
         if self.uncertainty is None:
             return None
         return self._as_given(self.uncertainty.chance(_plain(self.occupancy_probability)))
@@ -65,14 +67,16 @@ class Prediction:
         return self.low(RISK) if any(risk <= RISK + CLOSE for risk in held) else None
 
     def low(self, risk: float) -> Any:
-        """float32 (*shape), numpy or torch: distances that the truth falls below in at most a share `risk` of unknown
-        voxels, metres; 0 where nothing can be said. Of the whole map at the paper's thresholds, where the method
-        predicts no distances.
+        """float32 (*shape), numpy or torch: distances that the truth falls below in at most a share
+        `risk` of unknown voxels, metres; 0 where nothing can be said. Of the whole map at the
+        paper's thresholds, where the method predicts no distances.
 
         Raises UncertaintyError where the method gives no bounds, or none of so small a risk.
         """
         if self.uncertainty is None:
-            raise UncertaintyError("no bounds: the network is not calibrated; run `scenegen calibrate` on it")
+            raise UncertaintyError(
+                "no bounds: the network is not calibrated; run `scenegen calibrate` on it"
+            )
         probability, tudf = _plain(self.occupancy_probability), _plain(self.tudf)
         if tudf is None and self.grid is not None:
             maps = probability.reshape(-1, *self.grid.shape)
@@ -83,7 +87,9 @@ class Prediction:
     def _as_given(self, values: NDArray[np.float32] | None) -> Any:
         """As torch, on their device, where the predictions are."""
         given = self.occupancy_probability if self.tudf is None else self.tudf
-        return values if values is None or isinstance(given, np.ndarray) else given.new_tensor(values)
+        return (
+            values if values is None or isinstance(given, np.ndarray) else given.new_tensor(values)
+        )
 
 
 def _plain(values: Any) -> Any:
@@ -95,21 +101,27 @@ class PredictionError(ScenegenError):
     """A method says of a map what no completion can be."""
 
 
-PARTS = {"occupancy_probability": ("a probability from 0 to 1", 1.0), "tudf": ("a distance of at least 0", np.inf)}
+PARTS = {
+    "occupancy_probability": ("a probability from 0 to 1", 1.0),
+    "tudf": ("a distance of at least 0", np.inf),
+}
 """Parts of a prediction: what each voxel's number is, and the most it may be."""
 SURE = {"probability": PARTS["occupancy_probability"], "tudf_low": PARTS["tudf"]}
 """Parts that only a method with an uncertainty has, in the same way."""
 
 
 def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction:
-    """`found`, if it is a `Prediction` whose parts are numpy or torch arrays of `shape` that hold what they should.
+    """`found`, if it is a `Prediction` whose parts are numpy or torch arrays of `shape` that hold
+    what they should.
 
-    Every number is finite, probabilities lie in [0, 1], and no distance is negative; distances beyond the truncation
-    are allowed. Raises PredictionError, naming `who` predicts, for anything else.
+    Every number is finite, probabilities lie in [0, 1], and no distance is negative; distances
+    beyond the truncation are allowed. Raises PredictionError, naming `who` predicts, for anything
+    else.
     """
     if not isinstance(found, Prediction):
         raise PredictionError(
-            f"{who}: gives {type(found).__name__}, expected a scenegen.model.completion.protocol.Prediction"
+            f"{who}: gives {type(found).__name__}, expected a "
+            f"scenegen.model.completion.protocol.Prediction"
         )
     given = isinstance(found.uncertainty, Given)  # what is computed here holds what it should
     for name, (what, most) in (PARTS | SURE if given else PARTS).items():
@@ -117,8 +129,14 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
         if values is None:
             continue
         if tuple(getattr(values, "shape", ())) != tuple(shape):
-            held = f"an array of shape {tuple(values.shape)}" if hasattr(values, "shape") else type(values).__name__
-            raise PredictionError(f"{who}: {name} is {held}, expected an array of shape {tuple(shape)}")
+            held = (
+                f"an array of shape {tuple(values.shape)}"
+                if hasattr(values, "shape")
+                else type(values).__name__
+            )
+            raise PredictionError(
+                f"{who}: {name} is {held}, expected an array of shape {tuple(shape)}"
+            )
         if isinstance(values, np.ndarray) and values.dtype.kind not in "fiub":
             raise PredictionError(f"{who}: {name} holds {values.dtype}, expected float32")
         low, high = float(values.min()), float(values.max())  # NaN, if any voxel holds it
@@ -135,6 +153,8 @@ class MapCompleter(Protocol):
     name: str
     """How the method is called in tables."""
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+    def complete(
+        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
+    ) -> Prediction:
         """Complete one map from its observed and free voxels, (*grid.shape) each."""
         ...

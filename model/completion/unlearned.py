@@ -9,12 +9,15 @@ from scenegen.model.completion.protocol import Prediction
 
 
 class Returns:
-    """Occupied where something returned, free elsewhere: what a robot does that trusts its map as it is."""
+    """Occupied where something returned, free elsewhere: what a robot does that trusts its map as
+    it is."""
 
     name = "returns"
     learned = False
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+    def complete(
+        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
+    ) -> Prediction:
         """See `MapCompleter.complete`."""
         return Prediction(occupancy_probability=observed.astype(np.float32))
 
@@ -25,19 +28,23 @@ class Conservative:
     name = "conservative"
     learned = False
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+    def complete(
+        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
+    ) -> Prediction:
         """See `MapCompleter.complete`."""
         return Prediction(occupancy_probability=(~free).astype(np.float32))
 
 
 class Extrude:
-    """Returns, extended up and down their columns through unknown voxels until a free one: what a network for pillars
-    has to beat."""
+    """Returns, extended up and down their columns through unknown voxels until a free one: what a
+    network for pillars has to beat."""
 
     name = "extrude"
     learned = False
 
-    def complete(self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec) -> Prediction:
+    def complete(
+        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
+    ) -> Prediction:
         """See `MapCompleter.complete`."""
         extended = np.zeros(observed.shape, dtype=np.float32)
         _extend(observed, free, extended)

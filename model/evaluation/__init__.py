@@ -1,1 +1,2 @@
-"""What a completion is worth: reconstruction, planning on the completed map, statistics, and the report."""
+"""What a completion is worth: reconstruction, planning on the completed map, statistics, and the
+report."""

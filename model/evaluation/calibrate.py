@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, empty_split
-from scenegen.model.checkpoint import CheckpointError, load_network, save_network
+from scenegen.model.checkpoint import CheckpointError, save_network
+from scenegen.model.completion.completer import open_network
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
@@ -21,7 +22,7 @@ from scenegen.model.evaluation.planning.trials import draw_trials
 from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.run import check_middle
 from scenegen.model.evaluation.tuning import spread
-from scenegen.model.evaluation.visibility import UNOBSERVED, classify
+from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_layers
 from scenegen.model.uncertainty import fit
 from scenegen.model.uncertainty.calibration import KEY, Calibration, corrected
 from scenegen.sample import Sample
@@ -31,12 +32,12 @@ LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
 """Samples a task of a worker."""
-Look = Callable[[Prediction, Sample, Split], Any]
-"""Makes of a prediction what is kept of it."""
+Look = Callable[[Prediction, Sample, Split, int], Any]
+"""Makes of a prediction for a sample, by its number in a split, what is kept of it."""
 
 
 def calibrate(
-    weights: Path,
+    weights: str | Path,
     folders: Sequence[Path],
     out: Path,
     *,
@@ -48,35 +49,44 @@ def calibrate(
     on_start: Callable[[str, int], None] = lambda what, total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Calibration:
-    """Calibrate the network at `weights`, a .safetensors file, on `split` of the datasets, at most `samples` maps of
-    each, evenly spread, with `trials` planned on each map at every risk; and write it with its calibration to `out`.
+    """Calibrate the network at `weights`, a .safetensors file, on `split` of the datasets, at most
+    `samples` maps of each, evenly spread, with `trials` planned on each map at every risk; and
+    write it with its calibration to `out`.
 
-    All worlds count the same, whichever dataset they are of. Raises DatasetError for too few worlds or another grid,
-    CheckpointError for a network that does not tell its class weight.
+    All worlds count the same, whichever dataset they are of. Raises DatasetError for too few worlds
+    or another grid, CheckpointError for a network that does not tell its class weight.
     """
-    network, grid, about = load_network(weights)
+    network, grid, about = open_network(weights)
     weight = 1.0
-    if "occupancy" in network.config.tasks:
+    if "occupancy" in network.tasks:
         try:
             weight = float(about["settings"]["loss"]["occupied_weight"])
             if not weight > 0:
                 raise ValueError
         except (KeyError, TypeError, ValueError):
-            raise CheckpointError(f"{weights}: tells of no class weight above 0 of its loss; train it again") from None
+            raise CheckpointError(
+                f"{weights}: tells of no class weight above 0 of its loss; train it again"
+            ) from None
     method, datasets = Pretrained(str(weights)), [Dataset(folder) for folder in folders]
     about = {name: value for name, value in about.items() if name != KEY}
     for dataset in datasets:
         if not len(dataset.split(split)):
             raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
         if dataset.grid != grid:
-            raise DatasetError(f"{dataset.folder}: its maps are on {dataset.grid}, the network's on {grid}")
+            raise DatasetError(
+                f"{dataset.folder}: its maps are on {dataset.grid}, the network's on {grid}"
+            )
         if trials:
             check_middle(dataset, "give --trials 0")
     indices = [spread(len(one.split(split)), samples or len(one.split(split))) for one in datasets]
-    several = [{one.split(split)[n].world for n in chosen} for one, chosen in zip(datasets, indices, strict=True)]
+    several = [
+        {one.split(split)[n].world for n in chosen}
+        for one, chosen in zip(datasets, indices, strict=True)
+    ]
     if (worlds := sum(map(len, several))) < LEAST_WORLDS:
         raise DatasetError(
-            f"{', '.join(str(folder) for folder in folders)}: {worlds} worlds in split {split}, expected "
+            f"{', '.join(str(folder) for folder in folders)}: {worlds} worlds in split {split}, "
+            f"expected "
             f"{LEAST_WORLDS} at least; generate a larger one"
         )
 
@@ -86,22 +96,30 @@ def calibrate(
         found: dict[tuple[int, int], Any] = {}
         for number, (dataset, chosen) in enumerate(zip(datasets, indices, strict=True)):
             tasks = [chosen[n : n + CHUNK] for n in range(0, len(chosen), CHUNK)]
-            for several in run_workers(partial(_work, dataset.folder, split, method, at), tasks, workers):
+            for several in run_workers(
+                partial(_work, dataset.folder, split, method, at), tasks, workers
+            ):
                 for world, one in several:
                     held = found.get((number, world))
-                    found[number, world] = one if held is None else tuple(a + b for a, b in zip(held, one, strict=True))
+                    found[number, world] = (
+                        one
+                        if held is None
+                        else tuple(a + b for a, b in zip(held, one, strict=True))
+                    )
                 on_done(len(several))
         return [found[key] for key in sorted(found)]
 
     maps = look("voxels", partial(_count, weight, grid))
     counted = [scores for scores, _ in maps]
-    predicted = "occupancy" in network.config.tasks
+    predicted = "occupancy" in network.tasks
     chances = fit.CHANCES if predicted else ()
     risks, margins = fit.fit_margins(np.stack(counted), fit.near_bins(grid, chances))
     made: dict[str, Any] = {
         "worlds": len(counted),
         "class_weight": weight,
-        "temperature": fit.fit_temperature(np.sum([logits for _, logits in maps], axis=0)) if predicted else None,
+        "temperature": fit.fit_temperature(np.sum([logits for _, logits in maps], axis=0))
+        if predicted
+        else None,
         "step_m": fit.STEP_M,
         "chances": chances,
         "risks": risks,
@@ -124,15 +142,18 @@ def _work(
     samples, found = Dataset(folder).split(split), []
     for index in indices:
         sample = samples[index]
-        found.append((int(sample.world), at(method.completion(sample, samples), sample, samples)))
+        found.append(
+            (int(sample.world), at(method.completion(sample, samples), sample, samples, index))
+        )
     return found
 
 
 def _count(
-    weight: float, grid: GridSpec, said: Prediction, sample: Sample, split: Split
+    weight: float, grid: GridSpec, said: Prediction, sample: Sample, split: Split, index: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Scores and logits of a map's unknown voxels."""
-    classes = classify(sample, lidar=split.dataset.lidar, grid=grid)
+    layers = scored_layers(sample, grid, split.home(index).tables)
+    classes = classify(sample, lidar=split.dataset.lidar, grid=grid, scored=layers)
     unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
     distance, chance = (
         said.distance(Thresholds(), grid),
@@ -145,7 +166,14 @@ def _count(
 
 
 def _collisions(
-    found: Calibration, grid: GridSpec, trials: int, seed: int, said: Prediction, sample: Sample, split: Split
+    found: Calibration,
+    grid: GridSpec,
+    trials: int,
+    seed: int,
+    said: Prediction,
+    sample: Sample,
+    split: Split,
+    index: int,
 ) -> tuple[NDArray[np.float64], int]:
     """How many of a map's trials collide at each risk, and how many there are."""
     key = (int(sample.world), int(sample.viewpoint))

@@ -1,4 +1,5 @@
-"""What the bench measures, and how. Nothing heavy is imported here: the command line reads its options here."""
+"""What the bench measures, and how. Nothing heavy is imported here: the command line reads its
+options here."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -14,7 +15,8 @@ class ReconstructionConfig:
     near_m: float = number(1.0, least=0)
     """Voxels whose true distance is at most this are near an obstacle, metres."""
     strict: bool = False
-    """Whether voxels exactly at `near_m` are not near; on the default grid they are an eighth of the near ones."""
+    """Whether voxels exactly at `near_m` are not near; on the default grid they are an eighth of
+    the near ones."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -24,34 +26,43 @@ class ReconstructionConfig:
 class PlanConfig:
     """How paths are searched, refined and judged.
 
-    "Paper" is the paper's section "Implementation Details" or "Planning Evaluation"; "ours" is what it leaves open.
+    "Paper" is the paper's section "Implementation Details" or "Planning Evaluation"; "ours" is what
+    it leaves open.
     """
 
     step_voxels: int = number(3, least=1)
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
-    """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone (ours)."""
+    """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone
+    (ours)."""
     free_start: bool = False
-    """Whether the start's own voxel is free whatever the map says, since a hovering robot is there (ours)."""
+    """Whether the start's own voxel is free whatever the map says, since a hovering robot is there
+    (ours)."""
     safety_m: float = number(1.0, least=0)
-    """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without a value; ours)."""
+    """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without
+    a value; ours)."""
     clearance_weight: float = number(1.0, least=0)
-    """lambda_c, of the squared clearance deficit against the squared second differences, both in m^2 (paper)."""
+    """lambda_c, of the squared clearance deficit against the squared second differences, both in
+    m^2 (paper)."""
     iterations: int = number(50, least=0)
     """Steps of gradient descent (paper)."""
     first_step: float = number(1.0, above=0)
-    """Length of the first step tried, in gradients; later ones begin at the last accepted one, lengthened (ours)."""
+    """Length of the first step tried, in gradients; later ones begin at the last accepted one,
+    lengthened (ours)."""
     shrink: float = number(0.5, above=0, below=1)
-    """Factor by which a step that is not accepted is shortened, and by whose inverse the next is lengthened (ours)."""
+    """Factor by which a step that is not accepted is shortened, and by whose inverse the next is
+    lengthened (ours)."""
     armijo: float = number(0.1, above=0, below=1)
-    """Share of the decrease promised by the gradient that a step must bring; small ones let steps overshoot (ours)."""
+    """Share of the decrease promised by the gradient that a step must bring; small ones let steps
+    overshoot (ours)."""
     sample_m: float = number(0.05, above=0)
     """Longest gap between the points at which a path is judged, metres (ours)."""
     clearance: Literal["trilinear", "voxel"] = "trilinear"
-    """How the truth's TUDF is read at those points: between voxel centres, or the value of the point's voxel (ours:
-    the first, as the refinement reads its own)."""
+    """How the truth's TUDF is read at those points: between voxel centres, or the value of the
+    point's voxel (ours: the first, as the refinement reads its own)."""
     goal_faces: Literal["lateral", "box"] = "box"
-    """Where goals lie: in the outermost layer of nodes in x or y, or in z, too (ours: "near the map boundary")."""
+    """Where goals lie: in the outermost layer of nodes in x or y, or in z, too (ours: "near the map
+    boundary")."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -66,10 +77,17 @@ class StudyConfig:
     safeties_m: tuple[float, ...] = number((0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0), least=0)
     """Values of d_s, metres."""
     class_weight: float = number(LossConfig().occupied_weight, above=0)
-    """The weight of occupied voxels in the loss by which networks were trained, which is inverted for calibration."""
+    """The weight of occupied voxels in the loss by which networks were trained, which is inverted
+    for calibration."""
     fixed_probabilities: tuple[float, ...] = number((0.1, 0.3, 0.5, 0.7, 0.85), least=0, most=1)
     """Thresholds of probability beside which a planner by risk is set."""
     fixed_distances_m: tuple[float, ...] = number((0.2, 0.4, 0.6), least=0)
+    """Those of methods that predict distances alone, metres."""
+    curve_probabilities: tuple[float, ...] = number(
+        (0.3, 0.5, 0.7, 0.85, 0.95, 0.97, 0.99), least=0, most=1
+    )
+    """Thresholds of probability at which maps and paths are judged again."""
+    curve_distances_m: tuple[float, ...] = number((0.05, 0.1, 0.2, 0.3, 0.4), least=0)
     """Those of methods that predict distances alone, metres."""
     range_step_m: float = number(1.0, above=0)
     """Width of the bins of distance from the sensor, metres."""
@@ -91,7 +109,7 @@ class BenchConfig:
     trials: int = number(2000, least=1)
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
     seed: int = number(0, least=0)
-    """Seed of goals, bootstraps and permutations."""
+    """Seed of goals and permutations."""
     study: bool = False
     """Whether the report has a study beside its tables: see `scenegen.model.evaluation.study`."""
     thresholds: Thresholds = field(default_factory=Thresholds)

@@ -9,8 +9,9 @@ from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.sample import Sample
 
 DESCRIPTORS = ("gap_m", "traversable", "hidden")
-"""gap_m: twice the median distance to solids on the ridges between them, metres · traversable: share of the planner's
-lattice that can be reached from the sensor in the truth · hidden: share of the occupied voxels that hold no return."""
+"""gap_m: twice the median distance to solids on the ridges between them, metres · traversable:
+share of the planner's lattice that can be reached from the sensor in the truth · hidden: share of
+the occupied voxels that hold no return."""
 
 
 def describe(sample: Sample, *, grid: GridSpec, config: PlanConfig) -> np.ndarray:
@@ -21,8 +22,8 @@ def describe(sample: Sample, *, grid: GridSpec, config: PlanConfig) -> np.ndarra
 
 
 def _gap(sample: Sample, grid: GridSpec) -> float:
-    """A ridge voxel is free, nearer than the truncation, no nearer to solids than its six neighbours are, and not at
-    the map's border, beyond which nothing is known."""
+    """A ridge voxel is free, nearer than the truncation, no nearer to solids than its six
+    neighbours are, and not at the map's border, beyond which nothing is known."""
     field = sample.tudf
     ridge = (field > 0) & (field < np.float32(grid.truncation_m))
     for axis in range(3):

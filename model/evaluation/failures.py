@@ -16,7 +16,8 @@ WIDE = 900
 
 
 def failing(result: DatasetResult, most: int = MOST) -> tuple[str, list[int]]:
-    """The learned method that succeeds most often, and trials of different worlds in which its path meets an obstacle.
+    """The learned method that succeeds most often, and trials of different worlds in which its path
+    meets an obstacle.
 
     "" and none where no method is learned.
     """
@@ -31,23 +32,34 @@ def failing(result: DatasetResult, most: int = MOST) -> tuple[str, list[int]]:
     return name, list(worlds.values())[:most]
 
 
-def draw_failures(result: DatasetResult, dataset: Dataset, methods: Sequence[Method]) -> list[tuple[str, bytes]]:
-    """What each picture shows, and the picture, WebP. Raises ImportError where matplotlib is not installed."""
+def draw_failures(
+    result: DatasetResult, dataset: Dataset, methods: Sequence[Method]
+) -> list[tuple[str, bytes]]:
+    """What each picture shows, and the picture, WebP. Raises ImportError where matplotlib is not
+    installed."""
     from PIL import Image
 
     from scenegen.view.figures import draw_paths
     from scenegen.view.still import to_bytes
 
-    shown = [method for method in methods if method.name in result.methods and result.methods[method.name].learned]
+    shown = [
+        method
+        for method in methods
+        if method.name in result.methods and result.methods[method.name].learned
+    ]
     name, trials = failing(result)
     found = []
     for n in trials:
         index, turn = result.trial_places[n]
-        look = look_into(dataset.split(result.config.split), index, guesses_of(shown, result.config, turn))
+        look = look_into(
+            dataset.split(result.config.split), index, guesses_of(shown, result.config, turn)
+        )
         told = f"{name} fails: {look.name}, goal {turn}"
         figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
         image = Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB")
-        image = image.resize((WIDE, round(image.height * WIDE / image.width)), Image.Resampling.LANCZOS)
+        image = image.resize(
+            (WIDE, round(image.height * WIDE / image.width)), Image.Resampling.LANCZOS
+        )
         memory = io.BytesIO()
         image.save(memory, "WEBP", quality=70)
         found.append((told, memory.getvalue()))

@@ -1,4 +1,5 @@
-"""What a bench found on one dataset, kept in a file, so that a long study measures each network once."""
+"""What a bench found on one dataset, kept in a file, so that a long study measures each network
+once."""
 
 import dataclasses
 import io
@@ -28,8 +29,8 @@ TREE, ARRAY = "tree", "array"
 
 
 def keep(path: Path, result: DatasetResult, stamp: Mapping[str, Any]) -> None:
-    """Write `result` to the NumPy archive `path`; `stamp`, JSON, says what it was measured on. Raises DatasetError
-    where the disk refuses."""
+    """Write `result` to the NumPy archive `path`; `stamp`, JSON, says what it was measured on.
+    Raises DatasetError where the disk refuses."""
     arrays: dict[str, np.ndarray] = {}
     fields = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
     tree = {"stamp": stamp, "result": _packed({**fields, "config": None}, arrays)}
@@ -40,8 +41,8 @@ def keep(path: Path, result: DatasetResult, stamp: Mapping[str, Any]) -> None:
 
 
 def kept(path: Path, config: BenchConfig, stamp: Mapping[str, Any]) -> DatasetResult | None:
-    """The result, of `config`, that `keep` wrote to `path` with `stamp`; None where there is none, or another, or it is
-    damaged."""
+    """The result, of `config`, that `keep` wrote to `path` with `stamp`; None where there is none,
+    or another, or it is damaged."""
     try:
         with np.load(io.BytesIO(read_bounded(path, MOST_BYTES)), allow_pickle=False) as archive:
             tree = json.loads(str(archive[TREE]))
@@ -58,7 +59,16 @@ def kept(path: Path, config: BenchConfig, stamp: Mapping[str, Any]) -> DatasetRe
                 "methods": {name: _method(method) for name, method in held["methods"].items()},
             }
         )
-    except (OSError, DatasetError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+    except (
+        OSError,
+        DatasetError,
+        ValueError,
+        KeyError,
+        TypeError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ):
         return None
 
 
@@ -68,7 +78,9 @@ def _method(held: dict[str, Any]) -> MethodResult:
         settings = tuple(Setting(**setting) for setting in study["settings"])
         study = Study(**study | {"risks": tuple(study["risks"]), "settings": settings})
     trials = tuple(Measurement(**trial) for trial in held["trials"])
-    return MethodResult(**held | {"thresholds": Thresholds(**held["thresholds"]), "trials": trials, "study": study})
+    return MethodResult(
+        **held | {"thresholds": Thresholds(**held["thresholds"]), "trials": trials, "study": study}
+    )
 
 
 def _packed(value: Any, arrays: dict[str, np.ndarray]) -> Any:
@@ -78,7 +90,10 @@ def _packed(value: Any, arrays: dict[str, np.ndarray]) -> Any:
         arrays[name] = value
         return {ARRAY: name}
     if dataclasses.is_dataclass(value):
-        return {field.name: _packed(getattr(value, field.name), arrays) for field in dataclasses.fields(value)}
+        return {
+            field.name: _packed(getattr(value, field.name), arrays)
+            for field in dataclasses.fields(value)
+        }
     if isinstance(value, Mapping):
         return {name: _packed(one, arrays) for name, one in value.items()}
     if isinstance(value, list | tuple):

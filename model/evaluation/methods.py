@@ -1,4 +1,5 @@
-"""What the bench compares: completers, and the truth itself. `predicted` and `pretrained` hold other rows."""
+"""What the bench compares: completers, and the truth itself. `predicted` and `pretrained` hold
+other rows."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -7,7 +8,12 @@ import numpy as np
 
 from scenegen.dataset.read import Split
 from scenegen.errors import printable
-from scenegen.model.completion.protocol import MapCompleter, Prediction, PredictionError, check_prediction
+from scenegen.model.completion.protocol import (
+    MapCompleter,
+    Prediction,
+    PredictionError,
+    check_prediction,
+)
 from scenegen.sample import Sample
 
 
@@ -21,7 +27,8 @@ class Method(Protocol):
 
     @property
     def learned(self) -> bool:
-        """Whether the method was trained, or may have been; not one that is only there to be compared with."""
+        """Whether the method was trained, or may have been; not one that is only there to be
+        compared with."""
         ...
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
@@ -37,8 +44,16 @@ class Completed:
 
     def __post_init__(self) -> None:
         for what, held, wanted in (
-            ("name", isinstance(getattr(self.completer, "name", None), str), "a string, how the tables call it"),
-            ("complete", callable(getattr(self.completer, "complete", None)), "a method: (observed, free, *, grid)"),
+            (
+                "name",
+                isinstance(getattr(self.completer, "name", None), str),
+                "a string, how the tables call it",
+            ),
+            (
+                "complete",
+                callable(getattr(self.completer, "complete", None)),
+                "a method: (observed, free, *, grid)",
+            ),
         ):
             if not held:
                 raise PredictionError(f"{type(self.completer).__name__}: lacks `{what}`, {wanted}")
@@ -54,7 +69,8 @@ class Completed:
         return bool(getattr(self.completer, "learned", True))
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `Method.completion`. Raises PredictionError where the completer gives what is no prediction."""
+        """See `Method.completion`. Raises PredictionError where the completer gives what is no
+        prediction."""
         found = self.completer.complete(sample.observed, sample.free, grid=split.dataset.grid)
         return check_prediction(found, split.dataset.grid.shape, self.name)
 
@@ -68,4 +84,6 @@ class Truth:
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`."""
-        return Prediction(occupancy_probability=sample.occupancy.astype(np.float32))  # whose transform is the distance
+        return Prediction(
+            occupancy_probability=sample.occupancy.astype(np.float32)
+        )  # whose transform is the distance

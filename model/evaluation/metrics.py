@@ -1,10 +1,12 @@
-"""Every metric once: validation, tables, tests between methods, cards and docs take from here what they say of it."""
+"""Every metric once: validation, tables, tests between methods, cards and docs take from here what
+they say of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from scenegen.model.evaluation.planning.measure import Measurement
+from scenegen.model.evaluation.statistics import Scale
 
 NAN = float("nan")
 
@@ -30,7 +32,8 @@ class Sums(NamedTuple):
     """Voxels that are occupied, and not predicted to be."""
 
     def share(self, part: float, whole: float) -> float:
-        """`part` of `whole`; 0 of nothing, and 1 where nothing is occupied and nothing predicted."""
+        """`part` of `whole`; 0 of nothing, and 1 where nothing is occupied and nothing
+        predicted."""
         nothing = self.hits + self.alarms + self.misses == 0
         return 1.0 if nothing else part / whole if whole else 0.0
 
@@ -46,25 +49,34 @@ class Metric:
     title: str
     """What people call it."""
     of: Callable[[Any], float]
-    """Its value for a map's `Sums`, or for a trial's `Measurement`; NaN where there is nothing to measure."""
+    """Its value for a map's `Sums`, or for a trial's `Measurement`; NaN where there is nothing to
+    measure."""
     needs: Literal["distance", "occupancy", "trial", "path"]
-    """Which part of a prediction it judges; or whether every trial has a value, or only one that found a path."""
+    """Which part of a prediction it judges; or whether every trial has a value, or only one that
+    found a path."""
     better: Literal["higher", "lower", "nearer to 0"]
     unit: str = ""
     paper: bool = False
     """Whether the paper's table has it (`scenegen.model.evaluation.paper`)."""
     tested: tuple[Literal["map", "unobserved"], ...] = ()
-    """The voxels over which methods are compared in pairs by it: of the whole map, or the unknown ones; in planning,
-    "map" means all trials."""
+    """The voxels over which methods are compared in pairs by it: of the whole map, or the unknown
+    ones; in planning, "map" means all trials."""
 
     @property
     def label(self) -> str:
         """Title and unit."""
         return ", ".join(filter(None, (self.title, self.unit)))
 
+    @property
+    def scale(self) -> Scale:
+        """What its values are."""
+        return "outcome" if self.needs == "trial" else "amount" if self.unit else "share"
+
 
 def _distance(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
-    return Metric(title=title, of=of, needs="distance", unit="m", paper=True, **{"better": "lower", **more})
+    return Metric(
+        title=title, of=of, needs="distance", unit="m", paper=True, **{"better": "lower", **more}
+    )
 
 
 def _occupancy(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
@@ -74,12 +86,20 @@ def _occupancy(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
 METRICS: dict[str, Metric] = {
     "rmse": _distance("RMSE", lambda s: _mean(s.square, s.voxels) ** 0.5),
     "mae": _distance("MAE", lambda s: _mean(s.size, s.voxels)),
-    "near_rmse": _distance("Near-RMSE", lambda s: _mean(s.near_square, s.near) ** 0.5, tested=("map",)),
+    "near_rmse": _distance(
+        "Near-RMSE", lambda s: _mean(s.near_square, s.near) ** 0.5, tested=("map",)
+    ),
     "near_mae": _distance("Near-MAE", lambda s: _mean(s.near_size, s.near), tested=("map",)),
     "bias": _distance("bias", lambda s: _mean(s.error, s.voxels), better="nearer to 0"),
-    "near_bias": _distance("Near-bias", lambda s: _mean(s.near_error, s.near), better="nearer to 0"),
-    "iou": _occupancy("IoU", lambda s: s.share(s.hits, s.hits + s.alarms + s.misses), tested=("map", "unobserved")),
-    "f1": _occupancy("F1", lambda s: s.share(2 * s.hits, 2 * s.hits + s.alarms + s.misses), tested=("map",)),
+    "near_bias": _distance(
+        "Near-bias", lambda s: _mean(s.near_error, s.near), better="nearer to 0"
+    ),
+    "iou": _occupancy(
+        "IoU", lambda s: s.share(s.hits, s.hits + s.alarms + s.misses), tested=("map", "unobserved")
+    ),
+    "f1": _occupancy(
+        "F1", lambda s: s.share(2 * s.hits, 2 * s.hits + s.alarms + s.misses), tested=("map",)
+    ),
     "precision": _occupancy("precision", lambda s: s.share(s.hits, s.hits + s.alarms)),
     "recall": _occupancy("recall", lambda s: s.share(s.hits, s.hits + s.misses)),
 }
@@ -87,11 +107,17 @@ METRICS: dict[str, Metric] = {
 
 
 def _trial(title: str, of: Callable[[Measurement], float], **more: Any) -> Metric:
-    return Metric(title=title, of=of, **{"needs": "path", "better": "higher", "paper": True, "unit": "m", **more})
+    return Metric(
+        title=title,
+        of=of,
+        **{"needs": "path", "better": "higher", "paper": True, "unit": "m", **more},
+    )
 
 
 PLAN_METRICS: dict[str, Metric] = {
-    "success": _trial("success", lambda trial: trial.success, needs="trial", unit="", tested=("map",)),
+    "success": _trial(
+        "success", lambda trial: trial.success, needs="trial", unit="", tested=("map",)
+    ),
     "length": _trial("length", lambda trial: trial.length_m, better="lower"),
     "min_clearance": _trial("least clearance", lambda trial: trial.min_clearance_m),
     "avg_clearance": _trial("mean clearance", lambda trial: trial.mean_clearance_m),

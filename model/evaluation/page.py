@@ -1,4 +1,5 @@
-"""The report as one HTML page, for people: both tables beside the paper's, charts with intervals, failures as pictures.
+"""The report as one HTML page, for people: both tables beside the paper's, charts with intervals,
+failures as pictures.
 
 It has no script and fetches nothing; texts and names are shown as text alone.
 """
@@ -10,9 +11,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from scenegen.model.evaluation import paper
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
+from scenegen.model.evaluation.metrics import PLAN_METRICS, Metric
+from scenegen.model.evaluation.report import reconstruction_table
 from scenegen.model.evaluation.shown import CAUSES
-from scenegen.model.evaluation.tables import interval, spread
+from scenegen.model.evaluation.statistics import caution
+from scenegen.model.evaluation.tables import interval, spread, threshold
 
 REFERENCES = ("truth", "seen")
 """Rows that nobody can beat, so that they are never the best."""
@@ -45,25 +48,46 @@ HEAD = """<!doctype html>
 """
 
 
-def to_html(report: Mapping[str, Any], pictures: Mapping[str, Sequence[tuple[str, bytes]]] | None = None) -> str:
-    """The page of what `build_report` gives; `pictures` are failures by kind: what each shows, and a WebP image."""
+def to_html(
+    report: Mapping[str, Any], pictures: Mapping[str, Sequence[tuple[str, bytes]]] | None = None
+) -> str:
+    """The page of what `build_report` gives; `pictures` are failures by kind: what each shows, and
+    a WebP image."""
     about = "".join(
-        f"<dt>{_text(name)}</dt><dd>{_text(value)}</dd>" for name, value in report.items() if isinstance(value, str)
+        f"<dt>{_text(name)}</dt><dd>{_text(value)}</dd>"
+        for name, value in report.items()
+        if isinstance(value, str)
     )
     body = [f"<h1>Bench</h1><dl>{about}</dl>"]
     for kind, held in report["datasets"].items():
-        excluded = ", ".join(f"{cause} {count}" for cause, count in held["excluded"].items()) or "none"
-        body.append(
-            f"<h2>{_text(kind)}</h2><p>{held['samples']} samples of {held['worlds']} worlds, dataset "
-            f"{_text(str(held['digest'])[:12])}…; {held['trials']} planning trials, excluded draws: {_text(excluded)}. "
-            "Means; below them ± standard deviation over samples or trials, and the 95 % interval of the mean, by "
-            "bootstrap over worlds. Bold: the best of what was measured. <i>Italics: the paper's.</i></p>"
+        excluded = (
+            ", ".join(f"{cause} {count}" for cause, count in held["excluded"].items()) or "none"
         )
-        for title, name, metrics, reference in (
-            ("Reconstruction", "reconstruction", METRICS, paper.RECONSTRUCTION.get(kind, {})),
-            ("Planning", "planning", PLAN_METRICS, paper.PLANNING.get(kind, {})),
+        body.append(
+            f"<h2>{_text(kind)}</h2><p>{held['samples']} samples of {held['worlds']} worlds, "
+            f"dataset "
+            f"{_text(str(held['digest'])[:12])}…; {held['trials']} planning trials, excluded "
+            f"draws: {_text(excluded)}. "
+            "Means; below them ± standard deviation over samples or trials, and the 95 % interval "
+            "of the mean, by "
+            "a jackknife over worlds. Bold: the best of what was measured. <i>Italics: the "
+            "paper's.</i></p>"
+        )
+        body.append(f"<p>{few}.</p>" if (few := caution(held["worlds"])) else "")
+        for title, name, (metrics, rows), reference in (
+            (
+                "Reconstruction",
+                "reconstruction",
+                reconstruction_table(report["reconstruction"][kind]),
+                paper.RECONSTRUCTION.get(kind, {}),
+            ),
+            (
+                "Planning",
+                "planning",
+                (PLAN_METRICS, report["planning"][kind]),
+                paper.PLANNING.get(kind, {}),
+            ),
         ):
-            rows = report[name][kind]
             body.append(f"<h3>{title}</h3>{_table(rows, metrics, reference)}<div class='charts'>")
             body += [_chart(rows, metrics[one], one, reference) for one in CHARTS[name]]
             body.append("</div>")
@@ -80,7 +104,11 @@ def to_html(report: Mapping[str, Any], pictures: Mapping[str, Sequence[tuple[str
 
 def best(rows: Mapping[str, Any], name: str, metric: Metric) -> set[str]:
     """The methods with the best mean of a metric, as it is printed; none of the references."""
-    means = {method: row[name]["mean"] for method, row in rows.items() if row[name]["n"] and method not in REFERENCES}
+    means = {
+        method: row[name]["mean"]
+        for method, row in rows.items()
+        if row[name]["n"] and method not in REFERENCES
+    }
     worth = {
         "higher": lambda mean: -round(mean, 3),
         "lower": lambda mean: round(mean, 3),
@@ -90,16 +118,23 @@ def best(rows: Mapping[str, Any], name: str, metric: Metric) -> set[str]:
     return {method for method, mean in means.items() if worth(mean) == first}
 
 
-def _table(rows: Mapping[str, Any], metrics: Mapping[str, Metric], reference: Mapping[str, Any]) -> str:
+def _table(
+    rows: Mapping[str, Any], metrics: Mapping[str, Metric], reference: Mapping[str, Any]
+) -> str:
     arrows = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
-    heads = "".join(f"<th>{_text(metric.label)}{arrows[metric.better]}</th>" for metric in metrics.values())
+    heads = "".join(
+        f"<th>{_text(metric.label)}{arrows[metric.better]}</th>" for metric in metrics.values()
+    )
     bests = {name: best(rows, name, metric) for name, metric in metrics.items()}
     lines = []
     for method, row in rows.items():
         cells = (_cell(row[name], method in bests[name]) for name in metrics)
         lines.append(f"<tr><th>{_text(method)}</th>{''.join(cells)}</tr>")
     for method, row in reference.items():
-        cells = (f"<td>{spread(*row[name]) if metric.paper else '–'}</td>" for name, metric in metrics.items())
+        cells = (
+            f"<td>{spread(*row[name]) if metric.paper else '–'}</td>"
+            for name, metric in metrics.items()
+        )
         lines.append(f"<tr class='paper'><th>{_text(method)}</th>{''.join(cells)}</tr>")
     return _framed(heads, "".join(lines))
 
@@ -113,13 +148,18 @@ def _cell(figure: Mapping[str, Any], is_best: bool) -> str:
         return "<td>–</td>"
     more = "" if figure["std"] is None else f"± {figure['std']:.3f}<br>"
     mark = " class='best'" if is_best else ""
-    return f"<td{mark}>{figure['mean']:.3f}<small>{more}{interval(figure, '.3f')}</small></td>"
+    return f"<td{mark}>{figure['mean']:.3f}<small>{more}{interval(figure, '.3f')}{threshold(figure)}</small></td>"
 
 
 def _chart(rows: Mapping[str, Any], metric: Metric, name: str, reference: Mapping[str, Any]) -> str:
     """A dot for each method with its interval, and a ring for each of the paper's."""
-    dots = [(method, row[name]["mean"], row[name]["low"], row[name]["high"], False) for method, row in rows.items()]
-    dots += [(f"{method} (paper)", row[name][0], None, None, True) for method, row in reference.items()]
+    dots = [
+        (method, row[name]["mean"], row[name]["low"], row[name]["high"], False)
+        for method, row in rows.items()
+    ]
+    dots += [
+        (f"{method} (paper)", row[name][0], None, None, True) for method, row in reference.items()
+    ]
     dots = [dot for dot in dots if dot[1] is not None]
     if not dots:
         return ""
@@ -129,21 +169,28 @@ def _chart(rows: Mapping[str, Any], metric: Metric, name: str, reference: Mappin
     at = lambda value: left + wide * (value - low) / (high - low)  # noqa: E731
     tall = step * len(dots) + 30
     parts = [
-        f"<line x1='{at(value):.1f}' x2='{at(value):.1f}' y1='4' y2='{tall - 24}' stroke='#d5dae1'/>"
-        f"<text x='{at(value):.1f}' y='{tall - 8}' text-anchor='middle' font-size='12'>{value:.2f}</text>"
+        f"<line x1='{at(value):.1f}' x2='{at(value):.1f}' y1='4' y2='{tall - 24}' "
+        f"stroke='#d5dae1'/>"
+        f"<text x='{at(value):.1f}' y='{tall - 8}' text-anchor='middle' "
+        f"font-size='12'>{value:.2f}</text>"
         for value in _ticks(low, high)
     ]
     for n, (method, mean, least, most, hollow) in enumerate(dots):
         y = step * n + 16
-        parts.append(f"<text x='{left - 10}' y='{y + 4}' text-anchor='end' font-size='13'>{_text(method[:24])}</text>")
+        parts.append(
+            f"<text x='{left - 10}' y='{y + 4}' text-anchor='end' "
+            f"font-size='13'>{_text(method[:24])}</text>"
+        )
         if least is not None:
             parts.append(
-                f"<line x1='{at(least):.1f}' x2='{at(most):.1f}' y1='{y}' y2='{y}' stroke='#1560bd' stroke-width='3'/>"
+                f"<line x1='{at(least):.1f}' x2='{at(most):.1f}' y1='{y}' y2='{y}' "
+                f"stroke='#1560bd' stroke-width='3'/>"
             )
         look = "fill='#fff' stroke='#59636e' stroke-width='2'" if hollow else "fill='#1560bd'"
         parts.append(f"<circle cx='{at(mean):.1f}' cy='{y}' r='5' {look}/>")
     return (
-        f"<figure><figcaption>{_text(metric.label)}</figcaption><svg viewBox='0 0 580 {tall:.0f}' role='img' "
+        f"<figure><figcaption>{_text(metric.label)}</figcaption><svg viewBox='0 0 580 {tall:.0f}' "
+        f"role='img' "
         f"aria-label='{_text(metric.label)}'>{''.join(parts)}</svg></figure>"
     )
 
@@ -152,7 +199,9 @@ def _ticks(low: float, high: float) -> list[float]:
     """Round numbers from `low` to `high`, about five."""
     decade = 10 ** math.floor(math.log10((high - low) / 4))
     step = next(decade * many for many in (1, 2, 5, 10) if decade * many >= (high - low) / 5)
-    return [step * n for n in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+    return [
+        step * n for n in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    ]
 
 
 def _failures(rows: Mapping[str, Any]) -> str:

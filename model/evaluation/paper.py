@@ -4,7 +4,8 @@ Row = dict[str, tuple[float, float | None]]
 
 
 def _read(table: str) -> dict[str, dict[str, Row]]:
-    """``tables[kind][method][metric]``: (mean, standard deviation, or None where the paper gives none)."""
+    """``tables[kind][method][metric]``: (mean, standard deviation, or None where the paper gives
+    none)."""
     names, *rows = [line.split() for line in table.strip().splitlines()]
     found: dict[str, dict[str, Row]] = {}
     for kind, method, *cells in rows:

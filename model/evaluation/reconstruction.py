@@ -24,21 +24,27 @@ def measure(
     config: ReconstructionConfig,
     union: Sequence[int] = (),
 ) -> NDArray[np.float64]:
-    """The metrics of one map, (2 + class_count, len(METRICS)): over the whole map, over the voxels of all classes in
-    `union`, and over each class.
+    """The metrics of one map, (2 + class_count, len(METRICS)): over the voxels of all classes, over
+    those of the classes in `union`, and over each class.
 
-    All grids have the same shape; `classes` holds numbers below `class_count`. A map in which nothing is occupied and
-    nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of nothing to nothing is 0. Distance
-    metrics over no voxel are NaN.
+    All grids have the same shape. `classes` holds numbers below `class_count`; a voxel with another
+    number, such as `visibility.UNSCORED`, is left out everywhere. A map in which nothing is
+    occupied and nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of
+    nothing to nothing is 0. Distance metrics over no voxel are NaN.
     """
     sums = np.zeros((class_count, len(Sums._fields)))
     near = np.float32(config.near_m)
     if config.strict:
         near = np.nextafter(near, np.float32(0))
-    said, true = (occupied.reshape(-1), distance.reshape(-1)), (true_occupancy.reshape(-1), true_distance.reshape(-1))
+    said, true = (
+        (occupied.reshape(-1), distance.reshape(-1)),
+        (true_occupancy.reshape(-1), true_distance.reshape(-1)),
+    )
     _accumulate(*said, *true, classes.reshape(-1), near, sums)
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
-    return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64)
+    return np.array(
+        [[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64
+    )
 
 
 def measure_whole(
@@ -64,6 +70,8 @@ def measure_whole(
 def _accumulate(occupied, distance, true_occupancy, true_distance, classes, near, sums):
     """Add up, by class, what `Sums` names, in its order."""
     for v in range(len(classes)):
+        if classes[v] >= len(sums):
+            continue
         row = sums[classes[v]]
         error = float(distance[v]) - float(true_distance[v])
         row[0] += 1.0

@@ -1,4 +1,5 @@
-"""The report: both tables, with the paper's figures beside ours, as JSON for machines and Markdown for people."""
+"""The report: both tables, with the paper's figures beside ours, as JSON for machines and Markdown
+for people."""
 
 import dataclasses
 import math
@@ -9,15 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from scenegen.model.config import Thresholds
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.difficulty import DESCRIPTORS
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
-from scenegen.model.evaluation.statistics import figure, holm, paired_p, summarize
+from scenegen.model.evaluation.statistics import Scale, caution, figure, holm, paired_p, summarize
 from scenegen.model.evaluation.study.report import study_lines, study_of
 from scenegen.model.evaluation.tables import cell, head, interval, line, spread
 from scenegen.model.evaluation.visibility import CLASSES
 
+BEST_IOU, UNITS = "best_iou", {"probability": "", "distance_m": " m"}
+"""A column of the tables, and the units of the thresholds at which it stands."""
 REGIONS = ("map", "unobserved")
 """Rows of a sample's reconstruction before those of the classes of voxels."""
 
@@ -25,11 +29,18 @@ REGIONS = ("map", "unobserved")
 def build_report(
     results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any], tests: bool = True
 ) -> dict[str, Any]:
-    """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``, each {mean, std,
-    low, high, n}, at the paper's thresholds; variants under their own keys beside them; `about` as it is. Where there
-    is one world, low and high are None; where nothing was measured, mean and std are, too. No number is NaN or
-    infinite, which JSON has no words for: those are None. Every two methods are compared where `tests` asks for it."""
-    report: dict[str, Any] = {**about, "reconstruction": {}, "planning": {}, "tests": {}, "datasets": {}}
+    """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``,
+    each {mean, std, low, high, n}, at the paper's thresholds; variants under their own keys beside
+    them; `about` as it is. Where there is one world, low and high are None; where nothing was
+    measured, mean and std are, too. No number is NaN or infinite, which JSON has no words for:
+    those are None. Every two methods are compared where `tests` asks for it."""
+    report: dict[str, Any] = {
+        **about,
+        "reconstruction": {},
+        "planning": {},
+        "tests": {},
+        "datasets": {},
+    }
     for result in results:
         rng = np.random.default_rng(seed)
         methods = result.methods.items()
@@ -40,39 +51,49 @@ def build_report(
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
             "difficulty": {
-                name: figure(result.difficulty[:, n], result.worlds, rng=rng) for n, name in enumerate(DESCRIPTORS)
+                name: figure(result.difficulty[:, n], result.worlds)
+                for n, name in enumerate(DESCRIPTORS)
             },
         }
-        report["reconstruction"][result.kind] = {name: _reconstruction(found, result, rng) for name, found in methods}
-        report["planning"][result.kind] = {name: _planning(found, result, rng) for name, found in methods}
+        report["reconstruction"][result.kind] = {
+            name: _reconstruction(found, result) for name, found in methods
+        }
+        report["planning"][result.kind] = {
+            name: _planning(found, result) for name, found in methods
+        }
         report["tests"][result.kind] = _tests(result, rng) if tests else []
         if result.config.study:
-            report.setdefault("study", {})[result.kind] = study_of(result, np.random.default_rng(seed))
-    return _finite(report)
+            report.setdefault("study", {})[result.kind] = study_of(result)
+    return finite(report)
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """`value`, a tree of dicts and lists, with None for every number that is NaN or infinite."""
     if isinstance(value, Mapping):
-        return {name: _finite(one) for name, one in value.items()}
+        return {name: finite(one) for name, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
+        return [finite(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _reconstruction(found: MethodResult, result: DatasetResult, rng: np.random.Generator) -> dict[str, Any]:
+def _reconstruction(found: MethodResult, result: DatasetResult) -> dict[str, Any]:
     def figures(values: np.ndarray) -> dict[str, Any]:
-        return {name: figure(values[:, m], result.worlds, rng=rng) for m, name in enumerate(METRICS)}
+        return {
+            name: figure(values[:, m], result.worlds, metric.scale)
+            for m, (name, metric) in enumerate(METRICS.items())
+        }
 
     return {
         **figures(found.reconstruction[:, 0]),
         "tuned": {**figures(found.tuned), "thresholds": dataclasses.asdict(found.thresholds)},
         "unobserved": figures(found.reconstruction[:, 1]),
-        "by_class": {name: figures(found.reconstruction[:, 2 + c]) for c, name in enumerate(CLASSES)},
+        "by_class": {
+            name: figures(found.reconstruction[:, 2 + c]) for c, name in enumerate(CLASSES)
+        },
     }
 
 
-def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generator) -> dict[str, Any]:
+def _planning(found: MethodResult, result: DatasetResult) -> dict[str, Any]:
     metrics = PLAN_METRICS | PLAN_READINGS
     columns = {name: _of_trials(metric, found) for name, metric in metrics.items()}
     on_paths = [name for name, metric in metrics.items() if metric.needs == "path"]
@@ -80,9 +101,14 @@ def _planning(found: MethodResult, result: DatasetResult, rng: np.random.Generat
 
     def figures(names: Sequence[str], chosen: np.ndarray) -> dict[str, Any]:
         rows = {name: np.where(chosen, columns[name], np.nan) for name in names}
-        return {name: figure(values, result.trial_worlds, rng=rng) for name, values in rows.items()}
+        return {
+            name: figure(values, result.trial_worlds, metrics[name].scale)
+            for name, values in rows.items()
+        }
 
-    learned = [other for other in result.methods.values() if other.learned] or list(result.methods.values())
+    learned = [other for other in result.methods.values() if other.learned] or list(
+        result.methods.values()
+    )
     everywhere = np.all([[trial.success for trial in other.trials] for other in learned], axis=0)
     return {
         **figures(tuple(columns), np.ones(len(succeeded), dtype=bool)),
@@ -98,27 +124,50 @@ def _of_trials(metric: Metric, found: MethodResult) -> np.ndarray:
 
 
 def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and its p-value,
-    corrected over all of them."""
-    rows: list[tuple[str, str, str, np.ndarray, np.ndarray, np.ndarray]] = []
+    """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and
+    its p-value, corrected over all of them."""
+    rows: list[tuple[str, str, str, Scale, np.ndarray, np.ndarray, np.ndarray]] = []
     for (first, one), (second, other) in combinations(result.methods.items(), 2):
         for row, region in enumerate(REGIONS):
             for m, (name, metric) in enumerate(METRICS.items()):
                 if region in metric.tested:
                     a, b = one.reconstruction[:, row, m], other.reconstruction[:, row, m]
-                    rows.append((first, second, name if region == "map" else f"{region}_{name}", a, b, result.worlds))
+                    title = name if region == "map" else f"{region}_{name}"
+                    rows.append((first, second, title, "amount", a, b, result.worlds))
         for name, metric in PLAN_METRICS.items():
             if metric.tested:
                 a, b = _of_trials(metric, one), _of_trials(metric, other)
-                rows.append((first, second, name, a, b, result.trial_worlds))
-    paired = [summarize(a - b, worlds, rng=rng) for *_, a, b, worlds in rows]
+                rows.append((first, second, name, "gain", a, b, result.trial_worlds))
+    paired = [summarize(a - b, worlds, scale) for *_, scale, a, b, worlds in rows]
     raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
     return [
         {"first": first, "second": second, "metric": metric}
         | {"difference": difference.mean, "low": difference.low, "high": difference.high}
         | {"p": p, "p_holm": float(corrected)}
-        for (first, second, metric, *_), difference, p, corrected in zip(rows, paired, raw, holm(raw), strict=True)
+        for (first, second, metric, *_), difference, p, corrected in zip(
+            rows, paired, raw, holm(raw), strict=True
+        )
     ]
+
+
+def reconstruction_table(rows: Mapping[str, Any]) -> tuple[dict[str, Metric], dict[str, Any]]:
+    """What a table of reconstruction shows of the report's `rows`: the metrics and the rows, in
+    both of them IoU at the row's best threshold beside IoU. Where that is not the paper's, the
+    figure says where it lies: `at`."""
+    metrics, usual = dict[str, Metric](), dataclasses.asdict(Thresholds())
+    for name, metric in METRICS.items():
+        metrics[name] = metric
+        if name == "iou":
+            metrics[BEST_IOU] = dataclasses.replace(
+                metric, title="IoU at its best threshold", paper=False
+            )
+    shown = {}
+    for method, row in rows.items():
+        tuned = row["tuned"]
+        places = ((tuned["thresholds"][name], unit, usual[name]) for name, unit in UNITS.items())
+        at = "".join(f"{value:g}{unit}" for value, unit, papers in places if value != papers)
+        shown[method] = {**row, BEST_IOU: {**tuned["iou"], "at": at}}
+    return metrics, shown
 
 
 def to_markdown(report: Mapping[str, Any]) -> str:
@@ -130,11 +179,16 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             "",
             f"## {kind}",
             "",
-            f"{about['samples']} samples of {about['worlds']} worlds, dataset {about['digest'][:12]}…; "
-            f"{about['trials']} planning trials, excluded draws: {about['excluded'] or 'none'}. Mean ± standard "
-            "deviation over samples or trials, in brackets the 95 % interval of the mean, by bootstrap over worlds"
-            f"{', which one world does not give' * (about['worlds'] == 1)}. *Italics*: the paper's.",
+            f"{about['samples']} samples of {about['worlds']} worlds, dataset "
+            f"{about['digest'][:12]}…; "
+            f"{about['trials']} planning trials, excluded draws: {about['excluded'] or 'none'}. "
+            f"Mean ± standard "
+            "deviation over samples or trials, in brackets the 95 % interval of the mean, by a "
+            "jackknife over worlds"
+            f"{', which one world does not give' * (about['worlds'] == 1)}. *Italics*: the "
+            f"paper's.",
         ]
+        lines += ["", f"**{few}.**"] if (few := caution(about["worlds"])) else []
         lines += [
             "",
             "### Difficulty",
@@ -142,24 +196,37 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             *head(DESCRIPTORS),
             line("truth", map(cell, about["difficulty"].values())),
         ]
-        for title, table, reference, metrics in (
-            ("Reconstruction", report["reconstruction"][kind], paper.RECONSTRUCTION.get(kind, {}), METRICS),
-            ("Planning", report["planning"][kind], paper.PLANNING.get(kind, {}), PLAN_METRICS),
+        for title, (metrics, table), reference in (
+            (
+                "Reconstruction",
+                reconstruction_table(report["reconstruction"][kind]),
+                paper.RECONSTRUCTION,
+            ),
+            ("Planning", (PLAN_METRICS, report["planning"][kind]), paper.PLANNING),
         ):
             lines += ["", f"### {title}", "", *head(metrics)]
             lines += [line(name, (cell(row[m]) for m in metrics)) for name, row in table.items()]
-            for name, row in reference.items():
-                cells = (f"*{spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items())
+            for name, row in reference.get(kind, {}).items():
+                cells = (
+                    f"*{spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items()
+                )
                 lines.append(line(f"*{name}*", cells))
         lines += ["", "### Failures", ""]
         for name, row in report["planning"][kind].items():
-            counted = ", ".join(f"{cause} {count}" for cause, count in sorted(row["failures"].items()))
+            counted = ", ".join(
+                f"{cause} {count}" for cause, count in sorted(row["failures"].items())
+            )
             lines.append(f"- {name}: {counted or 'none'}")
         lines += study_lines(report.get("study", {}).get(kind, {}))
         lines += ["", "### IoU by what was seen", "", *head(CLASSES)]
         for name, row in report["reconstruction"][kind].items():
             lines.append(line(name, (cell(row["by_class"][c]["iou"]) for c in CLASSES)))
-        lines += ["", "### Paired tests, by world, Holm-corrected", "", *head(("metric", "difference", "p"))]
+        lines += [
+            "",
+            "### Paired tests, by world, Holm-corrected",
+            "",
+            *head(("metric", "difference", "p")),
+        ]
         for test in report["tests"][kind]:
             pair, found = f"{test['first']} − {test['second']}", "–"
             if test["difference"] is not None:

@@ -1,4 +1,5 @@
-"""Run the bench: every method on every test map of a dataset, reconstruction and planning, by all cores."""
+"""Run the bench: every method on every test map of a dataset, reconstruction and planning, by all
+cores."""
 
 import math
 from collections import Counter
@@ -25,7 +26,7 @@ from scenegen.model.evaluation.planning.trials import Trials, draw_trials
 from scenegen.model.evaluation.reconstruction import measure
 from scenegen.model.evaluation.study.maps import Study, stack, study_map
 from scenegen.model.evaluation.tuning import spread, tune
-from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify
+from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify, scored_layers
 from scenegen.sample import Sample
 
 CHUNK = 10
@@ -37,7 +38,8 @@ class MethodResult:
     """One method on one dataset, sample by sample and trial by trial."""
 
     reconstruction: NDArray[np.float64]
-    """(N, 2 + classes, metrics): over the whole map, over its unknown voxels, then by class of voxels."""
+    """(N, 2 + classes, metrics): over the whole map, over its unknown voxels, then by class of
+    voxels."""
     tuned: NDArray[np.float64]
     """(N, metrics): over the whole map, at the tuned thresholds."""
     thresholds: Thresholds
@@ -62,9 +64,11 @@ class DatasetResult:
     trial_worlds: NDArray[np.int64]
     """(trials,): the trials' worlds."""
     trial_places: tuple[tuple[int, int], ...]
-    """Each trial's sample by its number in the split, and the trial's own number within the sample."""
+    """Each trial's sample by its number in the split, and the trial's own number within the
+    sample."""
     trial_clearance: NDArray[np.float64]
-    """(trials,): the least clearance of the path that the planner finds on the truth, metres; NaN without a study."""
+    """(trials,): the least clearance of the path that the planner finds on the truth, metres; NaN
+    without a study."""
     excluded: Counter[str]
     """Drawn trials that are not valid, by reason."""
     difficulty: NDArray[np.float64]
@@ -89,13 +93,16 @@ class _Found:
     """Empty unless asked for."""
 
 
-def check_middle(dataset: Dataset, instead: str = "bench datasets whose maps lie around the sensor") -> None:
-    """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle, would not begin at
-    the sensor."""
+def check_middle(
+    dataset: Dataset, instead: str = "bench datasets whose maps lie around the sensor"
+) -> None:
+    """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
+    would not begin at the sensor."""
     mapping = dataset.manifest.mapping
     if not mapping.centred:
         raise DatasetError(
-            f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the sensor, and plans begin in a "
+            f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the sensor, "
+            f"and plans begin in a "
             f"map's middle; {instead}"
         )
 
@@ -112,24 +119,30 @@ def bench(
 ) -> DatasetResult:
     """Measure `methods` on `dataset`, with the same goals for every method.
 
-    `workers` processes of this machine measure a few samples each, or whatever `execute` has do it. `on_start` is told
-    how many samples there are, `on_done` of every few that are finished. Raises DatasetError for an empty split, and
-    where `execute` leaves samples to others: a report is of all of them.
+    `workers` processes of this machine measure a few samples each, or whatever `execute` has do it.
+    `on_start` is told how many samples there are, `on_done` of every few that are finished. Raises
+    DatasetError for an empty split, and where `execute` leaves samples to others: a report is of
+    all of them.
     """
     execute = execute or Local("", workers)
     split = dataset.split(config.split)
     if not len(split):
-        raise DatasetError(f"{dataset.folder}: {empty_split(config.split)}, or give another --split")
+        raise DatasetError(
+            f"{dataset.folder}: {empty_split(config.split)}, or give another --split"
+        )
     check_middle(dataset)
     indices = spread(len(split), config.samples or len(split))
     tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
     if len(execute.mine((0, 1))) < 2:  # whatever the number of tasks
         raise DatasetError(
-            "--on: a report takes the figures of all samples, and jobs that know their rank alone bring none together; "
+            "--on: a report takes the figures of all samples, and jobs that know their rank alone "
+            "bring none together; "
             "give --on ray or --on slurm, or each job a dataset of its own with --on local"
         )
     tuned = [tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods]
-    work = partial(_work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config)
+    work = partial(
+        _work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config
+    )
     found: list[_Found] = []
     with closing(execute(work, tasks, lambda: on_start(len(indices)))) as results:
         for several in results:
@@ -137,7 +150,9 @@ def bench(
             on_done(len(several))
     found.sort(key=lambda one: one.index)
     # of the trials, the first of every sample first, cut to the number asked for
-    turns = sorted((turn, n) for n, one in enumerate(found) for turn in range(len(one.trials[0])))[: config.trials]
+    turns = sorted((turn, n) for n, one in enumerate(found) for turn in range(len(one.trials[0])))[
+        : config.trials
+    ]
     return DatasetResult(
         kind=dataset.manifest.kind,
         digest=str(dataset.manifest.digest),
@@ -177,16 +192,22 @@ def _work(
     for index in rows.numbers:
         sample = split[index]
         truth = sample.occupancy, sample.tudf
-        classes = classify(sample, lidar=dataset.lidar, grid=grid)
+        layers = scored_layers(sample, grid, split.home(index).tables)
+        classes = classify(sample, lidar=dataset.lidar, grid=grid, scored=layers)
         drawn = trials_of(sample, index, split, config, trials_each)
-        trial = partial(run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan)
+        trial = partial(
+            run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan
+        )
         seen = _seen(sample, split) if config.study else None
         one = _Found(
             index=index,
             world=int(sample.world),
             difficulty=describe(sample, grid=grid, config=config.plan),
             excluded=Counter(drawn.excluded),
-            clearance=[math.nan if seen is None else trial(*truth, goal=goal).min_clearance_m for goal in drawn.goals],
+            clearance=[
+                math.nan if seen is None else trial(*truth, goal=goal).min_clearance_m
+                for goal in drawn.goals
+            ],
             reconstruction=[],
             tuned=[],
             trials=[],
@@ -237,4 +258,6 @@ def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, cou
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
     world = split.home(index).tables.get("world")  # worlds from MJCF files have no box
     bounds = None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - sample.origin
-    return draw_trials(sample.occupancy, split.dataset.grid, config.plan, count=count, rng=rng, bounds=bounds)
+    return draw_trials(
+        sample.occupancy, split.dataset.grid, config.plan, count=count, rng=rng, bounds=bounds
+    )

@@ -1,4 +1,5 @@
-"""What of the truth the sensor had a chance to know: the obstacles that returned something, whole."""
+"""What of the truth the sensor had a chance to know: the obstacles that returned something,
+whole."""
 
 import dataclasses
 from functools import lru_cache
@@ -17,23 +18,25 @@ from scenegen.truth import rasterize
 
 
 class Seen:
-    """The truth of the obstacles that returned something, as if it had been predicted: the ceiling of any completion,
-    for of the other obstacles a scan says nothing."""
+    """The truth of the obstacles that returned something, as if it had been predicted: the ceiling
+    of any completion, for of the other obstacles a scan says nothing."""
 
     name = "seen"
     learned = False
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `Method.completion`. Raises DatasetError where the sample's world cannot be compiled."""
+        """See `Method.completion`. Raises DatasetError where the sample's world cannot be
+        compiled."""
         return Prediction(occupancy_probability=seen_occupancy(sample, split).astype(np.float32))
 
 
 def seen_occupancy(sample: Sample, split: Split) -> NDArray[np.bool_]:
-    """The voxels (*grid.shape) that touch an obstacle, a geom of the world, that returned at least one of the sample's
-    rays, wherever it did so.
+    """The voxels (*grid.shape) that touch an obstacle, a geom of the world, that returned at least
+    one of the sample's rays, wherever it did so.
 
-    Which geom a ray met is found by casting anew in the archived world: a dataset stores ranges alone. Rays without a
-    stored return count as none. Raises DatasetError where the world cannot be compiled.
+    Which geom a ray met is found by casting anew in the archived world: a dataset stores ranges
+    alone. Rays without a stored return count as none. Raises DatasetError where the world cannot be
+    compiled.
     """
     dataset = split.dataset
     solids, engine = _world(dataset.folder, split.name, int(sample.world))
@@ -53,7 +56,8 @@ def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
     plain, meshes = np.split(kept, [len(solids.shape)])
     sizes = np.diff(solids.mesh_start)
     arrays = {
-        name: getattr(solids, name)[plain] for name in ("shape", "size", "position", "rotation", "lower", "upper")
+        name: getattr(solids, name)[plain]
+        for name in ("shape", "size", "position", "rotation", "lower", "upper")
     }
     return dataclasses.replace(
         solids,

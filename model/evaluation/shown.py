@@ -29,14 +29,19 @@ CAUSES = {
 
 
 def guesses_of(methods: Sequence[Method], config: BenchConfig, trial: int | None = 0) -> Guesses:
-    """What `methods` say of a sample, each with its path to the goal of the bench's trial number `trial` in that
-    sample, at the thresholds and by the planner of `config`; without paths where `trial` is None, or the sample has no
-    such trial."""
+    """What `methods` say of a sample, each with its path to the goal of the bench's trial number
+    `trial` in that sample, at the thresholds and by the planner of `config`; without paths where
+    `trial` is None, or the sample has no such trial."""
     return partial(_guesses, methods=methods, config=config, trial=trial)
 
 
 def _guesses(
-    sample: Sample, split: Split, *, methods: Sequence[Method], config: BenchConfig, trial: int | None
+    sample: Sample,
+    split: Split,
+    *,
+    methods: Sequence[Method],
+    config: BenchConfig,
+    trial: int | None,
 ) -> list[Guess]:
     goal = None if trial is None else _goal(sample, split, config, trial)
     found = []
@@ -52,8 +57,11 @@ def _guesses(
     return found
 
 
-def _goal(sample: Sample, split: Split, config: BenchConfig, trial: int) -> NDArray[np.float64] | None:
-    """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has fewer."""
+def _goal(
+    sample: Sample, split: Split, config: BenchConfig, trial: int
+) -> NDArray[np.float64] | None:
+    """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has
+    fewer."""
     index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
     goals = trials_of(sample, index, split, config, trial + 1).goals
     return goals[trial] if len(goals) > trial else None
@@ -67,8 +75,8 @@ def route_to(
     grid: GridSpec,
     config: PlanConfig,
 ) -> Route:
-    """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the truth; see
-    `scenegen.model.evaluation.planning.measure.run_trial`."""
+    """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the
+    truth; see `scenegen.model.evaluation.planning.measure.run_trial`."""
     plan = plan_path(occupied, goal, grid, config)
     refined = None if plan.waypoints is None else refine(plan.waypoints, tudf, grid, config)
     measured = judge(plan, refined, sample.occupancy, sample.tudf, grid, config)
@@ -82,5 +90,7 @@ def route_to(
         points=None if refined is None else sample.origin + refined,
         told=told,
         fails=not measured.success,
-        hit=None if measured.hit is None else grid.centres(sample.origin).reshape(-1, 3)[measured.hit],
+        hit=None
+        if measured.hit is None
+        else grid.centres(sample.origin).reshape(-1, 3)[measured.hit],
     )

@@ -1,17 +1,27 @@
-"""Figures with their uncertainty. Samples of one world are not independent, so worlds are what is drawn again."""
+"""Figures with their uncertainty. Samples of one world are not independent, so worlds are what is
+left out in turn."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit, logit, stdtr, stdtrit
 
-DRAWS = 2000
-"""Bootstrap resamples: the 2.5 % points wander by some hundredth of the interval."""
+Scale = Literal["amount", "share", "outcome", "gain"]
+"""What values are: any numbers; shares of something, in [0, 1]; successes and failures, 1 and 0; or
+differences of these."""
+LEVEL = 0.95
+"""The share of intervals that hold the true mean: `benchmarks/intervals.py`."""
+FEW_WORLDS = 10
+"""With fewer worlds an interval rests on too little to be relied on, although as many of them
+hold."""
 FLIPS = 20000
-"""Permutations: the least p-value is one in so many, which must bear a correction over some hundred tests."""
+"""Permutations: the least p-value is one in so many, which must bear a correction over some hundred
+tests."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,71 +33,128 @@ class Figure:
     std: float | None
     """Standard deviation of the samples: their spread, not the mean's error."""
     low: float | None
-    """Lower end of the interval; None where the samples are of one world, which says nothing of others."""
+    """Lower end of the interval; None where the samples are of one world, which says nothing of
+    others."""
     high: float | None
     n: int
     """Samples that have a value."""
 
 
-def summarize(values: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator) -> Figure:
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """What samples say of all worlds that could have been drawn."""
+
+    value: float
+    error: float
+    """Standard error; NaN where there are fewer than two worlds."""
+    freedom: float
+    """Degrees of freedom of the error."""
+
+    @property
+    def reach(self) -> float:
+        """Half the width of the 95 % interval; NaN where the error is."""
+        return float(stdtrit(self.freedom, 0.5 + LEVEL / 2)) * self.error
+
+    @property
+    def ends(self) -> tuple[float | None, float | None]:
+        """The 95 % interval, by Student's t; None twice where there is none."""
+        if not math.isfinite(self.value + self.reach):
+            return None, None
+        return self.value - self.reach, self.value + self.reach
+
+    @property
+    def chance(self) -> float | None:
+        """Two-sided probability of a value so far from 0 where the truth is 0; None where there is
+        no interval."""
+        if not math.isfinite(self.value + self.reach):
+            return None
+        return (
+            2 * float(stdtr(self.freedom, -abs(self.value) / self.error))
+            if self.error
+            else float(self.value == 0)
+        )
+
+
+def estimate(
+    sums: ArrayLike, worlds: ArrayLike, of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> Estimate:
+    """What `of` makes of sums (draws, k) over all samples, as (draws,), with its error over worlds.
+
+    `sums` (N, k) are those of each sample, of `worlds` (N,). The error is the jackknife's, which
+    leaves out one world at a time, with as many degrees of freedom as worlds less one (MacKinnon,
+    Nielsen and Webb, "Fast and reliable jackknife and bootstrap methods for cluster-robust
+    inference", Journal of Applied Econometrics 38, 2023). A bootstrap that draws worlds again is
+    far too narrow where worlds are few.
+    """
+    _, member = np.unique(worlds, return_inverse=True)
+    totals = np.zeros((member.max(initial=-1) + 1, np.shape(sums)[1]))
+    np.add.at(totals, member, np.asarray(sums, dtype=np.float64))
+    totals = totals[totals.any(axis=1)]
+    count, whole = len(totals), totals.sum(axis=0)
+    value = float(of(whole[None])[0])
+    if count < 2:
+        return Estimate(value=value, error=math.nan, freedom=1)
+    without = of(whole - totals)
+    error = math.sqrt((count - 1) / count * float(((without - value) ** 2).sum()))
+    return Estimate(value=value, error=error, freedom=count - 1)
+
+
+def summarize(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Figure:
     """A figure from `values` (N,) of samples from `worlds` (N,); NaN values are left out.
 
-    The interval is the percentile bootstrap over worlds: as many as there are, drawn with replacement, each with all
-    its samples (a cluster bootstrap; Cameron, Gelbach and Miller 2008).
+    Intervals of shares and outcomes are symmetric in log-odds, so that they stay in [0, 1] and
+    cover where a few worlds are far harder than the rest. Outcomes of a few trials can be all alike
+    by chance: there the error is at least that of independent trials of which one more went the
+    other way.
     """
     values = np.asarray(values, dtype=np.float64)
     held = np.isfinite(values)
     if not held.any():
         return Figure(mean=None, std=None, low=None, high=None, n=0)
-    sums, counts = _by_world(values[held], np.asarray(worlds)[held])
-    weights = resamples(len(sums), rng)
-    low, high = np.percentile((weights @ sums) / np.maximum(weights @ counts, 1), [2.5, 97.5])
-    several = len(sums) > 1
+    chosen, count = values[held], int(held.sum())
+    found = estimate(np.stack([chosen, np.ones(count)], axis=1), np.asarray(worlds)[held], _mean)
+    mean, reach = found.value, found.reach
+    low, high = found.ends
+    if low is not None and high is not None:
+        if scale in ("outcome", "gain"):
+            reach = max(reach, math.sqrt(float(((chosen - mean) ** 2).sum()) + 1) / count)
+            low, high = mean - reach, mean + reach
+        middle = (chosen.sum() + 0.5) / (count + 1) if scale == "outcome" else mean
+        if scale in ("share", "outcome") and 0 < middle < 1:
+            ends = expit(logit(middle) + np.array([-1, 1]) * reach / (middle * (1 - middle)))
+            low, high = min(float(ends[0]), mean), max(float(ends[1]), mean)
     return Figure(
-        mean=float(values[held].mean()),
-        std=float(values[held].std(ddof=1)) if held.sum() > 1 else 0.0,
-        low=float(low) if several else None,
-        high=float(high) if several else None,
-        n=int(held.sum()),
+        mean=mean, std=float(chosen.std(ddof=1)) if count > 1 else 0.0, low=low, high=high, n=count
     )
 
 
-def figure(values: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator) -> dict[str, Any]:
+def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> dict[str, Any]:
     """What `summarize` gives, as JSON holds it."""
-    return dataclasses.asdict(summarize(values, worlds, rng=rng))
+    return dataclasses.asdict(summarize(values, worlds, scale))
 
 
-def interval(
-    sums: ArrayLike,
-    worlds: ArrayLike,
-    of: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    *,
-    rng: np.random.Generator,
-) -> tuple[float | None, float | None]:
-    """The 95 % interval, by the same bootstrap, of what `of` makes of sums (draws, k) over all samples, as (draws,).
-
-    `sums` (N, k) are those of each sample, of `worlds` (N,). Both ends are None where there is one world or none.
-    """
-    names, member = np.unique(worlds, return_inverse=True)
-    if len(names) < 2:
-        return None, None
-    totals = np.zeros((len(names), np.shape(sums)[1]))
-    np.add.at(totals, member, np.asarray(sums, dtype=np.float64))
-    low, high = np.percentile(of(resamples(len(names), rng) @ totals), [2.5, 97.5])
-    return float(low), float(high)
+def caution(worlds: int) -> str:
+    """What is to be said of intervals over so many worlds; nothing where they are enough."""
+    if worlds >= FEW_WORLDS:
+        return ""
+    return f"{worlds} world{'s' * (worlds != 1)}: too few to rely on the intervals; measure {FEW_WORLDS} or more"
 
 
-def paired_p(first: ArrayLike, second: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator) -> float:
+def paired_p(
+    first: ArrayLike, second: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator
+) -> float:
     """Two-sided p-value that two methods do equally well on the same samples (N,) each.
 
-    A sign-flip permutation test on the worlds' summed differences: under the hypothesis, which method is which is a
-    coin toss in every world. Samples where either is NaN are left out; 1 where none differs.
+    A sign-flip permutation test on the worlds' summed differences: under the hypothesis, which
+    method is which is a coin toss in every world. Samples where either is NaN are left out; 1 where
+    none differs.
     """
     difference = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
     held = np.isfinite(difference)
     if not held.any():
         return 1.0
-    sums, _ = _by_world(difference[held], np.asarray(worlds)[held])
+    _, member = np.unique(np.asarray(worlds)[held], return_inverse=True)
+    sums = np.bincount(member, weights=difference[held])
     observed = abs(sums.sum())
     flipped = np.abs((rng.integers(2, size=(FLIPS, len(sums)), dtype=np.int8) * 2.0 - 1.0) @ sums)
     return float((1 + (flipped >= observed * (1 - 1e-12)).sum()) / (1 + FLIPS))
@@ -103,18 +170,6 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
     return corrected
 
 
-def resamples(worlds: int, rng: np.random.Generator, draws: int = DRAWS) -> NDArray[np.int64]:
-    """How often each of `worlds` stands in each of `draws` bootstrap resamples, (draws, worlds).
-
-    Names are drawn and counted, which takes an eighth of what `rng.multinomial` does.
-    """
-    drawn = rng.integers(worlds, size=(draws, worlds)) + worlds * np.arange(draws)[:, None]
-    return np.bincount(drawn.ravel(), minlength=draws * worlds).reshape(draws, worlds)
-
-
-def _by_world(
-    values: NDArray[np.float64], worlds: NDArray[np.generic]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sums and counts of the values of every world."""
-    _, member = np.unique(worlds, return_inverse=True)
-    return np.bincount(member, weights=values).astype(np.float64), np.bincount(member).astype(np.float64)
+def _mean(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means (draws,) of sums and counts (draws, 2)."""
+    return np.asarray(sums[:, 0] / sums[:, 1])

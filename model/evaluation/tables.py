@@ -15,10 +15,16 @@ def line(name: str, cells: Iterable[str]) -> str:
 
 
 def cell(figure: Mapping[str, Any]) -> str:
-    """A figure with its spread and interval; a dash where nothing was measured."""
+    """A figure with its spread and interval, and its threshold; a dash where nothing was
+    measured."""
     if not figure["n"]:
         return "–"
-    return f"{spread(figure['mean'], figure['std'])} {interval(figure, '.3f')}"
+    return f"{spread(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
+
+
+def threshold(figure: Mapping[str, Any]) -> str:
+    """At which threshold a figure stands, where that is its own."""
+    return f" at {figure['at']}" if figure.get("at") else ""
 
 
 def interval(figure: Mapping[str, Any], form: str) -> str:

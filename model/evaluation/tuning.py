@@ -1,4 +1,5 @@
-"""Thresholds tuned for every method by the same rule: the largest mean IoU on the validation split."""
+"""Thresholds tuned for every method by the same rule: the largest mean IoU on the validation
+split."""
 
 import dataclasses
 
@@ -7,6 +8,7 @@ import numpy as np
 from scenegen.dataset.read import Dataset
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Method
+from scenegen.model.evaluation.visibility import scored_layers
 
 PROBABILITIES = np.arange(0.05, 1.0, 0.05)
 DISTANCES_M = np.arange(0.05, 0.85, 0.05)
@@ -18,9 +20,11 @@ def spread(count: int, most: int) -> list[int]:
 
 
 def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds) -> Thresholds:
-    """The thresholds at which `method` does best on at most `most` validation samples, evenly spread.
+    """The thresholds at which `method` does best on at most `most` validation samples, evenly
+    spread.
 
-    Where all do equally well, or the method says nothing about the validation split, `thresholds` as they are.
+    Where all do equally well, or the method says nothing about the validation split, `thresholds`
+    as they are.
     """
     split = dataset.split("val")
     if not len(split):
@@ -29,6 +33,8 @@ def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds)
     name, candidates = "probability", PROBABILITIES
     for index in spread(len(split), most):
         sample = split[index]
+        layers = scored_layers(sample, dataset.grid, split.home(index).tables)
+        truth = sample.occupancy[..., layers]
         try:
             completion = method.completion(sample, split)
         except KeyError:  # a file that predicts the test split alone
@@ -37,11 +43,14 @@ def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds)
             name, candidates = "distance_m", DISTANCES_M
         row = []
         for value in candidates:
-            occupied = completion.occupied(dataclasses.replace(thresholds, **{name: float(value)}))
-            union = np.count_nonzero(occupied | sample.occupancy)
-            row.append(np.count_nonzero(occupied & sample.occupancy) / union if union else 1.0)
+            at = dataclasses.replace(thresholds, **{name: float(value)})
+            occupied = completion.occupied(at)[..., layers]
+            union = np.count_nonzero(occupied | truth)
+            row.append(np.count_nonzero(occupied & truth) / union if union else 1.0)
         scores.append(row)
     means = np.mean(scores, axis=0)
     if np.ptp(means) < 1e-12:
         return thresholds
-    return dataclasses.replace(thresholds, **{name: round(float(candidates[int(means.argmax())]), 4)})
+    return dataclasses.replace(
+        thresholds, **{name: round(float(candidates[int(means.argmax())]), 4)}
+    )

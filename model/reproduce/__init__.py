@@ -1,1 +1,2 @@
-"""The study of the paper's claims: which networks it trains, what it asks of them, and what it finds."""
+"""The study of the paper's claims: which networks it trains, what it asks of them, and what it
+finds."""

@@ -1,14 +1,17 @@
 """What the paper claims, and what a bench says of it.
 
-Every bold cell of the paper's tables is a claim: this method is better than each other one, by this metric, on this
-kind of worlds. A claim is judged by every pair of seeds, one of each method: by the difference on the same maps, and by
-a bootstrap over worlds, which gives its 95 % interval and the probability of so large a difference where there is none.
-All claims together are held to one level (S. Holm, "A simple sequentially rejective multiple test procedure",
-Scandinavian Journal of Statistics 6, 1979).
+Every bold cell of the paper's tables is a claim: this method is better than each other one, by this
+metric, on this kind of worlds. A claim is judged by the mean difference over all seeds of both
+methods, on the same maps. Its variance is that over worlds and that over training seeds, which is
+pooled over methods, since each has two or three; both have few degrees of freedom, which are joined
+as by F. E. Satterthwaite, "An approximate distribution of estimates of variance components",
+Biometrics Bulletin 2, 1946. All claims together are held to one level (S. Holm, "A simple
+sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979).
 """
 
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal
@@ -16,19 +19,23 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import holm, resamples
-from scenegen.model.reproduce.runs import Run
+from scenegen.model.evaluation.report import finite
+from scenegen.model.evaluation.statistics import Estimate, estimate, holm
+from scenegen.model.reproduce.records import Measured, Records, presets
 
-Verdict = Literal["confirmed", "refuted", "undecided"]
-DRAWS = 10_000
-"""Resamples of the bootstrap: Holm's rule needs probabilities of a thousandth."""
+Verdict = Literal["confirmed", "refuted", "contradicted", "undecided"]
+PATIENCE = TrainConfig().patience
+"""Epochs without a lower validation loss after which the paper stops. What networks show that did
+not train so long may be the other way round later: a claim is contradicted by them, and not
+refuted."""
 LEVEL = 0.05
 """The probability that any verdict is decided where all differences are chance."""
 QUESTIONS = {
-    "Q1": "Does learning occupancy and TUDF jointly improve reconstruction over single-task baselines?",
+    "Q1": "Does learning occupancy and TUDF jointly improve reconstruction over single-task "
+    "baselines?",
     "Q2": "Does the better reconstruction benefit planning in unknown environments?",
     "Q3": "Does a better reconstructed field give better trajectories?",
 }
@@ -54,12 +61,14 @@ BESIDE = (
     ("columns", "proposed-1"),
 )
 """What is judged beside the paper's claims, by `BESIDE_BY`: the first before the second."""
+JUDGED = (*METRICS, *PLAN_METRICS)
 BESIDE_BY = ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """`best` is better than `other` by `metric` on worlds of `kind`: rows of the study, without their seeds."""
+    """`best` is better than `other` by `metric` on worlds of `kind`: rows of the study, without
+    their seeds."""
 
     kind: str
     metric: str
@@ -68,26 +77,15 @@ class Claim:
 
     @property
     def question(self) -> str | None:
-        """The question that it helps to answer: one of `QUESTIONS`, for claims that `proposed` is best."""
+        """The question that it helps to answer: one of `QUESTIONS`, for claims that `proposed` is
+        best."""
         asked = [question for question, metrics in ABOUT.items() if self.metric in metrics]
         return asked[0] if asked and self.best == "proposed" else None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Contrast:
-    """How much better one network is than another; positive where the first is."""
-
-    difference: float
-    low: float | None
-    """Lower end of the 95 % interval; None where there is one world."""
-    high: float | None
-    chance: float | None
-    """Two-sided probability of a difference so far from 0 where there is none; None where there is one world."""
-
-
 def claims() -> tuple[Claim, ...]:
-    """The claims of all bold cells. Two methods with equal figures are both bold, and neither is better than the
-    other."""
+    """The claims of all bold cells. Two methods with equal figures are both bold, and neither is
+    better than the other."""
     return tuple(
         Claim(kind=kind, metric=metric, best=ROWS[best], other=ROWS[other])
         for tables, metrics in ((paper.RECONSTRUCTION, METRICS), (paper.PLANNING, PLAN_METRICS))
@@ -110,68 +108,153 @@ def beside() -> tuple[Claim, ...]:
 
 
 def of_paths() -> tuple[Claim, ...]:
-    """The claims about paths, which the tables answer by the paths that each method has. A method that has none in the
-    tight trials has the better ones for it: so they are judged again on those trials where both have a path."""
+    """The claims about paths, which the tables answer by the paths that each method has. A method
+    that has none in the tight trials has the better ones for it: so they are judged again on those
+    trials where both have a path."""
     return tuple(claim for claim in claims() if claim.metric in ABOUT["Q3"])
 
 
-def judged(
-    drawn: Sequence["Draws"], asked: Sequence[Claim], seeds: Sequence[int], *, common: bool = False
-) -> list[dict[str, Any]]:
-    """Each of `asked` as JSON: what it says, its question, its verdict, its probability by Holm, and its contrast for
-    every pair of `seeds` whose networks are there, as rows named ``occ-s0``.
+def judge(records: Records) -> dict[str, Any]:
+    """All verdicts as JSON: ``claims``, ``beside`` and ``paths``, each claim as `decided` tells it;
+    ``verdicts``, the answers to the questions; and ``contrasts`` of runs of one seed, which have
+    none."""
+    by_kind = presets(records.measured)
+    spreads = {
+        (kind, metric): spread(losses(one, metric))
+        for kind, one in by_kind.items()
+        for metric in JUDGED
+    }
+    long = [name for name, run in records.runs.items() if waited(run) >= PATIENCE]
+    asked = {"claims": claims(), "beside": beside(), "paths": of_paths()}
+    found = {
+        part: decided(
+            [
+                compared(claim, by_kind[claim.kind], part == "paths")
+                for claim in some
+                if claim.kind in by_kind
+            ],
+            spreads,
+            long,
+        )
+        for part, some in asked.items()
+    }
+    told = [row for one in records.measured for row in contrasts(one, records.runs)]
+    return dict(finite({"verdicts": answers(found["claims"]), **found, "contrasts": told}))
 
-    A claim is confirmed where every pair has it so, refuted where every pair has it the other way, and the least of its
-    pairs is still told from chance at `LEVEL` among all claims that can be decided; it is undecided otherwise, and
-    where a method has fewer than two seeds. Means are over what each method has a value for, as in the tables; with
-    `common`, over what both of a pair have one for.
-    """
-    by_kind = {one.result.kind: one for one in drawn}
-    found = [_pairs(claim, by_kind[claim.kind], seeds, common) for claim in asked if claim.kind in by_kind]
-    chances = {number: chance for number, (_, pairs) in enumerate(found) if (chance := _least_sure(pairs)) is not None}
-    adjusted = dict(zip(chances, holm(list(chances.values())).tolist(), strict=True))
-    return [
-        vars(claim)
-        | {"question": claim.question, "verdict": _verdict(pairs, adjusted.get(number)), "holm": adjusted.get(number)}
-        | {"pairs": [{"best_seed": ours, "other_seed": theirs} | vars(one) for (ours, theirs), one in pairs.items()]}
-        for number, (claim, pairs) in enumerate(found)
-    ]
 
-
-Pairs = Mapping[tuple[int, int], Contrast]
-"""Contrasts by the seeds of the better and of the other method."""
-
-
-def _pairs(claim: Claim, drawn: "Draws", seeds: Sequence[int], common: bool) -> tuple[Claim, Pairs]:
-    ours, theirs = ({seed: f"{name}-s{seed}" for seed in seeds} for name in (claim.best, claim.other))
-    rows = drawn.result.methods.keys()
-    return claim, {
-        (first, second): drawn.gain(claim.metric, ours[first], theirs[second], common=common)
-        for first, second in product(seeds, seeds)
-        if {ours[first], theirs[second]} <= rows
+def compared(claim: Claim, measured: Measured, common: bool = False) -> dict[str, Any]:
+    """What is known of a claim, as JSON: what it says and its question; the difference of every
+    pair of networks, rows named ``occ-s0``, one of each method, and of all of them, positive where
+    the claim has it so; and the error of that over worlds, with its degrees of freedom. Means are
+    over what each method has a value for, as in the tables; with `common`, over what both of a pair
+    have one for."""
+    rows = {seeded(row): row for row in measured.rows}
+    ours, theirs = (
+        {seed: row for (method, seed), row in rows.items() if method == name and seed is not None}
+        for name in (claim.best, claim.other)
+    )
+    pairs = {(i, j): (ours[i], theirs[j]) for i, j in product(ours, theirs)}
+    whole = gain(measured, claim.metric, list(pairs.values()), common=common) if pairs else None
+    singles = {
+        seeds: gain(measured, claim.metric, [pair], common=common) for seeds, pair in pairs.items()
+    }
+    return {
+        **vars(claim),
+        "question": claim.question,
+        "difference": whole and whole.value,
+        "worlds_error": whole and whole.error,
+        "worlds_freedom": whole and whole.freedom,
+        "pairs": [
+            {"best_seed": i, "other_seed": j, "difference": one.value}
+            | dict(zip(("low", "high"), one.ends, strict=True))
+            for (i, j), one in singles.items()
+        ],
     }
 
 
-def _least_sure(pairs: Pairs) -> float | None:
-    """The largest probability of chance among the pairs, 1 where they differ to both sides; None where they cannot
-    decide."""
-    if any(len({pair[place] for pair in pairs}) < 2 for place in (0, 1)):
+def decided(
+    found: Sequence[dict[str, Any]],
+    spreads: Mapping[tuple[str, str], tuple[float, int]],
+    long: Collection[str],
+) -> list[dict[str, Any]]:
+    """What `compared` found, each with its interval over worlds and seeds, its probability by Holm,
+    and its verdict.
+
+    `spreads` are the variances of a seed and their degrees of freedom by kind and metric, and
+    `long` the runs that trained for as long as the paper's early stopping asks. A claim is decided
+    where chance in worlds and seeds has so large a difference with a probability of `LEVEL` at
+    most, among all claims that can be decided. Nothing can be of one world, or of a method with one
+    seed.
+    """
+    estimates = [_over_seeds(one, *spreads[one["kind"], one["metric"]]) for one in found]
+    chances = {n: one.chance for n, one in enumerate(estimates) if one and one.chance is not None}
+    adjusted = dict(zip(chances, holm(list(chances.values())).tolist(), strict=True))
+    told = []
+    for n, (one, whole) in enumerate(zip(found, estimates, strict=True)):
+        low, high = whole.ends if whole else (None, None)
+        chance, verdict = adjusted.get(n), "undecided"
+        if chance is not None and chance <= LEVEL:
+            runs = {
+                f"{one[side]}-s{pair[f'{side}_seed']}"
+                for pair in one["pairs"]
+                for side in ("best", "other")
+            }
+            against = "refuted" if runs <= set(long) else "contradicted"
+            verdict = "confirmed" if one["difference"] > 0 else against
+        told.append({**one, "low": low, "high": high, "holm": chance, "verdict": verdict})
+    return told
+
+
+def _over_seeds(one: Mapping[str, Any], variance: float, freedom: int) -> Estimate | None:
+    """The difference with its error over worlds and seeds; None where that is unknown."""
+    counts = [len({pair[side] for pair in one["pairs"]}) for side in ("best_seed", "other_seed")]
+    if min(counts) < 2 or not freedom:
         return None
-    if len({one.difference > 0 for one in pairs.values()}) > 1:
-        return 1.0
-    chances = [one.chance for one in pairs.values() if one.chance is not None]
-    return max(chances) if len(chances) == len(pairs) else None
+    parts = (
+        (one["worlds_error"] ** 2, one["worlds_freedom"]),
+        (variance * sum(1 / count for count in counts), freedom),
+    )
+    total = sum(part for part, _ in parts)
+    joined = total**2 / sum(part**2 / of for part, of in parts) if total else freedom
+    return Estimate(value=one["difference"], error=total**0.5, freedom=joined)
 
 
-def _verdict(pairs: Pairs, chance: float | None) -> Verdict:
-    if chance is None or chance > LEVEL:
-        return "undecided"
-    return "confirmed" if all(one.difference > 0 for one in pairs.values()) else "refuted"
+def losses(measured: Measured, metric: str) -> dict[str, float]:
+    """The mean of every network that has a seed, as something to be small."""
+    return {
+        row: float(_loss(metric, np.nanmean(measured.values(metric, row))))
+        for row in measured.rows
+        if seeded(row)[1] is not None and np.isfinite(measured.values(metric, row)).any()
+    }
+
+
+def spread(found: Mapping[str, float]) -> tuple[float, int]:
+    """The variance of a figure over training seeds, pooled over methods, and its degrees of
+    freedom; `found` are the figures of rows named ``occ-s0``."""
+    by_method: dict[str, list[float]] = {}
+    for row, value in found.items():
+        by_method.setdefault(seeded(row)[0], []).append(value)
+    freedom = sum(len(values) - 1 for values in by_method.values())
+    squares = sum(float(np.var(values)) * len(values) for values in by_method.values())
+    return (squares / freedom if freedom else math.nan), freedom
+
+
+def waited(run: Mapping[str, Any]) -> float:
+    """For how many epochs a run went on after the lowest loss in validation."""
+    best = min(run["curve"], key=lambda row: row["val_loss"])
+    return float((run["curve"][-1]["maps"] - best["maps"]) / run["samples"])
+
+
+def seeded(row: str) -> tuple[str, int | None]:
+    """The method and the seed of a row named ``occ-s0``; no seed where it has another name, as
+    ``occ-short``."""
+    name, _, seed = row.rpartition("-s")
+    return (name, int(seed)) if name and seed.isdecimal() else (row, None)
 
 
 def answers(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """What `judged` claims, of all kinds, say to each question: how many are confirmed, refuted and undecided, and the
-    verdict on which all of them agree, or else "undecided"."""
+    """What `judged` claims, of all kinds, say to each question: how many are confirmed, refuted and
+    undecided, and the verdict on which all of them agree, or else "undecided"."""
     answered = {}
     for question, text in QUESTIONS.items():
         said = Counter(claim["verdict"] for claim in found if claim["question"] == question)
@@ -186,76 +269,35 @@ def _loss(metric: str, value: Any) -> Any:
     return -value if better == "higher" else value if better == "lower" else np.abs(value)
 
 
-def contrasts(drawn: "Draws", runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """How much better each of `runs` is than the one that it is compared with, by `TOLD`, as JSON: one seed, so that
-    no verdict follows."""
-    return [
-        {"run": run.name, "against": run.against, "kind": drawn.result.kind, "metric": metric}
-        | vars(drawn.gain(metric, run.name, run.against))
-        for run in runs
-        if run.against in drawn.result.methods
-        for metric in TOLD
-    ]
+def contrasts(measured: Measured, runs: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """How much better each of `runs` is than the one that it is compared with, by `TOLD`, as JSON:
+    one seed, so that no verdict follows."""
+    told = []
+    for name, metric in product(runs, TOLD):
+        if name in measured.rows and (against := runs[name]["against"]) in measured.rows:
+            one = gain(measured, metric, [(name, against)])
+            low, high = one.ends
+            about = {"run": name, "against": against, "kind": measured.kind, "metric": metric}
+            told.append({**about, "difference": one.value, "low": low, "high": high})
+    return told
 
 
-class Draws:
-    """The means of a bench's rows over resamples of its worlds, the same resamples for all of them."""
+def gain(
+    measured: Measured, metric: str, pairs: Sequence[tuple[str, str]], *, common: bool = False
+) -> Estimate:
+    """By how much the first of each of `pairs` of rows is better than the second, in the mean of
+    all pairs: each by its own values, as in the tables, or, with `common`, by what both have a
+    value for."""
+    values = np.array([[measured.values(metric, row) for row in pair] for pair in pairs])
+    held = np.isfinite(values)
+    if common:
+        held &= held.all(axis=1, keepdims=True)
+    sums = np.stack([np.where(held, values, 0.0), held]).reshape(-1, values.shape[-1]).T
 
-    def __init__(self, result: DatasetResult, seed: int):
-        """`seed` is the bootstrap's."""
-        self.result = result
-        self._of_maps, self._of_trials = _Worlds(result.worlds, seed), _Worlds(result.trial_worlds, seed)
-        self._losses: dict[tuple[str, str, str], NDArray[np.float64]] = {}
+    def of(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+        total, count = np.moveaxis(sums.reshape(len(sums), 2, len(pairs), 2), 1, 0)
+        with np.errstate(invalid="ignore"):  # worlds without a path say nothing
+            lost = _loss(metric, total / count)
+        return np.asarray((lost[..., 1] - lost[..., 0]).mean(axis=1))
 
-    def gain(self, metric: str, best: str, other: str, *, common: bool = False) -> Contrast:
-        """By how much row `best` is better than row `other`: each by its own values, as in the tables, or, with
-        `common`, by what both have a value for."""
-        gains = self._loss(metric, other, best if common else other) - self._loss(
-            metric, best, other if common else best
-        )
-        difference, resampled = float(gains[0]), gains[1:][np.isfinite(gains[1:])]
-        if self._of_maps.count < 2 or not len(resampled):
-            return Contrast(difference=difference, low=None, high=None, chance=None)
-        low, high = np.percentile(resampled, [2.5, 97.5])
-        beyond = min(np.count_nonzero(resampled <= 0), np.count_nonzero(resampled >= 0))
-        chance = min(2 * (beyond + 1) / (len(resampled) + 1), 1.0)
-        return Contrast(difference=difference, low=float(low), high=float(high), chance=chance)
-
-    def _loss(self, metric: str, name: str, also: str) -> NDArray[np.float64]:
-        """The mean of row `name`, where `also` has values, too, as something to be small, (1 + DRAWS,): of all worlds
-        first, then of each resample."""
-        key = metric, name, also
-        if key not in self._losses:
-            values = self._values(metric, name)
-            there = np.isfinite(self._values(metric, also))
-            worlds = self._of_maps if metric in METRICS else self._of_trials
-            self._losses[key] = _loss(metric, worlds.means(np.where(there, values, np.nan)))
-        return self._losses[key]
-
-    def _values(self, metric: str, name: str) -> NDArray[np.float64]:
-        """The metric of every map, or of every trial."""
-        row = self.result.methods[name]
-        if metric in METRICS:
-            return np.asarray(row.reconstruction[:, 0, list(METRICS).index(metric)])
-        of = PLAN_METRICS[metric].of
-        return np.array([of(trial) for trial in row.trials], np.float64)
-
-
-class _Worlds:
-    """Resamples of worlds with replacement, for values that belong to them."""
-
-    def __init__(self, worlds: NDArray[np.int64], seed: int):
-        """`worlds` (N,) names the world of every value."""
-        names, self._member = np.unique(worlds, return_inverse=True)
-        self.count = len(names)
-        self._weights = np.vstack([np.ones(self.count), resamples(self.count, np.random.default_rng(seed), DRAWS)])
-
-    def means(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The mean of `values` (N,) that are finite: of all worlds first, then of each resample, (1 + DRAWS,)."""
-        held = np.isfinite(values)
-        sums, counts = (
-            np.bincount(self._member[held], weights=part[held], minlength=self.count)
-            for part in (values, np.ones(len(values)))
-        )
-        with np.errstate(invalid="ignore"):  # a draw of worlds without a path says nothing
-            return np.asarray((self._weights @ sums) / (self._weights @ counts))
+    return estimate(sums, measured.worlds_of(metric), of)

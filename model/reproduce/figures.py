@@ -8,23 +8,35 @@ from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.study import figures as of_bench
 
 Study = Mapping[str, Any]
-COLOURS = {"confirmed": "C0", "refuted": "C1", "undecided": "0.5"}
+COLOURS = {"confirmed": "C0", "refuted": "C3", "contradicted": "C1", "undecided": "0.5"}
 CURVES = {"val_loss": "validation loss", "val_iou": "IoU", "val_near_rmse": "Near-RMSE, m"}
 """What is shown of a run while it learns."""
 
 
 def draw(study: Study) -> dict[str, bytes]:
-    """Every picture by its file's name, PNG: the study's own, and those of its bench, of one seed. Raises ImportError
-    without matplotlib."""
-    own = {"learning.png": learning, "claims.png": claims, "choices.png": choices, "samples.png": samples}
+    """Every picture by its file's name, PNG: the study's own, and those of its bench, of one seed.
+    Raises ImportError without matplotlib."""
+    own = {
+        "learning.png": learning,
+        "claims.png": claims,
+        "choices.png": choices,
+        "samples.png": samples,
+    }
     found = {name: drawn(study) for name, drawn in own.items()}
-    return {name: picture for name, picture in found.items() if picture} | of_bench.draw(_first_seed(study))
+    return {name: picture for name, picture in found.items() if picture} | of_bench.draw(
+        _first_seed(study)
+    )
 
 
 def learning(study: Study) -> bytes:
-    """Loss, IoU and Near-RMSE on validation by the maps that a run has seen; runs with the whole budget."""
+    """Loss, IoU and Near-RMSE on validation by the maps that a run has seen; runs with the whole
+    budget."""
     figure = _figure(12, 3.6)
-    shown = {name: run for name, run in study["runs"].items() if run["against"] is None and name[-3:-1] == "-s"}
+    shown = {
+        name: run
+        for name, run in study["runs"].items()
+        if run["against"] is None and name[-3:-1] == "-s"
+    }
     kinds = list(dict.fromkeys(name[:-3] for name in shown))
     for axes, (column, title) in zip(figure.subplots(1, len(CURVES)), CURVES.items(), strict=True):
         for name, run in shown.items():
@@ -41,28 +53,33 @@ def learning(study: Study) -> bytes:
 
 
 def claims(study: Study) -> bytes | None:
-    """Every claim's difference by each pair of seeds, with its interval, in units of its metric; None where no claim
-    has networks."""
+    """Every claim's difference with its interval over worlds and seeds, in units of its metric;
+    None where no claim has networks."""
     kinds = list(study["report"]["datasets"])
     tried = [claim for claim in study["claims"] if claim["pairs"]]
     if not tried:
         return None
-    figure = _figure(12, 1.2 + 0.3 * max(sum(claim["kind"] == kind for claim in tried) for kind in kinds))
+    figure = _figure(
+        12, 1.2 + 0.3 * max(sum(claim["kind"] == kind for claim in tried) for kind in kinds)
+    )
     for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
         rows = [claim for claim in tried if claim["kind"] == kind]
         _forest(
             axes,
             [f"{_title(one['metric'])}: {one['best']} before {one['other']}" for one in rows],
-            [one["pairs"] for one in rows],
+            [[one] for one in rows],
             [COLOURS[one["verdict"]] for one in rows],
         )
         axes.set_title(f"{kind}: better by", fontsize="medium")
-    figure.suptitle("blue: confirmed; orange: refuted; grey: undecided", fontsize="small")
+    figure.suptitle(
+        "blue: confirmed; red: refuted; orange: contradicted; grey: undecided", fontsize="small"
+    )
     return _png(figure)
 
 
 def choices(study: Study) -> bytes | None:
-    """What each choice of the short runs is worth against the run that lacks it; None without such runs."""
+    """What each choice of the short runs is worth against the run that lacks it; None without such
+    runs."""
     rows = study["contrasts"]
     if not rows:
         return None
@@ -72,7 +89,9 @@ def choices(study: Study) -> bytes | None:
         held = [row for row in rows if row["metric"] == metric]
         names = list(dict.fromkeys((row["run"], row["against"]) for row in held))
         found = [[row for row in held if row["run"] == run] for run, _ in names]
-        _forest(axes, [f"{run} against {against}" for run, against in names], found, ["C0"] * len(names))
+        _forest(
+            axes, [f"{run} against {against}" for run, against in names], found, ["C0"] * len(names)
+        )
         axes.set(title=f"{_title(metric)}: better by ({', '.join(kinds)})")
     return _png(figure)
 
@@ -82,7 +101,10 @@ def samples(study: Study) -> bytes | None:
     fewer = [name for name, run in study["runs"].items() if "-of-" in name]
     if not fewer or (base := study["runs"][fewer[0]]["against"]) not in study["runs"]:
         return None
-    tables, counts = study["short"]["reconstruction"], {name: study["runs"][name]["samples"] for name in (*fewer, base)}
+    tables, counts = (
+        study["short"]["reconstruction"],
+        {name: study["runs"][name]["samples"] for name in (*fewer, base)},
+    )
     figure = _figure(9, 3.4)
     for axes, metric in zip(figure.subplots(1, 2), ("iou", "near_rmse"), strict=True):
         for kind, rows in tables.items():
@@ -102,7 +124,10 @@ def samples(study: Study) -> bytes | None:
 
 
 def _forest(
-    axes: Any, names: Sequence[str], rows: Sequence[Sequence[Mapping[str, Any]]], colours: Sequence[str]
+    axes: Any,
+    names: Sequence[str],
+    rows: Sequence[Sequence[Mapping[str, Any]]],
+    colours: Sequence[str],
 ) -> None:
     """A line a name, from the top; a point with an interval for each of its differences."""
     for n, (found, colour) in enumerate(zip(rows, colours, strict=True)):
@@ -110,7 +135,14 @@ def _forest(
             if one["difference"] is not None:
                 shown = {"mean": one["difference"], "low": one["low"], "high": one["high"]}
                 at = n + 0.2 * (m - (len(found) - 1) / 2)
-                axes.errorbar(one["difference"], at, xerr=_errors([shown]), fmt="os"[m % 2], color=colour, markersize=4)
+                axes.errorbar(
+                    one["difference"],
+                    at,
+                    xerr=_errors([shown]),
+                    fmt="os"[m % 2],
+                    color=colour,
+                    markersize=4,
+                )
     axes.axvline(0, color="grey", linewidth=0.8)
     axes.set_yticks(range(len(names)), names, fontsize="small")
     axes.set_ylim(len(names) - 0.5, -0.5)
@@ -119,9 +151,15 @@ def _forest(
 
 def _errors(figures: Sequence[Mapping[str, Any]]) -> list[list[float]]:
     """How far the intervals reach below and above the means, (2, N); 0 where there is none."""
-    lows, highs = ([one["mean"] if one[end] is None else one[end] for one in figures] for end in ("low", "high"))
+    lows, highs = (
+        [one["mean"] if one[end] is None else one[end] for one in figures]
+        for end in ("low", "high")
+    )
     means = [one["mean"] for one in figures]
-    pairs = ((max(mean - low, 0), max(high - mean, 0)) for mean, low, high in zip(means, lows, highs, strict=True))
+    pairs = (
+        (max(mean - low, 0), max(high - mean, 0))
+        for mean, low, high in zip(means, lows, highs, strict=True)
+    )
     below, above = zip(*pairs, strict=True)
     return [list(below), list(above)]
 

@@ -1,4 +1,5 @@
-"""The bench of a study: every row is measured once, and kept while its network, its data and its settings stay."""
+"""The bench of a study: every row is measured once, and kept while its network, its data and its
+settings stay."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -43,18 +44,25 @@ class Row:
 def rows_of(
     out: Path, folders: Mapping[str, Sequence[Path]], done: Sequence[Run], config: ReproduceConfig
 ) -> Iterator[Row]:
-    """For each dataset what needs no network, then every network of `done` on the worlds that it is of.
+    """For each dataset what needs no network, then every network of `done` on the worlds that it is
+    of.
 
-    Networks with the whole budget are studied, and so is, on the presets, what needs no network; others have their rows
-    in the tables.
+    Networks with the whole budget are studied, and so is, on the presets, what needs no network;
+    others have their rows in the tables.
     """
-    for worlds, folder in ((worlds, folder) for worlds, several in folders.items() for folder in several):
+    for worlds, folder in (
+        (worlds, folder) for worlds, several in folders.items() for folder in several
+    ):
         usual = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed, study=not worlds)
         unlearned = Completed(Returns()), Completed(Extrude()), Truth(), Seen()
-        parts: list[tuple[str, str, tuple[Method, ...], BenchConfig]] = [("unlearned", "", unlearned, usual)]
+        parts: list[tuple[str, str, tuple[Method, ...], BenchConfig]] = [
+            ("unlearned", "", unlearned, usual)
+        ]
         for run in (run for run in done if run.worlds == worlds):
             network = out / "runs" / run.name
-            at = replace(usual, study=run.share == 1, thresholds=Thresholds(probability=run.probability))
+            at = replace(
+                usual, study=run.share == 1, thresholds=Thresholds(probability=run.probability)
+            )
             parts.append((run.name, file_sha256(network / BEST), (Pretrained(str(network)),), at))
         for name, network_digest, methods, asked in parts:
             digest = str(Dataset(folder).manifest.digest)
@@ -86,5 +94,7 @@ def measure(rows: Sequence[Row], workers: int, shown: "Progress") -> dict[Path, 
     whole = {}
     for folder in dict.fromkeys(row.dataset for row in rows):
         parts = [found[row.file] for row in rows if row.dataset == folder]
-        whole[folder] = replace(parts[0], methods={name: row for part in parts for name, row in part.methods.items()})
+        whole[folder] = replace(
+            parts[0], methods={name: row for part in parts for name, row in part.methods.items()}
+        )
     return whole

@@ -1,7 +1,7 @@
-"""From a seed to the study's report, stage by stage: what is there is kept, what is damaged is made again."""
+"""From a seed to the study's report, stage by stage: what is there is kept, what is damaged is made
+again."""
 
 import json
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -18,14 +18,16 @@ from scenegen.errors import DatasetError, printable
 from scenegen.files import disk_error, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_network
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.reproduce.claims import Draws, answers, beside, claims, contrasts, judged, of_paths
+from scenegen.model.reproduce.claims import judge
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.figures import draw
-from scenegen.model.reproduce.report import to_markdown
+from scenegen.model.reproduce.records import Measured, Records
+from scenegen.model.reproduce.report import SHOWN, to_markdown
 from scenegen.model.reproduce.rows import measure, rows_of
-from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, RUNS, SEEDS, Run
+from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, RUNS, Run
 from scenegen.model.training.curve import read_rows
 from scenegen.model.training.data import opened
 from scenegen.model.training.device import choose_device
@@ -38,9 +40,18 @@ from scenegen.workers import run as run_workers
 if TYPE_CHECKING:
     from scenegen.terminal.progress import Progress
 
-SETTINGS, STUDY, TEXT, FIGURES = "settings.json", "study.json", "study.md", "figures"
+SETTINGS, RECORDS, STUDY, TEXT, FIGURES = (
+    "settings.json",
+    "records.npz",
+    "study.json",
+    "study.md",
+    "figures",
+)
 CURVE = ("maps", "seconds", "train_loss", "val_loss", "val_occupancy", "val_iou", "val_near_rmse")
 """What is told of every round of a run."""
+VARIED = ("planning", "by_range")
+UNSHOWN = {*METRICS, *PLAN_METRICS} - {"iou", "near_mae", "success"}
+"""Parts of a bench's study, and the metrics that nothing shows of them."""
 
 
 def reproduce(
@@ -51,10 +62,11 @@ def reproduce(
     workers: int = 1,
     progress: Callable[[str], "Progress"],
 ) -> dict[str, Any]:
-    """Make the study of `config` in the folder `out`, or go on with it, and return what ``study.json`` holds.
+    """Make the study of `config` in the folder `out`, or go on with it, and return what
+    ``study.json`` holds.
 
-    On a CPU, `workers` networks are trained side by side, one thread each; on a GPU, one after the other. Raises
-    DatasetError for a folder that holds another study, and what its stages raise.
+    On a CPU, `workers` networks are trained side by side, one thread each; on a GPU, one after the
+    other. Raises DatasetError for a folder that holds another study, and what its stages raise.
     """
     begin(out, config)
     chosen = runs(config)
@@ -70,23 +82,27 @@ def reproduce(
             shown.count(maps)
     found = measure(list(rows_of(out, folders, done, config)), workers, progress("bench"))
     measured = {name: [found[folder] for folder in several] for name, several in folders.items()}
-    drawn = {name: [Draws(one, config.seed) for one in several] for name, several in measured.items()}
+    records = Records(
+        runs={run.name: _told(run, out / "runs" / run.name) for run in done},
+        measured=tuple(
+            Measured.of(name, one) for name, several in measured.items() for one in several
+        ),
+    )
+    records.write(out / RECORDS)
     presets, short = measured.pop(""), {run.name for run in done if run.share < 1}
-    said, others = (judged(drawn[""], asked, SEEDS) for asked in (claims(), beside()))
     study = {
         "settings": {name: value for name, value in asdict(config).items() if name != "only"},
         "commit": commit(),
         "missing": [run.name for run in RUNS if run not in done],
-        "runs": {run.name: _told(run, out / "runs" / run.name) for run in done},
-        "verdicts": answers(said),
-        "claims": said,
-        "beside": others,
-        "paths": judged(drawn[""], of_paths(), SEEDS, common=True),
-        "contrasts": [row for several in drawn.values() for one in several for row in contrasts(one, done)],
-        "report": _report(presets, lambda name: name not in short, config.seed),
-        "short": _report(presets, lambda name: name in short, config.seed),
+        "runs": records.runs,
+        **judge(records),
+        "report": _shown(_report(presets, lambda name: name not in short)),
+        "short": _brief(_report(presets, lambda name: name in short)),
         "elsewhere": {
-            name: {"asks": ELSEWHERE[name].asks, "report": _report(several, lambda name: True, config.seed)}
+            name: {
+                "asks": ELSEWHERE[name].asks,
+                "report": _brief(_report(several, lambda name: True)),
+            }
             for name, several in measured.items()
         },
     }
@@ -107,9 +123,11 @@ def runs(config: ReproduceConfig) -> tuple[Run, ...]:
 
 
 def begin(out: Path, config: ReproduceConfig) -> None:
-    """Begin a study in `out`, or go on with the one that was begun with `config`; which runs it has may change.
+    """Begin a study in `out`, or go on with the one that was begun with `config`; which runs it has
+    may change.
 
-    Raises DatasetError where the folder holds a study of other settings, and where the disk refuses.
+    Raises DatasetError where the folder holds a study of other settings, and where the disk
+    refuses.
     """
     asked = {name: value for name, value in asdict(config).items() if name != "only"}
     try:
@@ -118,9 +136,16 @@ def begin(out: Path, config: ReproduceConfig) -> None:
         raise disk_error(out, error) from None
     there = _read(out / SETTINGS)
     if there is None:
+        if taken := next(
+            (name for name in (SETTINGS, STUDY, TEXT, FIGURES) if (out / name).exists()), None
+        ):
+            raise DatasetError(f"{out}: holds {taken}, and no study of ours; choose another --out")
         write_whole(out / SETTINGS, (json.dumps(asked, indent=1) + "\n").encode())
     elif unlike := differences(there, asked):
-        raise DatasetError(f"{out}: was begun with other settings ({'; '.join(unlike)}); give those, or another --out")
+        raise DatasetError(
+            f"{out}: was begun with other settings ({'; '.join(unlike)}); give those, or another "
+            f"--out"
+        )
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -133,18 +158,35 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _datasets(
-    folder: Path, worlds: str, config: ReproduceConfig, workers: int, progress: Callable[[str], "Progress"]
+    folder: Path,
+    worlds: str,
+    config: ReproduceConfig,
+    workers: int,
+    progress: Callable[[str], "Progress"],
 ) -> list[Path]:
-    """Those of all kinds in `worlds`, made or gone on with; shards that are damaged are made again."""
+    """Those of all kinds in `worlds`, made or gone on with; shards that are damaged are made
+    again."""
     made = []
     for kind in KINDS:
-        recipe = make_recipe(kind, dict(ELSEWHERE[worlds].tables[kind]) if worlds else {}, where=worlds)
+        recipe = make_recipe(
+            kind, dict(ELSEWHERE[worlds].tables[kind]) if worlds else {}, where=worlds
+        )
         plan = plan_dataset(
-            folder / worlds / kind, recipe, DrawnWorlds(recipe), seed=config.seed, counts=config.counts, compact=True
+            folder / worlds / kind,
+            recipe,
+            DrawnWorlds(recipe),
+            seed=config.seed,
+            counts=config.counts,
+            compact=True,
         )
         shown = progress(f"{worlds} {kind}".strip())
         with shown:
-            build(plan, workers=workers, on_start=partial(shown.start, plan.samples), on_shard=partial(_count, shown))
+            build(
+                plan,
+                workers=workers,
+                on_start=partial(shown.start, plan.samples),
+                on_shard=partial(_count, shown),
+            )
         made.append(plan.folder)
     return made
 
@@ -161,7 +203,8 @@ def _train(
     shown: "Progress | None",
     run: Run,
 ) -> int:
-    """Train, or go on; a run whose state is damaged begins again. Returns the maps that are not yet counted."""
+    """Train, or go on; a run whose state is damaged begins again. Returns the maps that are not yet
+    counted."""
     if device == "cpu":
         torch.set_num_threads(1)
     folder, settings = out / "runs" / run.name, run.config(config.scaled(config.maps))
@@ -183,7 +226,7 @@ def _train(
             go_on()
         load_network(folder / BEST)
     except CheckpointError:
-        shutil.rmtree(folder)
+        RunFolder(folder).clear()
         go_on()
     return 0 if shown else settings.maps or 0
 
@@ -195,17 +238,24 @@ def _complete(folder: Path, run: Run, config: ReproduceConfig) -> bool:
         return False
     there = RunFolder(folder).settings()
     given = json.loads(json.dumps(asdict(asked)))
-    given["network"]["height"] = there["network"]["height"]  # which the data give, as the device does the precision
-    if differences(there, there | {name: value for name, value in given.items() if name != "precision"}):
+    given["network"]["height"] = there["network"][
+        "height"
+    ]  # which the data give, as the device does the precision
+    if differences(
+        there, there | {name: value for name, value in given.items() if name != "precision"}
+    ):
         return False
     return read_rows(folder / ROWS)[-1]["maps"] > asked.maps - asked.batch
 
 
 def _told(run: Run, folder: Path) -> dict[str, Any]:
-    """What is told of a finished run: what it is for, its settings, hardware, time and curve, its network's digest."""
+    """What is told of a finished run: what it is for, its settings, hardware, time and curve, its
+    network's digest."""
     held = _read(folder / CONFIG)
     if held is None:
-        raise DatasetError(f"{folder / CONFIG}: is damaged; remove the folder, and the run is made again")
+        raise DatasetError(
+            f"{folder / CONFIG}: is damaged; remove the folder, and the run is made again"
+        )
     curve = read_rows(folder / ROWS)
     return {
         "asks": run.asks,
@@ -219,9 +269,49 @@ def _told(run: Run, folder: Path) -> dict[str, Any]:
     } | {name: held.get(name) for name in ("settings", "device", "commit", "command")}
 
 
-def _report(measured: Sequence[DatasetResult], named: Callable[[str], bool], seed: int) -> dict[str, Any]:
-    """The bench's report of those rows whose names are `named`."""
-    chosen = [replace(one, methods={name: row for name, row in one.methods.items() if named(name)}) for one in measured]
+def _report(measured: Sequence[DatasetResult], named: Callable[[str], bool]) -> dict[str, Any]:
+    """The bench's report of those rows whose names are `named`, to five digits."""
+    chosen = [
+        replace(one, methods={name: row for name, row in one.methods.items() if named(name)})
+        for one in measured
+    ]
     studied = [all(row.study is not None for row in one.methods.values()) for one in chosen]
-    chosen = [replace(one, config=replace(one.config, study=whole)) for one, whole in zip(chosen, studied, strict=True)]
-    return build_report(chosen, seed=seed, about={"split": measured[0].config.split}, tests=False)
+    chosen = [
+        replace(one, config=replace(one.config, study=whole))
+        for one, whole in zip(chosen, studied, strict=True)
+    ]
+    report = build_report(chosen, seed=0, about={"split": measured[0].config.split}, tests=False)
+    return dict(
+        json.loads(json.dumps(report), parse_float=lambda digits: float(f"{float(digits):.5g}"))
+    )
+
+
+def _shown(report: Mapping[str, Any]) -> dict[str, Any]:
+    """A report with only what the text and the figures show of its study."""
+
+    def slim(row: Mapping[str, Any]) -> dict[str, Any]:
+        rows = {
+            name: [{k: v for k, v in one.items() if k not in UNSHOWN} for one in row[name]]
+            for name in VARIED
+        }
+        held = row["reliability"]
+        return {**row, **rows, "reliability": held and {"map": held["map"]}}
+
+    studied = report.get("study", {})
+    return {
+        **report,
+        "study": {
+            kind: {name: slim(row) for name, row in rows.items()} for kind, rows in studied.items()
+        },
+    }
+
+
+def _brief(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of its figures that the text shows."""
+    return {
+        table: {
+            kind: {row: {name: figures[name] for name in names} for row, figures in rows.items()}
+            for kind, rows in report[table].items()
+        }
+        for table, names in SHOWN.items()
+    }

@@ -1,1 +1,2 @@
-"""Networks learn: samples in a seeded order, the loop, its validation, and the folder that a run leaves."""
+"""Networks learn: samples in a seeded order, the loop, its validation, and the folder that a run
+leaves."""

@@ -1,4 +1,5 @@
-"""A network's card: what it is, what it was trained on, what it is worth, and what it is not good for."""
+"""A network's card: what it is, what it was trained on, what it is worth, and what it is not good
+for."""
 
 import re
 from collections.abc import Mapping
@@ -15,53 +16,60 @@ GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated dis
 
 def card(name: str, about: Mapping[str, Any]) -> str:
     """The card of a network, as Markdown, from what its file's header says `about` it."""
-    settings, figures = about["settings"], about["figures"]
-    network = {"inputs": ["observed"]} | settings["network"]  # which networks of earlier commits do not name
+    settings, figures, command = about["settings"], about["figures"], about["command"]
+    network = {"inputs": ["observed"]} | settings[
+        "network"
+    ]  # which networks of earlier commits do not name
+    known = VARIANTS.get(network["variant"])  # of a user's own nobody says what it gives
+    tasks = [what for task, what in GIVES.items() if known and task in known.tasks]
+    gives = " and gives " * bool(tasks) + " and ".join(tasks)
     occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
-    shown = {"val_loss": "loss"} | {f"val_{name}": metric.label for name, metric in occupancy_first}
-    shown = {key: label for key, label in shown.items() if key in figures}
-    shares = [f" (weight {share})" for share in settings.get("shares", ())] or [""] * len(settings["kinds"])
-    data = ", ".join(
-        f"{kind} {digest[:16]}…{share}"
-        for kind, digest, share in zip(settings["kinds"], settings["datasets"], shares, strict=True)
+    labels = {"val_loss": "loss"} | {
+        f"val_{name}": metric.label for name, metric in occupancy_first
+    }
+    shown = [key for key in labels if key in figures]
+    shares = [f" (weight {share})" for share in settings.get("shares", ())] or [""] * len(
+        settings["kinds"]
     )
-    versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
-    lines = [
-        f"# {name}",
-        "",
-        f"A completion network of scenegen: variant `{network['variant']}`, width {network['width']}, stem stride "
-        f"{network['stem_stride']}. It takes {', '.join(network['inputs'])} of one map and gives "
-        + " and ".join(GIVES[task] for task in GIVES if task in VARIANTS[network["variant"]].tasks)
-        + ".",
-        "",
-        "| trained | |",
-        "|---|---|",
-        f"| on | {_amount(settings)} {data} |",
-        f"| by | `{about['command']}` |",
-        f"| for | {_length(settings, figures)}, "
-        f"batch {settings['batch']}, AdamW at {settings['lr']:g}, seed {settings['seed']}, {settings['precision']} |",
-        f"| on hardware | {about['device']} |",
-        f"| with | commit {about['commit']}; {versions} |",
-        "",
-        "Means over the validation split at the paper's thresholds, whole maps:",
-        "",
-        "| " + " | ".join(shown.values()) + " |",
-        "|---" * len(shown) + "|",
-        "| " + " | ".join(f"{figures[key]:.3f}" for key in shown) + " |",
-        "",
-    ]
-    if settings["epochs"] < FULL_EPOCHS and settings.get("maps") is None:
-        full = re.sub(rf" --epochs[ =]{settings['epochs']}\b", "", about["command"])
-        lines += [
-            f"This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and stops when validation has "
-            f"not improved for {settings['patience']}: `{full}`.",
-            "",
-        ]
-    lines += [
-        "Limits: the network knows the worlds, the sensor and the grid that it was trained on, and nothing else. It "
-        "takes one scan and no history. Where no ray came near, it repeats what was usual in training. " + _sure(about),
-    ]
-    return "\n".join(lines) + "\n"
+    parts = zip(settings["kinds"], settings["datasets"], shares, strict=True)
+    data = ", ".join(f"{kind} {digest[:16]}…{share}" for kind, digest, share in parts)
+    samples, epochs, full = settings["samples"], settings["epochs"], ""
+    amount = (
+        "samples of which each was seen once: stream"
+        if samples is None
+        else f"{samples} samples: datasets"
+    )
+    length = f"{figures['epoch']:.0f} epochs to the best of {epochs} at most"
+    if "maps" in figures:
+        length = f"{figures['maps']:.0f} maps seen"
+    if epochs < FULL_EPOCHS and settings.get("maps") is None:
+        full = f"""This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and stops when \
+validation has not improved for {settings["patience"]}: `{re.sub(f" --epochs[ =]{epochs}(?![0-9])", "", command)}`.
+
+"""
+    return f"""# {name}
+
+A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}, stem stride \
+{network["stem_stride"]}. It takes {", ".join(network["inputs"])} of one map{gives}.
+
+| trained | |
+|---|---|
+| on | {amount} {data} |
+| by | `{command}` |
+| for | {length}, batch {settings["batch"]}, AdamW at {settings["lr"]:g}, seed {settings["seed"]}, \
+{settings["precision"]} |
+| on hardware | {about["device"]} |
+| with | commit {about["commit"]}; {", ".join(f"{name} {version}" for name, version in about["versions"].items())} |
+
+Means over the validation split at the paper's thresholds, whole maps:
+
+| {" | ".join(labels[key] for key in shown)} |
+{"|---" * len(shown)}|
+| {" | ".join(f"{figures[key]:.3f}" for key in shown)} |
+
+{full}Limits: the network knows the worlds, the sensor and the grid that it was trained on, and nothing else. It takes \
+one scan and no history. Where no ray came near, it repeats what was usual in training. {_sure(about)}
+"""
 
 
 def _sure(about: Mapping[str, Any]) -> str:
@@ -74,20 +82,9 @@ def _sure(about: Mapping[str, Any]) -> str:
         return f"Its probabilities are not calibrated, but as they were learned, {learned}."
     temperature = "" if held["temperature"] is None else f", temperature {held['temperature']:.3f}"
     return (
-        f"`occupancy_probability` is as it was learned, {learned}; `probability`, bounds of distance and the risk of "
-        f"paths are calibrated, on {held['worlds']} worlds of validation{temperature}, down to a risk of "
+        f"`occupancy_probability` is as it was learned, {learned}; `probability`, bounds of "
+        f"distance and the risk of "
+        f"paths are calibrated, on {held['worlds']} worlds of validation{temperature}, down to a "
+        f"risk of "
         f"{min(held['risks']):g}."
     )
-
-
-def _amount(settings: Mapping[str, Any]) -> str:
-    """How many samples of what a network was trained on."""
-    samples = settings["samples"]
-    return f"{samples} samples: datasets" if samples is not None else "samples of which each was seen once: stream"
-
-
-def _length(settings: Mapping[str, Any], figures: Mapping[str, float]) -> str:
-    """How long a network was trained."""
-    if "maps" not in figures:
-        return f"{figures['epoch']:.0f} epochs to the best of {settings['epochs']} at most"
-    return f"{figures['maps']:.0f} maps seen"

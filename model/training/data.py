@@ -1,4 +1,5 @@
-"""Samples as torch sees them: named maps by number, batches in a seeded order, distances derived where the batch is."""
+"""Samples as torch sees them: named maps by number, batches in a seeded order, distances derived
+where the batch is."""
 
 import itertools
 import math
@@ -18,7 +19,7 @@ from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.gather.survey import check_disjoint
 from scenegen.mapping import Mapper
-from scenegen.model.inputs import INPUTS, SYMMETRIES, of_sample, turned
+from scenegen.model.inputs import SYMMETRIES, channels, turned
 from scenegen.sample import Sample
 from scenegen.streaming.batches import Batches
 from scenegen.streaming.mixture import fraction, parts_of
@@ -26,8 +27,8 @@ from scenegen.streaming.stream import Stream
 from scenegen.truth import distance_field
 
 LOADERS = 8
-"""Loader processes, and any number that divides this, among which a stream's batches are dealt so that each flight is
-drawn once. The order of batches is the same for any number."""
+"""Loader processes, and any number that divides this, among which a stream's batches are dealt so
+that each flight is drawn once. The order of batches is the same for any number."""
 
 SAME_RAY = 1e-6
 """How far two rays of one direction may be apart, as unit vectors: what rounding takes."""
@@ -41,8 +42,8 @@ class LoaderError(DatasetError):
 
 
 class Samples(Protocol):
-    """What can be trained on: numbered samples with named fields. A split of a dataset is one; so is anything else that
-    has these, and travels to processes that read."""
+    """What can be trained on: numbered samples with named fields. A split of a dataset is one; so
+    is anything else that has these, and travels to processes that read."""
 
     grid: GridSpec
     lidar: Sensor
@@ -53,7 +54,8 @@ class Samples(Protocol):
     digest: str
     """What tells these samples from all others: a run with another digest is another run."""
 
-    # where samples have a `weight` that is not None, as those of `opened` may, they come in proportion to it
+    # where samples have a `weight` that is not None, as those of `opened` may, they come in
+    # proportion to it
 
     def __len__(self) -> int: ...
 
@@ -84,43 +86,55 @@ class SplitSamples:
 
 
 def opened(folders: Any, split: str, share: float = 1.0) -> list[Samples]:
-    """The samples of one split of every dataset in `folders`, or the first `share` of them. Raises DatasetError for a
-    folder that holds none, and where a merged or taken dataset has samples of another one.
+    """The samples of one split of every dataset in `folders`, or the first `share` of them. Raises
+    DatasetError for a folder that holds none, and where a merged or taken dataset has samples of
+    another one.
 
-    `folders` is a list of them, or of pairs (folder, weight), or a mapping to weights, as a stream's parts are. Weights
-    are numbers above 0, in proportion to which samples come in training, however many each dataset holds; without any,
-    each sample comes once a pass.
+    `folders` is a list of them, or of pairs (folder, weight), or a mapping to weights, as a
+    stream's parts are. Weights are numbers above 0, in proportion to which samples come in
+    training, however many each dataset holds; without any, each sample comes once a pass.
     """
-    parts = parts_of(folders) if isinstance(folders, Mapping) else [_part(one) for one in folders]
+    if isinstance(folders, Mapping):
+        folders = parts_of(folders)
+    parts = [one if isinstance(one, tuple) else (one, None) for one in folders]
     datasets = [SampleDataset(folder) for folder, _ in parts]
     if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
         check_disjoint(datasets)  # what was merged or taken may hold samples of the others
-    return [SplitSamples(dataset, split, share, weight) for dataset, (_, weight) in zip(datasets, parts, strict=True)]
-
-
-def _part(given: Any) -> tuple[Any, Any]:
-    return given if isinstance(given, tuple) else (given, None)
+    return [
+        SplitSamples(dataset, split, share, weight)
+        for dataset, (_, weight) in zip(datasets, parts, strict=True)
+    ]
 
 
 class Maps(Dataset):
-    """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`, (*grid.shape) each, and the
-    true ``occupancy``, by name.
+    """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`,
+    (*grid.shape) each, and the true ``occupancy``, by name.
 
-    ``maps[n, s]`` is the same turned by symmetry `s`. `split` is what the samples are called in errors. Raises
-    DatasetError for sources that do not go together.
+    ``maps[n, s]`` is the same turned by symmetry `s`. `split` is what the samples are called in
+    errors. Raises DatasetError for sources that do not go together.
     """
 
-    def __init__(self, sources: Sequence[Samples], split: str, inputs: Sequence[str] = ("observed",)):
+    def __init__(
+        self, sources: Sequence[Samples], split: str, inputs: Sequence[str] = ("observed",)
+    ):
         if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
         check_alike(sources)
-        _check_different(sources)
+        named: dict[str, str] = {}
+        for source in sources:
+            if source.digest in named:
+                there = named[source.digest]
+                raise DatasetError(
+                    f"{source.name}: holds the same samples as {there}; name one of the two"
+                )
+            named[source.digest] = source.name
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
         self.grid = sources[0].grid
         self.mirrored = is_mirrored(sources[0].lidar)
         """Whether a map's mirror image is one, too, that the sensor could have seen."""
-        self._start = np.cumsum([0, *map(len, sources)])
+        self.starts = np.cumsum([0, *map(len, sources)])
+        """The index of each source's first map."""
         given = [getattr(source, "weight", None) for source in sources]
         self.shares: list[Fraction] | None = None
         """The weight of each source; None where each of their samples comes once a pass."""
@@ -134,19 +148,19 @@ class Maps(Dataset):
             self.counts = self._counted(self.shares)
 
     def __len__(self) -> int:
-        return int(self._start[-1])
+        return int(self.starts[-1])
 
     def __getitem__(self, key: int | tuple[int, int]) -> Batch:
         index, symmetry = key if isinstance(key, tuple) else (key, 0)
         source, row = self._place(index)
         sample = source[row]
-        maps = of_sample(self.inputs, sample, source.grid, source.lidar)
-        maps = {name: turned(values, symmetry if INPUTS[name].turns else 0) for name, values in maps.items()}
-        maps["occupancy"] = turned(sample.occupancy, symmetry)
-        return {name: torch.from_numpy(values) for name, values in maps.items()}
+        maps = channels(self.inputs, sample, source.grid, source.lidar)
+        maps["occupancy"] = sample.occupancy
+        return {name: torch.from_numpy(turned(one, symmetry)) for name, one in maps.items()}
 
     def order(self, batch: int) -> Batches | None:
-        """The batches of a stream, whose maps come in its own order; None for datasets, which are seen in passes.
+        """The batches of a stream, whose maps come in its own order; None for datasets, which are
+        seen in passes.
 
         Raises DatasetError for a stream beside other sources.
         """
@@ -154,22 +168,23 @@ class Maps(Dataset):
         if not streams:
             return None
         if len(self.sources) > 1:
-            raise DatasetError(f"{streams[0].name}: is trained on alone; mix several into one stream")
+            raise DatasetError(
+                f"{streams[0].name}: is trained on alone; mix several into one stream"
+            )
         return streams[0].batches(batch, loaders=LOADERS)
 
-    def first(self, number: int) -> int:
-        """The index of a source's first map."""
-        return int(self._start[number])
-
     def _counted(self, shares: Sequence[Fraction]) -> list[int]:
-        """Maps of each source in a pass, where they come in proportion to `shares`, but for less than one map."""
+        """Maps of each source in a pass, where they come in proportion to `shares`, but for less
+        than one map."""
         upto = [int(len(self) * sum(shares[:n]) / sum(shares)) for n in range(len(shares) + 1)]
         counts = [stop - start for start, stop in itertools.pairwise(upto)]
         for count, source, share in zip(counts, self.sources, shares, strict=True):
             if len(self) and not (count and len(source)):
                 raise DatasetError(
-                    f"{source.name}: of its {len(source)} samples, weight {short(str(share))} would have {count} come "
-                    f"in a pass of {len(self)}, expected one at least of each dataset; give other weights"
+                    f"{source.name}: of its {len(source)} samples, weight {short(str(share))} "
+                    f"would have {count} come "
+                    f"in a pass of {len(self)}, expected one at least of each dataset; give other "
+                    f"weights"
                 )
         return counts
 
@@ -179,14 +194,13 @@ class Maps(Dataset):
         return f"{source.name}, {self.split} sample {row}"
 
     def _place(self, index: int) -> tuple[Samples, int]:
-        if not 0 <= index < len(self):
-            raise IndexError(f"sample {index} of {len(self)}")
-        number = int(np.searchsorted(self._start, index, side="right")) - 1
-        return self.sources[number], index - int(self._start[number])
+        number = int(np.searchsorted(self.starts, index, side="right")) - 1
+        return self.sources[number], index - int(self.starts[number])
 
 
 def check_alike(sources: Sequence[Samples]) -> None:
-    """Raise DatasetError unless all `sources` have one grid and one sensor, and make maps of scans in one way."""
+    """Raise DatasetError unless all `sources` have one grid and one sensor, and make maps of scans
+    in one way."""
     first = sources[0]
     for other in sources[1:]:
         for what in ("grid", "lidar", "mapping"):
@@ -201,26 +215,18 @@ def check_alike(sources: Sequence[Samples]) -> None:
 def is_mirrored(sensor: Sensor) -> bool:
     """Whether the rays of `sensor` are their own mirror image, left and right of the body.
 
-    Any sensor that is turned about the vertical sees what is turned; of what is mirrored, only such a one sees the
-    mirror image.
+    Any sensor that is turned about the vertical sees what is turned; of what is mirrored, only such
+    a one sees the mirror image.
     """
     rays = sensor.directions_body.reshape(-1, 3)
     return bool((KDTree(rays).query(rays * (1, -1, 1))[0] < SAME_RAY).all())
 
 
-def _check_different(sources: Sequence[Samples]) -> None:
-    """Raise DatasetError where one of `sources` is there twice."""
-    seen: dict[str, str] = {}
-    for source in sources:
-        if source.digest in seen:
-            raise DatasetError(f"{source.name}: holds the same samples as {seen[source.digest]}; name one of the two")
-        seen[source.digest] = source.name
-
-
 def epoch_batches(
     maps: Maps, *, batch: int, seed: int, epoch: int, augment: bool = False
 ) -> list[list[tuple[int, int]]]:
-    """The batches of a training epoch: keys of `Maps`, in an order that depends on `seed` and `epoch` alone.
+    """The batches of a training epoch: keys of `Maps`, in an order that depends on `seed` and
+    `epoch` alone.
 
     A last batch that is not full is left out, unless it is the only one.
     """
@@ -234,28 +240,41 @@ def epoch_batches(
 
 
 def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
-    """The maps of a pass by source. Each source's come in an order of its own, which goes on from pass to pass and is
-    drawn anew when it ends, so that none comes twice before all others of the source have come."""
+    """The maps of a pass by source. Each source's come in an order of its own, which goes on from
+    pass to pass and is drawn anew when it ends, so that none comes twice before all others of the
+    source have come."""
     found = []
     for number, count in enumerate(maps.counts):
         begin, end = epoch * count, (epoch + 1) * count
         size, drawn = len(maps.sources[number]), [np.empty(0, np.int64)]
         for turn in range(begin // size, -(-end // size)):
-            order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, turn, 0))).permutation(size)
+            order = np.random.default_rng(
+                np.random.SeedSequence(seed, spawn_key=(number, turn, 0))
+            ).permutation(size)
             drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
-        found.append(maps.first(number) + np.concatenate(drawn))
+        found.append(maps.starts[number] + np.concatenate(drawn))
     return found
 
 
-def stream_batch(order: Batches, maps: Maps, number: int, *, seed: int, augment: bool) -> list[tuple[int, int]]:
-    """Batch `number` of a stream's order: keys of `maps`, whose symmetries depend on `seed` and `number` alone."""
+def stream_batch(
+    order: Batches, maps: Maps, number: int, *, seed: int, augment: bool
+) -> list[tuple[int, int]]:
+    """Batch `number` of a stream's order: keys of `maps`, whose symmetries depend on `seed` and
+    `number` alone."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 0)))
     return _turned(order[number], maps, augment, rng=rng)
 
 
-def _turned(indices: list[int], maps: Maps, augment: bool, *, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Every index with a symmetry that is drawn, or, unless `augment`, with that which changes nothing."""
-    turns = rng.integers(SYMMETRIES, size=len(indices)) if augment else np.zeros(len(indices), dtype=int)
+def _turned(
+    indices: list[int], maps: Maps, augment: bool, *, rng: np.random.Generator
+) -> list[tuple[int, int]]:
+    """Every index with a symmetry that is drawn, or, unless `augment`, with that which changes
+    nothing."""
+    turns = (
+        rng.integers(SYMMETRIES, size=len(indices))
+        if augment
+        else np.zeros(len(indices), dtype=int)
+    )
     if maps.grid.shape[0] != maps.grid.shape[1]:
         turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
     if not maps.mirrored:
@@ -263,10 +282,15 @@ def _turned(indices: list[int], maps: Maps, augment: bool, *, rng: np.random.Gen
     return list(zip(indices, turns.tolist(), strict=True))
 
 
-def load(maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: bool) -> Iterator[Batch]:
-    """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what cannot be read,
-    GenerationError for what cannot be drawn, LoaderError where such a process dies."""
-    loader: DataLoader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)
+def load(
+    maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: bool
+) -> Iterator[Batch]:
+    """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what
+    cannot be read, GenerationError for what cannot be drawn, LoaderError where such a process
+    dies."""
+    loader: DataLoader = DataLoader(
+        maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned
+    )
     try:
         yield from loader
     except ScenegenError as error:  # a loader process hands over its traceback with it
@@ -276,15 +300,16 @@ def load(maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: 
         if "DataLoader worker" not in str(error):
             raise
         raise LoaderError(
-            f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more shared memory"
+            f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more "
+            f"shared memory"
         ) from None
 
 
 class TudfOf:
     """Occupancy → TUDF, for a batch, wherever it is.
 
-    On the CPU by `scenegen.truth.distance_field`, map by map; elsewhere by the same three passes of minima in torch.
-    Both give the values that the dataset's contract demands, bit for bit.
+    On the CPU by `scenegen.truth.distance_field`, map by map; elsewhere by the same three passes of
+    minima in torch. Both give the values that the dataset's contract demands, bit for bit.
     """
 
     def __init__(self, grid: GridSpec):
@@ -303,15 +328,21 @@ class TudfOf:
         return self.by_minima(occupancy)
 
     def by_minima(self, occupancy: Tensor) -> Tensor:
-        """The same on any device: squared distances in voxels, lowered along one axis after the other."""
+        """The same on any device: squared distances in voxels, lowered along one axis after the
+        other."""
         cap = (self._reach + 1) ** 2
         squares = torch.where(occupancy, 0, cap).to(torch.int16 if 2 * cap < 2**15 else torch.int32)
         for axis in (1, 2, 3):
             length = squares.shape[axis]
             lowest = squares.clone()
             for offset in range(1, min(self._reach, length - 1) + 1):
-                near, far = lowest.narrow(axis, 0, length - offset), lowest.narrow(axis, offset, length - offset)
-                torch.minimum(near, squares.narrow(axis, offset, length - offset) + offset**2, out=near)
+                near, far = (
+                    lowest.narrow(axis, 0, length - offset),
+                    lowest.narrow(axis, offset, length - offset),
+                )
+                torch.minimum(
+                    near, squares.narrow(axis, offset, length - offset) + offset**2, out=near
+                )
                 torch.minimum(far, squares.narrow(axis, 0, length - offset) + offset**2, out=far)
             squares = lowest
         return self._table.to(occupancy.device)[squares.long()]

@@ -26,7 +26,8 @@ class TrainingError(ScenegenError):
 
 
 def choose_device(name: str) -> torch.device:
-    """The device called `name`; ``auto`` is a GPU where there is one, this process's own under torchrun.
+    """The device called `name`; ``auto`` is a GPU where there is one, this process's own under
+    torchrun.
 
     Raises TrainingError for a device that is not here.
     """
@@ -49,24 +50,37 @@ def choose_device(name: str) -> torch.device:
     return device
 
 
-def resolve_precision(precision: str, device: torch.device, shape: tuple[int, ...] = GridSpec().shape) -> torch.dtype:
+def resolve_precision(
+    precision: str, device: torch.device, shape: tuple[int, ...] = GridSpec().shape
+) -> torch.dtype:
     """The type that `precision` means on `device`, for maps of `shape`.
 
-    On a CPU "auto" is float32 for maps whose coarsest level has but a few cells: there oneDNN's gradient of a
-    convolution's filters in bfloat16 depends on what its memory held before (docs/log.md).
+    On a CPU "auto" is float32 for maps whose coarsest level has but a few cells: there oneDNN's
+    gradient of a convolution's filters in bfloat16 depends on what its memory held before
+    (docs/log.md).
     """
     if precision != "auto":
         return torch.bfloat16 if precision == "bfloat16" else torch.float32
     if device.type == "cuda":
-        return torch.bfloat16 if torch.cuda.is_bf16_supported(including_emulation=False) else torch.float32
-    native = device.type == "cpu" and getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)()
+        return (
+            torch.bfloat16
+            if torch.cuda.is_bf16_supported(including_emulation=False)
+            else torch.float32
+        )
+    native = (
+        device.type == "cpu" and getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)()
+    )
     native = native and math.prod(edge // 2**LEVELS for edge in shape) >= FEWEST_CELLS
     return torch.bfloat16 if native else torch.float32
 
 
 def autocast(device: torch.device, precision: torch.dtype) -> Any:
     """Where the network computes in `precision`."""
-    return nullcontext() if precision == torch.float32 else torch.autocast(device.type, dtype=precision)
+    return (
+        nullcontext()
+        if precision == torch.float32
+        else torch.autocast(device.type, dtype=precision)
+    )
 
 
 def device_name(device: torch.device) -> str:
@@ -88,16 +102,15 @@ class Group:
         self._device = device
         self.size = int(os.environ.get("WORLD_SIZE", 1))
         self.rank = int(os.environ.get("RANK", 0))
-
-    @property
-    def first(self) -> bool:
+        self.first = self.rank == 0
         """Whether this process writes files."""
-        return self.rank == 0
 
     def __enter__(self) -> "Group":
         if self.size > 1:
             on_gpu = self._device.type == "cuda"
-            dist.init_process_group("nccl" if on_gpu else "gloo", device_id=self._device if on_gpu else None)
+            dist.init_process_group(
+                "nccl" if on_gpu else "gloo", device_id=self._device if on_gpu else None
+            )
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -135,8 +148,8 @@ class Group:
         return dict(zip(mine, (tensor / self.size).tolist(), strict=True))
 
     def divisor(self, count: Tensor) -> Tensor:
-        """What each process divides a sum over its `count` things by, so that the mean of all processes' quotients is
-        the mean over all things: 1 at least, shared among the processes."""
+        """What each process divides a sum over its `count` things by, so that the mean of all
+        processes' quotients is the mean over all things: 1 at least, shared among the processes."""
         if self.size == 1:
             return at_least_one(count)
         dist.all_reduce(total := count.clone())

@@ -1,6 +1,8 @@
-"""What was learned from validation worlds about a network's errors, and what it makes of a prediction.
+"""What was learned from validation worlds about a network's errors, and what it makes of a
+prediction.
 
-It stands in the header of the network's file, under ``calibration`` of what is said about it, as plain JSON.
+It stands in the header of the network's file, under ``calibration`` of what is said about it, as
+plain JSON.
 """
 
 import dataclasses
@@ -19,7 +21,8 @@ from scenegen.limits import MOST_MARGINS
 KEY = "calibration"
 """Its name in what is said about a network."""
 RISK = 0.05
-"""The risk of a bound where none is named: the truth is at least the bound in 95 % of unknown voxels."""
+"""The risk of a bound where none is named: the truth is at least the bound in 95 % of unknown
+voxels."""
 CLOSE = 1e-9
 """Risks that differ by less are the same."""
 
@@ -37,14 +40,16 @@ class Uncertainty(Protocol):
         ...
 
     def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """Calibrated probabilities, of the shape of the predicted ones; None where there are none."""
+        """Calibrated probabilities, of the shape of the predicted ones; None where there are
+        none."""
         ...
 
     def low(
         self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
     ) -> NDArray[np.float32]:
-        """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the shape of the
-        predicted `distance`, metres. Raises UncertaintyError for a risk that is too small."""
+        """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the
+        shape of the predicted `distance`, metres. Raises UncertaintyError for a risk that is too
+        small."""
         ...
 
 
@@ -57,23 +62,34 @@ class Calibration:
     class_weight: float
     """The weight of occupied voxels in the loss by which the network was trained."""
     temperature: float | None
-    """What the logits are divided by, after the class weight was inverted; None where no probability is predicted."""
+    """What the logits are divided by, after the class weight was inverted; None where no
+    probability is predicted."""
     step_m: float
-    """Width of the bins of predicted distance, metres; the last one holds what is at the truncation."""
+    """Width of the bins of predicted distance, metres; the last one holds what is at the
+    truncation."""
     chances: tuple[float, ...]
-    """Edges between the bins of probability, its class weight inverted, rising; () where none is predicted."""
+    """Edges between the bins of probability, its class weight inverted, rising; () where none is
+    predicted."""
     risks: tuple[float, ...]
     """The risks of the rows of `margins`, falling."""
     margins: tuple[tuple[float, ...], ...]
-    """(risks, distance bins x probability bins): what is taken from a predicted distance, metres."""
+    """(risks, distance bins x probability bins): what is taken from a predicted distance,
+    metres."""
     path_risks: tuple[float, ...] = ()
-    """For every risk of `risks`, what share of the paths planned on its bounds collides at most: see
-    `scenegen.model.evaluation.planning.careful`. () where that was not measured."""
+    """For every risk of `risks`, what share of the paths planned on its bounds collides at most:
+    see `scenegen.model.evaluation.planning.careful`. () where that was not measured."""
     datasets: tuple[str, ...] = ()
     """Digests of the datasets whose validation worlds these are."""
 
     def __post_init__(self) -> None:
-        numbers = [self.worlds, self.class_weight, self.step_m, *self.chances, *self.risks, *self.path_risks]
+        numbers = [
+            self.worlds,
+            self.class_weight,
+            self.step_m,
+            *self.chances,
+            *self.risks,
+            *self.path_risks,
+        ]
         numbers += [] if self.temperature is None else [self.temperature]
         numbers += [margin for row in self.margins for margin in row]
         if not all(isinstance(one, int | float) and math.isfinite(one) for one in numbers):
@@ -85,8 +101,12 @@ class Calibration:
             *([] if self.temperature is None else [self.temperature]),
         ]
         if min(positive) <= 0 or not all(0 < one < 1 for one in (*self.risks, *self.chances)):
-            raise ValueError("holds a weight, temperature, step, risk or probability out of its range")
-        if sorted(self.risks, reverse=True) != list(self.risks) or sorted(self.chances) != list(self.chances):
+            raise ValueError(
+                "holds a weight, temperature, step, risk or probability out of its range"
+            )
+        if sorted(self.risks, reverse=True) != list(self.risks) or sorted(self.chances) != list(
+            self.chances
+        ):
             raise ValueError("its risks must fall, and its probabilities rise")
         if len({len(row) for row in self.margins}) > 1 or len(self.margins) != len(self.risks):
             raise ValueError("its margins are no table of a row a risk")
@@ -95,16 +115,21 @@ class Calibration:
 
     @classmethod
     def of(cls, about: Mapping[str, Any], grid: GridSpec) -> "Calibration | None":
-        """The calibration among what is said `about` a network for maps on `grid`; None where there is none. Raises
-        ValueError where it is damaged."""
+        """The calibration among what is said `about` a network for maps on `grid`; None where there
+        is none. Raises ValueError where it is damaged."""
         if KEY not in about:
             return None
         try:
             held = {name: _tuples(value) for name, value in dict(about[KEY]).items()}
             found = cls(**held)
         except (TypeError, ValueError, RecursionError) as error:
-            raise ValueError(f"its calibration is damaged ({short(error)}); calibrate it again") from None
-        if len(found.margins[0] if found.margins else ()) not in (0, bin_count(grid, found.step_m, found.chances)):
+            raise ValueError(
+                f"its calibration is damaged ({short(error)}); calibrate it again"
+            ) from None
+        if len(found.margins[0] if found.margins else ()) not in (
+            0,
+            bin_count(grid, found.step_m, found.chances),
+        ):
             raise ValueError("its calibration is of another grid; calibrate it again")
         return found
 
@@ -120,32 +145,40 @@ class Calibration:
         return np.asarray(1 / (1 + np.exp(-logit)), dtype=np.float32)
 
     def row(self, risk: float) -> int:
-        """Which of `risks` serves `risk`: the greatest that is no greater. Raises UncertaintyError where none is."""
+        """Which of `risks` serves `risk`: the greatest that is no greater. Raises UncertaintyError
+        where none is."""
         if not 0 < risk < 1:
-            raise UncertaintyError(f"risk = {risk:g}: expected a number between 0 and 1, such as {RISK}")
+            raise UncertaintyError(
+                f"risk = {risk:g}: expected a number between 0 and 1, such as {RISK}"
+            )
         for n, held in enumerate(self.risks):
             if held <= risk + CLOSE:
                 return n
         least = f"down to {self.risks[-1]:g}" if self.risks else "no bounds"
         raise UncertaintyError(
-            f"risk = {risk:g}: {self.worlds} validation worlds give {least}; calibrate on more worlds"
+            f"risk = {risk:g}: {self.worlds} validation worlds give {least}; calibrate on more "
+            f"worlds"
         )
 
     def for_paths(self, risk: float) -> float:
-        """The greatest risk of bounds on which a share `risk` of planned paths collides at most: risk as one number, to
-        plan by. Raises UncertaintyError where no bounds are so sure, or it was not measured."""
+        """The greatest risk of bounds on which a share `risk` of planned paths collides at most:
+        risk as one number, to plan by. Raises UncertaintyError where no bounds are so sure, or it
+        was not measured."""
         for held, collided in zip(self.risks, self.path_risks, strict=False):
             if collided <= risk + CLOSE:
                 return held
         least = (
-            f"down to {self.path_risks[-1]:.3g}" if self.path_risks else "nothing: it was calibrated with --trials 0"
+            f"down to {self.path_risks[-1]:.3g}"
+            if self.path_risks
+            else "nothing: it was calibrated with --trials 0"
         )
         raise UncertaintyError(f"risk of paths = {risk:g}: the calibration promises {least}")
 
     def low(
         self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
     ) -> NDArray[np.float32]:
-        """See `Uncertainty.low`: the bound of the greatest risk in the table that is no greater than `risk`."""
+        """See `Uncertainty.low`: the bound of the greatest risk in the table that is no greater
+        than `risk`."""
         margins = np.asarray(self.margins[self.row(risk)], dtype=np.float32)
         count = len(margins) // (len(self.chances) + 1)
         chance = None if probability is None else corrected(probability, self.class_weight)
@@ -164,7 +197,8 @@ def _tuples(value: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
-    """What somebody else says of one map: a calibrated probability, or a bound of one risk, or both."""
+    """What somebody else says of one map: a calibrated probability, or a bound of one risk, or
+    both."""
 
     probability: NDArray[np.float32] | None = None
     tudf_low: NDArray[np.float32] | None = None
@@ -193,16 +227,16 @@ class Given:
 def corrected(probability: NDArray[np.float32], class_weight: float) -> NDArray[np.float32]:
     """Probabilities whose class weight w is inverted: q = p / (p + w (1 - p)).
 
-    A network trained with w on occupied voxels, where a free one has 1, minimises its loss by saying
-    p = w q / (w q + 1 - q) of a voxel that is occupied with probability q.
+    A network trained with w on occupied voxels, where a free one has 1, minimises its loss by
+    saying p = w q / (w q + 1 - q) of a voxel that is occupied with probability q.
     """
     p = np.asarray(probability, dtype=np.float32)
     return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), dtype=np.float32)
 
 
 def corrected_logit(probability: NDArray[np.float32], class_weight: float) -> NDArray[np.float32]:
-    """The logits of `corrected` probabilities: those of p less log w. 0 and 1 count as the nearest numbers that float32
-    tells from them."""
+    """The logits of `corrected` probabilities: those of p less log w. 0 and 1 count as the nearest
+    numbers that float32 tells from them."""
     p = np.clip(np.asarray(probability, dtype=np.float32), np.float32(1e-7), np.float32(1 - 1e-7))
     return np.asarray(np.log(p / (1 - p)) - np.float32(math.log(class_weight)), dtype=np.float32)
 
@@ -224,8 +258,11 @@ def bins(
     chances: tuple[float, ...],
     count: int,
 ) -> NDArray[np.int64]:
-    """The bin of every voxel: of its predicted distance, one of `count`, then of its `corrected` probability."""
-    found = np.minimum((distance * np.float32(1 / step_m) + np.float32(1e-4)).astype(np.int64), count - 1)
+    """The bin of every voxel: of its predicted distance, one of `count`, then of its `corrected`
+    probability."""
+    found = np.minimum(
+        (distance * np.float32(1 / step_m) + np.float32(1e-4)).astype(np.int64), count - 1
+    )
     if not chances or chance is None:
         return found * (len(chances) + 1)
     return found * (len(chances) + 1) + np.searchsorted(np.asarray(chances, np.float32), chance)

@@ -22,12 +22,25 @@ from scenegen.view.exchange.choices import Choices
 
 @click.command()
 @dataset_argument
-@click.option("--to", "to", type=Named(FORMATS), required=True, help=f"The format: {', '.join(FORMATS.known)}.")
+@click.option(
+    "--to",
+    "to",
+    type=Named(FORMATS),
+    required=True,
+    help=f"The format: {', '.join(FORMATS.known)}.",
+)
 @out_option("The folder to write.  [default: the dataset's name, a dash, the format]")
-@click.option("--split", "splits", type=click.Choice(SPLITS), multiple=True, help="A split; repeatable. [default: all]")
+@click.option(
+    "--split",
+    "splits",
+    type=click.Choice(SPLITS),
+    multiple=True,
+    help="A split; repeatable. [default: all]",
+)
 @options_of(
     Choices,
-    unseen_invalid="SemanticKITTI: mark voxels that no ray met as invalid, which leaves them out of its score.",
+    unseen_invalid="SemanticKITTI: mark voxels that no ray met as invalid, which leaves them out "
+    "of its score.",
     label="SemanticKITTI: the label of occupied voxels.",
     frame="Frame of points.",
 )
@@ -44,7 +57,8 @@ def convert(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Write a dataset in another program's format; the same command again goes on where it was stopped."""
+    """Write a dataset in another program's format; the same command again goes on where it was
+    stopped."""
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
@@ -75,7 +89,10 @@ def convert(
     for line in done.broken:
         note(line)
     if done.broken:
-        raise DatasetError(f"{found.folder}: {len(done.broken)} samples could not be read; the others are in {target}")
+        raise DatasetError(
+            f"{found.folder}: {len(done.broken)} samples could not be read; the others are in "
+            f"{target}"
+        )
     if not quiet:
         others = f"; {done.others} are for the other ranks to write there" if done.others else ""
         say(f"{target}: {done.written} samples written, {done.there} were there{others}")

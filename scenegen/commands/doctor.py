@@ -11,7 +11,8 @@ from scenegen.terminal.progress import announce_compilation
 from scenegen.terminal.show import flat, show_table
 
 LITTLE_GB = 5.0
-"""Free disk below which `doctor` warns: a dataset of default size takes a quarter of a gigabyte, a run some more."""
+"""Free disk below which `doctor` warns: a dataset of default size takes a quarter of a gigabyte, a
+run some more."""
 
 
 @click.command()
@@ -29,12 +30,21 @@ def doctor(as_json: bool) -> None:
     else:
         rows, advice = flat(found), _advice(found, cached=not cache_trouble("scenegen"))
         marks = {
-            name: ("✗", "red") if value is False else ("!", "yellow") if name in advice else ("✓", "green")
+            name: ("✗", "red")
+            if value is False
+            else ("!", "yellow")
+            if name in advice
+            else ("✓", "green")
             for name, value in rows.items()
         }
-        show_table({name: f"{value}{advice.get(name, '')}" for name, value in rows.items()}, marks=marks)
+        show_table(
+            {name: f"{value}{advice.get(name, '')}" for name, value in rows.items()}, marks=marks
+        )
     if not found["ok"]:
-        raise ScenegenError("the self-test failed: samples made here cannot be trusted; reinstall, then run it again")
+        raise ScenegenError(
+            "the self-test failed: samples made here cannot be trusted; reinstall, then run it "
+            "again"
+        )
 
 
 def _advice(found: dict[str, Any], *, cached: bool) -> dict[str, str]:
@@ -43,7 +53,9 @@ def _advice(found: dict[str, Any], *, cached: bool) -> dict[str, str]:
     if found["torch"] == "absent":
         advice["torch"] = f"; training a network and completing with one {needs('torch', 'train')}"
     if found["disk_free_gb"] < LITTLE_GB:
-        advice["disk_free_gb"] = f"; less than {LITTLE_GB:g} GB: free some before generating or training"
+        advice["disk_free_gb"] = (
+            f"; less than {LITTLE_GB:g} GB: free some before generating or training"
+        )
     if not cached:
         advice["kernel_cache"] = (
             "; kernels compile in every run: set SCENEGEN_CACHE to a folder that only you can write"

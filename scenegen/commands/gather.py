@@ -36,13 +36,20 @@ if TYPE_CHECKING:
     multiple=True,
     help="Samples of this split; several times for several.  [default: all]",
 )
-@click.option("-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split.")
-@click.option("--worlds", type=Ranges(), help="Samples of these worlds alone: numbers, or FIRST:STOP, as in 3,10:20.")
+@click.option(
+    "-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split."
+)
+@click.option(
+    "--worlds",
+    type=Ranges(),
+    help="Samples of these worlds alone: numbers, or FIRST:STOP, as in 3,10:20.",
+)
 @click.option(
     "--where",
     multiple=True,
     type=Written(Condition.of, "NAME>=VALUE"),
-    help="Samples for which this holds, such as occupied>=0.05; several times for several. Names are "
+    help="Samples for which this holds, such as occupied>=0.05; several times for several. Names "
+    "are "
     f"{', '.join((*NUMBERS, *FIGURES))}.",
 )
 @out_option("Folder of the new dataset.")
@@ -51,12 +58,18 @@ if TYPE_CHECKING:
 @json_option
 @quiet_option
 def take(
-    dataset: Path | str, splits: tuple[str, ...], most: int | None, worlds: Any, where: Any, **options: Any
+    dataset: Path | str,
+    splits: tuple[str, ...],
+    most: int | None,
+    worlds: Any,
+    where: Any,
+    **options: Any,
 ) -> None:
-    """Make a dataset of some samples of another: of a split, of some worlds, or of those that a filter lets through.
+    """Make a dataset of some samples of another: of a split, of some worlds, or of those that a
+    filter lets through.
 
-    Samples stay as they are, bit for bit, and the manifest says where they are from. Given again after a stop, it goes
-    on where it was.
+    Samples stay as they are, bit for bit, and the manifest says where they are from. Given again
+    after a stop, it goes on where it was.
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
@@ -82,8 +95,8 @@ def take(
 def merge(datasets: tuple[Path | str, ...], **options: Any) -> None:
     """Make one dataset of several that share grid, sensor and fields.
 
-    Samples stay as they are, bit for bit, and in their splits; the manifest says where they are from. Given again after
-    a stop, it goes on where it was.
+    Samples stay as they are, bit for bit, and in their splits; the manifest says where they are
+    from. Given again after a stop, it goes on where it was.
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
@@ -93,7 +106,9 @@ def merge(datasets: tuple[Path | str, ...], **options: Any) -> None:
         raise click.UsageError("give two datasets or more, and the folder of the new one with -o")
     shown = not options["quiet"]
     _make(
-        lambda out, workers: plan_merge([Dataset(locate(one, shown=shown)) for one in datasets], out, workers=workers),
+        lambda out, workers: plan_merge(
+            [Dataset(locate(one, shown=shown)) for one in datasets], out, workers=workers
+        ),
         **options,
     )
 
@@ -124,6 +139,14 @@ def _make(
             on_shard=lambda report, fresh: progress.count(report.samples),
         )
     if as_json:
-        print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": time.perf_counter() - begin}))
+        print(
+            json.dumps(
+                {
+                    **vars(summary),
+                    "folder": str(summary.folder),
+                    "seconds": time.perf_counter() - begin,
+                }
+            )
+        )
     elif talk:
         show_summary(summary, time.perf_counter() - begin)

@@ -40,13 +40,24 @@ NETWORK_EDGE = 8
 
 @click.command()
 @click.argument("named", metavar="[KIND]", type=KIND, required=False)
-@click.option("--kind", type=KIND, help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.")
-@click.option("--scene", type=click.Path(path_type=Path), help="An MJCF file of your own world, or a folder of them.")
-@click.option("--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset.")
+@click.option(
+    "--kind", type=KIND, help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS."
+)
+@click.option(
+    "--scene",
+    type=click.Path(path_type=Path),
+    help="An MJCF file of your own world, or a folder of them.",
+)
+@click.option(
+    "--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset."
+)
 @lidar_option("The sensor", "  [default: the recipe's]")
 @noise_option
 @mapping_options()
-@options_of(Mapper, tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.")
+@options_of(
+    Mapper,
+    tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.",
+)
 @click.option(
     "--engine",
     type=Named(ENGINES),
@@ -54,8 +65,17 @@ NETWORK_EDGE = 8
     show_default=True,
     help=f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.",
 )
-@click.option("-n", "--n", type=click.IntRange(min=1), default=2500, show_default=True, help="Training samples.")
-@click.option("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")
+@click.option(
+    "-n",
+    "--n",
+    type=click.IntRange(min=1),
+    default=2500,
+    show_default=True,
+    help="Training samples.",
+)
+@click.option(
+    "--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]"
+)
 @click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth of --n]")
 @seed_option("The same seed, the same dataset.")
 @out_option("Folder of the dataset, or s3://bucket/folder.  [default: data/<kind>]", places=True)
@@ -64,17 +84,34 @@ NETWORK_EDGE = 8
 @click.option(
     "--labels",
     type=click.Choice(["name", "material", "group"]),
-    help="Say of every return and voxel which geom it is of, and which class: by names or materials of geoms, or by "
+    help="Say of every return and voxel which geom it is of, and which class: by names or "
+    "materials of geoms, or by "
     "their group.",
 )
-@click.option("--compact", is_flag=True, help="Leave out what readers can derive: free space and distances.")
 @click.option(
-    "--shard-samples", type=click.IntRange(min=1), default=USUAL_IN_SHARD, show_default=True, help="Samples in a file."
+    "--compact", is_flag=True, help="Leave out what readers can derive: free space and distances."
 )
-@click.option("--split-range", type=ShardRange(), help="Only these shards, for a cluster; --dry-run counts them.")
-@click.option("--allow-unseen", is_flag=True, help="Take scenes with geoms that rays cannot see; leave these out.")
+@click.option(
+    "--shard-samples",
+    type=click.IntRange(min=1),
+    default=USUAL_IN_SHARD,
+    show_default=True,
+    help="Samples in a file.",
+)
+@click.option(
+    "--split-range",
+    type=ShardRange(),
+    help="Only these shards, for a cluster; --dry-run counts them.",
+)
+@click.option(
+    "--allow-unseen",
+    is_flag=True,
+    help="Take scenes with geoms that rays cannot see; leave these out.",
+)
 @click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
-@click.option("--dry-run", is_flag=True, help="Say what would be made, as a recipe file, and make nothing.")
+@click.option(
+    "--dry-run", is_flag=True, help="Say what would be made, as a recipe file, and make nothing."
+)
 @json_option
 @quiet_option
 def generate(
@@ -89,7 +126,8 @@ def generate(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where it was."""
+    """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where
+    it was."""
     begin = time.perf_counter()
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
@@ -113,11 +151,14 @@ def generate(
     plan = _plan(counts, options, talk=talk)
     shard_range = options["split_range"]
     if shard_range and shard_range[1] > len(plan.shards):
-        raise click.UsageError(f"--split-range {shard_range[0]}:{shard_range[1]}: there are {len(plan.shards)} shards")
+        raise click.UsageError(
+            f"--split-range {shard_range[0]}:{shard_range[1]}: there are {len(plan.shards)} shards"
+        )
     check_folder(plan, force=options["force"])
     if talk and any(edge % NETWORK_EDGE for edge in plan.parameters["grid"]["shape"]):
         note(
-            f"note: the bundled networks need edges that are multiples of {NETWORK_EDGE}, and grid.shape = "
+            f"note: the bundled networks need edges that are multiples of {NETWORK_EDGE}, and "
+            f"grid.shape = "
             f"{plan.parameters['grid']['shape']}; other methods take any"
         )
     if dry_run:
@@ -144,7 +185,15 @@ def generate(
             on_shard=count,
         )
     if as_json:
-        print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": time.perf_counter() - begin}))
+        print(
+            json.dumps(
+                {
+                    **vars(summary),
+                    "folder": str(summary.folder),
+                    "seconds": time.perf_counter() - begin,
+                }
+            )
+        )
     elif talk:
         show_summary(summary, time.perf_counter() - begin)
 
@@ -157,18 +206,30 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
     from scenegen.recipe import preset, read_recipe
     from scenegen.source import DrawnWorlds, Source, read_scenes
 
-    kind, scene, file, seed, by = (options[name] for name in ("kind", "scene", "recipe", "seed", "labels"))
+    kind, scene, file, seed, by = (
+        options[name] for name in ("kind", "scene", "recipe", "seed", "labels")
+    )
     if kind is None and scene is None and file is None:
         raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
     if kind is not None and scene is not None:
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     named = kind if scene is None else "scene"
     lidar = None if options["lidar"] is None else named_lidar(options["lidar"])
-    own: dict[str, Any] = {"lidar": lidar, "noise": options["noise"], "mapping": mapping_given(options)}
+    own: dict[str, Any] = {
+        "lidar": lidar,
+        "noise": options["noise"],
+        "mapping": mapping_given(options),
+    }
     recipe = preset(named, **own) if file is None else read_recipe(file, named, **own)
     source: Source
     if scene is not None:
-        source = read_scenes(scene, counts, seed=seed, allow_unseen=options["allow_unseen"], materials=by == "material")
+        source = read_scenes(
+            scene,
+            counts,
+            seed=seed,
+            allow_unseen=options["allow_unseen"],
+            materials=by == "material",
+        )
         for line in source.notes if talk else ():
             note(line)
     elif recipe.world is None:
@@ -177,7 +238,9 @@ def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Pl
         source = DrawnWorlds(recipe)
     if by is not None:
         recipe = dataclasses.replace(recipe, labels=labels_by(by, source.class_names(by)))
-    name = scene.stem if scene is not None else recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
+    name = (
+        scene.stem if scene is not None else recipe.kind.rpartition(":")[2]
+    )  # data/Towers for my_worlds:Towers
     out = options["out"] or Path("data") / name
     more = {option: options[option] for option in ("compact", "shard_samples", "engine")}
     return plan_dataset(out, recipe, source, seed=seed, counts=counts, **more)
@@ -198,7 +261,8 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
 
     of_recipe = ("kind", "recipe", "lidar", "noise", "mapping", "grid")
     show_table(
-        rows | flat({key: value for key, value in plan.parameters.items() if key not in of_recipe}), "would make"
+        rows | flat({key: value for key, value in plan.parameters.items() if key not in of_recipe}),
+        "would make",
     )
     say(f"\n{recipe_text(plan.parameters, 'this as a recipe file')}".rstrip())
 
@@ -212,11 +276,14 @@ def show_summary(summary: "Summary", seconds: float) -> None:
             "samples": f"{present}  ({per_split(summary.samples)})",
             "worlds": f"{sum(summary.worlds.values())}  ({per_split(summary.worlds)})",
             "rejected": rejections(summary.rejected),
-            "size": f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(present, 1) / 1e3:.1f} KB a sample",
-            "time": f"{seconds:.1f} s, {summary.samples_written / seconds:.0f} samples a second, start-up included"
+            "size": f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(present, 1) / 1e3:.1f} "
+            f"KB a sample",
+            "time": f"{seconds:.1f} s, {summary.samples_written / seconds:.0f} samples a second, "
+            f"start-up included"
             if summary.samples_written
             else f"{seconds:.1f} s; nothing was left to make",
-            "digest": summary.digest or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
+            "digest": summary.digest
+            or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
             "next": f"scenegen inspect {summary.folder}",
         }
     )

@@ -1,4 +1,5 @@
-"""What `scenegen inspect` does; the command itself stands where scans, predictions and runs are known."""
+"""What `scenegen inspect` does; the command itself stands where scans, predictions and runs are
+known."""
 
 import json
 from collections.abc import Callable
@@ -15,8 +16,12 @@ from scenegen.terminal.types import OutputFile
 
 def inspect_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """The options of `show`."""
-    page = click.option("--html", "out", type=OutputFile(), help="Also write a page with histograms and pictures.")
-    every = click.option("--all", "every", is_flag=True, help="Measure all samples, not 200 of each split.")
+    page = click.option(
+        "--html", "out", type=OutputFile(), help="Also write a page with histograms and pictures."
+    )
+    every = click.option(
+        "--all", "every", is_flag=True, help="Measure all samples, not 200 of each split."
+    )
     return dataset_argument(page(every(workers_option(json_option(function)))))
 
 
@@ -29,8 +34,8 @@ def show(
     others: Callable[[Path], dict[str, Any] | None],
     misfit: Callable[[Any], list[str]],
 ) -> None:
-    """Print what is in a dataset, a folder of them, a world (.xml), or in what `others` knows, which gives None for the
-    rest. `misfit` tells of a grid what does not fit."""
+    """Print what is in a dataset, a folder of them, a world (.xml), or in what `others` knows,
+    which gives None for the rest. `misfit` tells of a grid what does not fit."""
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
@@ -76,19 +81,20 @@ def show(
 
 
 def _write_page(dataset: Any, found: dict[str, Any], mind: list[str], page: Path) -> None:
-    from scenegen.files import make_parent, write_whole
+    from scenegen.files import write_result
     from scenegen.view.statistics import statistics_page
 
     content = statistics_page(dataset, found, mind)
-    make_parent(page)
-    write_whole(page, content.encode())
+    write_result(page, content.encode())
 
 
 def _plain(value: Any) -> Any:
     """A value for people."""
     if isinstance(value, float):
         return f"{value:.4g}"
-    return ", ".join(str(_plain(one)) for one in value) or "none" if isinstance(value, list) else value
+    return (
+        ", ".join(str(_plain(one)) for one in value) or "none" if isinstance(value, list) else value
+    )
 
 
 def _said(source: dict[str, Any]) -> str:
@@ -103,7 +109,8 @@ def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
         return
     for row in rows:
         told = row.get("fault") or (
-            f"{row['kind']}: {per_split(row['samples'])}, {str(row['digest'])[:8] if row['complete'] else 'incomplete'}"
+            f"{row['kind']}: {per_split(row['samples'])}, "
+            f"{str(row['digest'])[:8] if row['complete'] else 'incomplete'}"
         )
         show_table({row["folder"]: told})
 
@@ -124,7 +131,8 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
             "maps": Mapper(**(found["mapping"] or {})),
             "fields": ", ".join(found["fields"]),
             "samples": found["samples"],
-            "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a sample",
+            "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a "
+            f"sample",
             "rejected": rejections(found["rejected"]),
         },
     )
@@ -133,7 +141,13 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
         rows = {}
         for key, value in split["statistics"].items():
             label, unit, factor = units.get(key, (key, "%", 100))
-            mean, std, low, high = (None if value[name] is None else value[name] * factor for name in value)
-            rows[label] = "–" if mean is None else f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
+            mean, std, low, high = (
+                None if value[name] is None else value[name] * factor for name in value
+            )
+            rows[label] = (
+                "–"
+                if mean is None
+                else f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
+            )
         title = f"{name}: {split['samples']} samples of {split['worlds']} worlds ({split['sampled']} measured)"
         show_table(rows, title)

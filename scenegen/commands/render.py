@@ -1,4 +1,5 @@
-"""What `scenegen render` does; the command itself stands where predictions, scans and runs are known."""
+"""What `scenegen render` does; the command itself stands where predictions, scans and runs are
+known."""
 
 import importlib.util
 from collections.abc import Callable
@@ -27,7 +28,10 @@ def render_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.argument("source", type=DatasetPath()),
         split_option("train", help="The split to draw samples of."),
         click.option(
-            *("--index", "indices"), multiple=True, type=click.IntRange(min=0), help="A sample's number; repeatable."
+            *("--index", "indices"),
+            multiple=True,
+            type=click.IntRange(min=0),
+            help="A sample's number; repeatable.",
         ),
         click.option(
             *("--sheet", "--n", "count"),
@@ -37,9 +41,12 @@ def render_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--figure",
             type=click.Choice(FIGURES),
-            help="What to draw of samples; docs/look.md shows each.  [default: sample, or completions with --weights]",
+            help="What to draw of samples; docs/look.md shows each.  [default: sample, or "
+            "completions with --weights]",
         ),
-        click.option("--turn", is_flag=True, help="A turntable of one sample, as an animated .webp."),
+        click.option(
+            "--turn", is_flag=True, help="A turntable of one sample, as an animated .webp."
+        ),
         click.option("--flight", is_flag=True, help="With a world: draw a random flight, too."),
         seed_option("What the flight is drawn by."),
         out_option("The picture: .png, .pdf, .svg or .webp.  [default: sample.png]", file=True),
@@ -62,11 +69,13 @@ def draw(
     guesses: "Callable[[Dataset], tuple[Guesses | None, tuple[str, ...]]]",
     others: Callable[[Path], Any],
 ) -> None:
-    """Draw what `source` is into `out`: a dataset's samples, with what `guesses` has of them; a world, .xml; or what
-    `others` makes a figure of, which gives None for what it does not know."""
+    """Draw what `source` is into `out`: a dataset's samples, with what `guesses` has of them; a
+    world, .xml; or what `others` makes a figure of, which gives None for what it does not know."""
     out = out or Path("sample.webp" if turn else "sample.png")
     if out.suffix not in (SUFFIXES[-1:] if turn else SUFFIXES):
-        raise click.UsageError(f"-o {out}: expected a name that ends in {'.webp' if turn else ', '.join(SUFFIXES)}")
+        raise click.UsageError(
+            f"-o {out}: expected a name that ends in {'.webp' if turn else ', '.join(SUFFIXES)}"
+        )
     is_world = isinstance(source, Path) and source.suffix == ".xml"
     if flight and not is_world:
         raise click.UsageError("--flight: is for a world, an .xml file")
@@ -76,19 +85,19 @@ def draw(
         raise click.UsageError("--turn: shows one sample, without --sheet and --figure")
     if importlib.util.find_spec("matplotlib") is None:  # before the samples are read
         raise ModuleNotFoundError("matplotlib", name="matplotlib")
-    from scenegen.files import make_parent, write_whole
+    from scenegen.files import check_ours, write_result
     from scenegen.terminal.progress import note
     from scenegen.terminal.show import say
     from scenegen.view.still import to_bytes
 
+    check_ours(out)
     notes: list[str] = []
     if is_world:
         made = _world(Path(source), seed if flight else None)
     elif isinstance(source, str) or (made := others(source)) is None:
         made, notes = _samples(source, split, indices, count, figure, turn, quiet, guesses)
     content = made if isinstance(made, bytes) else to_bytes(made, out.suffix)
-    make_parent(out)
-    write_whole(out, content)
+    write_result(out, content)
     for line in notes:
         note(line)
     if not quiet:
@@ -103,7 +112,11 @@ def _world(path: Path, seed: int | None) -> Any:
     from scenegen.view.still import plain
 
     world = read_world(path)
-    flight = None if seed is None else np.stack([pose.position for pose in poses_in_flight(world, seed=seed)])
+    flight = (
+        None
+        if seed is None
+        else np.stack([pose.position for pose in poses_in_flight(world, seed=seed)])
+    )
     return draw_world(world, title=plain(path.name), flight=flight)
 
 
@@ -125,7 +138,9 @@ def _samples(
     from scenegen.view.still import draw_sample, draw_sheet, draw_turn, plain
 
     found = Dataset(locate(source, shown=not quiet), partial=True)
-    guess, methods = guesses(found) if figure not in ("sample", "world") and not turn else (None, ())
+    guess, methods = (
+        guesses(found) if figure not in ("sample", "world") and not turn else (None, ())
+    )
     figure = figure or ("completions" if methods else "sample")
     numbers = indices or (spread(found, split, count) if count else (0,))
     shown, notes = looks(found, split, numbers, guess)

@@ -1,4 +1,5 @@
-"""`scenegen rescan`: the worlds and poses of a dataset, seen by another sensor, or with its faults."""
+"""`scenegen rescan`: the worlds and poses of a dataset, seen by another sensor, or with its
+faults."""
 
 import json
 import time
@@ -29,7 +30,9 @@ from scenegen.terminal.types import Named
 @lidar_option("The sensor", "  [default: the dataset's]")
 @noise_option
 @mapping_options("the dataset's")
-@click.option("--engine", type=Named(ENGINES), help="What casts the rays.  [default: what cast the dataset's]")
+@click.option(
+    "--engine", type=Named(ENGINES), help="What casts the rays.  [default: what cast the dataset's]"
+)
 @out_option("Folder of the new dataset, or s3://bucket/folder.", places=True)
 @workers_option
 @click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
@@ -49,8 +52,8 @@ def rescan(
 ) -> None:
     """Scan the worlds of a dataset again, from the same poses: a pair, sample by sample.
 
-    What is not said of the sensor and of maps is as in the dataset, but for noise. Given again after a stop, it goes on
-    where it was.
+    What is not said of the sensor and of maps is as in the dataset, but for noise. Given again
+    after a stop, it goes on where it was.
     """
     if out is None:
         raise click.UsageError("give the new dataset's folder with -o")
@@ -67,16 +70,30 @@ def rescan(
     source = Dataset(locate(dataset, shown=talk))
     sensor = None if lidar is None else named_lidar(lidar)
     chain = named_noise(noise, sensor or source.lidar)
-    plan = plan_rescan(source, out, lidar=sensor, chain=chain, engine=engine, mapping=mapping_given(options))
+    plan = plan_rescan(
+        source, out, lidar=sensor, chain=chain, engine=engine, mapping=mapping_given(options)
+    )
 
     def count(report: Any, fresh: bool) -> None:
         progress.count(report.samples)
 
     with Progress(plan.parameters["kind"], shown=talk) as progress:
         summary = build(
-            plan, workers=workers, force=force, on_start=lambda: progress.start(plan.samples), on_shard=count
+            plan,
+            workers=workers,
+            force=force,
+            on_start=lambda: progress.start(plan.samples),
+            on_shard=count,
         )
     if as_json:
-        print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": time.perf_counter() - begin}))
+        print(
+            json.dumps(
+                {
+                    **vars(summary),
+                    "folder": str(summary.folder),
+                    "seconds": time.perf_counter() - begin,
+                }
+            )
+        )
     elif talk:
         show_summary(summary, time.perf_counter() - begin)

@@ -9,24 +9,41 @@ from lidarsim.engines import ENGINES
 from lidarsim.limits import MOST_LENGTH_M
 from lidarsim.parameters import Bounds
 from lidarsim.sensors import RASTER
+from scenegen.errors import DatasetError
 from scenegen.limits import LEAST_DRAWN_M
-from scenegen.terminal.options import json_option, lidar_option, noise_option, out_option, quiet_option, seed_option
+from scenegen.terminal.options import (
+    json_option,
+    lidar_option,
+    noise_option,
+    out_option,
+    quiet_option,
+    seed_option,
+)
 from scenegen.terminal.show import show_table
 from scenegen.terminal.types import Named, Number, Numbers
 
 
 @click.command()
 @click.argument("world", type=click.Path(path_type=Path))
-@click.option("--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees.")
+@click.option(
+    "--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees."
+)
 @click.option("--flight", is_flag=True, help="A viewpoint of a random flight instead.")
 @click.option(
     "--every",
     type=Number(Bounds(least=LEAST_DRAWN_M, most=MOST_LENGTH_M)),
-    help="With --flight: a scan whenever so many metres were flown, each in a file of its own, numbered from 000.",
+    help="With --flight: a scan whenever so many metres were flown, each in a file of its own, "
+    "numbered from 000.",
 )
 @lidar_option("The sensor", "  [default: raster]")
 @noise_option
-@click.option("--engine", type=Named(ENGINES), default="analytic", show_default=True, help="What casts the rays.")
+@click.option(
+    "--engine",
+    type=Named(ENGINES),
+    default="analytic",
+    show_default=True,
+    help="What casts the rays.",
+)
 @click.option(
     "--frame",
     type=click.Choice(["body", "world"]),
@@ -63,11 +80,15 @@ def scan(
 
     from lidarsim import Pose
     from lidarsim.pose import rotate
+    from scenegen.files import check_ours
     from scenegen.lidar import named_lidar, named_noise
     from scenegen.points import check_suffix, write_points
     from scenegen.single import pose_in_flight, poses_in_flight, read_world, scan_world
 
-    check_suffix(out)
+    try:
+        check_suffix(out)
+    except DatasetError as error:
+        raise click.UsageError(str(error)) from None
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
     found = read_world(world)
@@ -77,17 +98,30 @@ def scan(
         poses = [pose_in_flight(found, seed=seed)]
     else:
         poses = [Pose.level(pose[:3], math.radians(pose[3]))]
+    files = [out if every is None else _numbered(out, number) for number in range(len(poses))]
+    for file in files:
+        check_ours(file)
     rows = []
-    for number, at in enumerate(poses):
-        file, drawn = (out, seed) if every is None else (_numbered(out, number), [seed, number])
+    for number, (file, at) in enumerate(zip(files, poses, strict=True)):
+        drawn = seed if every is None else [seed, number]
         seen = scan_world(found, sensor, at, chain, seed=drawn, engine=ENGINES.find(engine).of)
         points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
         if frame == "body":
             back = at.quaternion * (1.0, -1.0, -1.0, -1.0)
             points = rotate(back, points - at.position)
         intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
-        about = {"ranges": seen.ranges, "times_s": sensor.times_s, "position": at.position, "quaternion": at.quaternion}
-        write_points(file, points, intensity, about | {"lidar": str(sensor), "noise": str(chain), "frame": frame})
+        about = {
+            "ranges": seen.ranges,
+            "times_s": sensor.times_s,
+            "position": at.position,
+            "quaternion": at.quaternion,
+        }
+        write_points(
+            file,
+            points,
+            intensity,
+            about | {"lidar": str(sensor), "noise": str(chain), "frame": frame},
+        )
         rows.append(
             {
                 "file": str(file),

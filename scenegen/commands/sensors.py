@@ -16,8 +16,12 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml"))
-@out_option("A picture (.png) of the patterns, azimuth × elevation, one below the other.", file=True)
+@click.argument(
+    "names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml")
+)
+@out_option(
+    "A picture (.png) of the patterns, azimuth × elevation, one below the other.", file=True
+)
 @json_option
 def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
     """List the sensors that there are, or tell of those named, and draw their patterns.
@@ -34,11 +38,10 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
             raise click.ClickException(f"{name}: {error}") from None
     rows = {name: _figures(sensor) for name, sensor in found.items()}
     if out is not None:
-        from scenegen.files import make_parent, write_whole
+        from scenegen.files import write_result
         from scenegen.pattern import draw_patterns
 
-        make_parent(out)
-        write_whole(out, draw_patterns(list(found.values())))
+        write_result(out, draw_patterns(list(found.values())))
     if as_json:
         print(json.dumps(rows))
     elif names:
@@ -50,7 +53,13 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
         say("\nscenegen sensors NAME tells where its figures come from; --out FILE draws it")
 
 
-HEADS = {"shape": "rays", "elevation_deg": "up, °", "azimuth_deg": "around, °", "scan_s": "scan, s", "max_range_m": "m"}
+HEADS = {
+    "shape": "rays",
+    "elevation_deg": "up, °",
+    "azimuth_deg": "around, °",
+    "scan_s": "scan, s",
+    "max_range_m": "m",
+}
 """The columns of the list."""
 
 
@@ -58,8 +67,9 @@ def _figures(sensor: "Sensor") -> dict[str, Any]:
     """What is to be said of a sensor, as plain JSON values; angles are measured on its rays."""
     import numpy as np
 
-    x, y, z = np.moveaxis(np.asarray(sensor.directions_body), -1, 0)
-    up, around = np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
+    from lidarsim.sensors.device import angles_deg
+
+    up, around = angles_deg(sensor.directions_body)
     return {
         "shape": list(sensor.shape),
         "elevation_deg": [round(float(up.min()), 2), round(float(up.max()), 2)],
@@ -69,6 +79,8 @@ def _figures(sensor: "Sensor") -> dict[str, Any]:
         "max_range_m": sensor.max_range_m,
         "noise": getattr(sensor, "noise", ""),
         "source": getattr(sensor, "source", "") or str(sensor),
+        "checked": getattr(sensor, "checked", ""),
+        "error": getattr(sensor, "error", ""),
     }
 
 
@@ -76,4 +88,8 @@ def _cell(value: Any) -> str:
     """A figure for the list: 16 × 1808, or -15 … 15."""
     if not isinstance(value, list):
         return f"{value:g}"
-    return " … ".join(f"{one:g}" for one in value) if isinstance(value[0], float) else " × ".join(map(str, value))
+    return (
+        " … ".join(f"{one:g}" for one in value)
+        if isinstance(value[0], float)
+        else " × ".join(map(str, value))
+    )

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @dataset_argument
-@click.option("--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits.")
+@click.option(
+    "--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits."
+)
 @seed_option("Chooses what is audited at random.")
 @kind_option
 @workers_option
@@ -34,9 +36,17 @@ if TYPE_CHECKING:
 @json_option
 @quiet_option
 def verify(
-    dataset: Path | str, quick: bool, seed: int, kind: str | None, workers: int, on: str, as_json: bool, quiet: bool
+    dataset: Path | str,
+    quick: bool,
+    seed: int,
+    kind: str | None,
+    workers: int,
+    on: str,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
-    """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a check fails."""
+    """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
+    check fails."""
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
@@ -62,7 +72,8 @@ def verify(
         _show(report, time.perf_counter() - begin)
     if not report.ok:
         raise ScenegenError(
-            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: {', '.join(report.failed)}"
+            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: "
+            f"{', '.join(report.failed)}"
         )
 
 
@@ -70,7 +81,12 @@ def _show(report: "Report", seconds: float) -> None:
     rows, marks = {}, {}
     for check in report.checks:
         verdict = "FAILED " if not check.ok else "skipped" if check.skipped else "ok     "
-        marks[check.name] = verdict, "red" if not check.ok else "yellow" if check.skipped else "green"
+        marks[check.name] = (
+            verdict,
+            "red" if not check.ok else "yellow" if check.skipped else "green",
+        )
         rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
     show_table(rows, marks=marks)
     say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
+    if report.ok:
+        say(f"all {len(report.checks)} checks passed")

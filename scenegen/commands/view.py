@@ -26,7 +26,8 @@ def view_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             *("-o", "--html", "--output", "--out", "out"),
             type=OutputFile(),
-            help="Write one file that shows samples without a network.  [default: serve all of them]",
+            help="Write one file that shows samples without a network.  [default: serve all of "
+            "them]",
         ),
         click.option(
             *("--index", "indices"),
@@ -49,7 +50,11 @@ def view_options(function: Callable[..., Any]) -> Callable[..., Any]:
             help="Address to serve on; with 0.0.0.0 all who reach this machine can look.",
         ),
         click.option(
-            *("--port", "port"), type=click.IntRange(0, 65535), default=8000, show_default=True, help="0 for any."
+            *("--port", "port"),
+            type=click.IntRange(0, 65535),
+            default=8000,
+            show_default=True,
+            help="0 for any.",
         ),
         quiet_option,
     )
@@ -62,7 +67,9 @@ def _address(ctx: Any, parameter: Any, value: str) -> str:
     try:
         return value if value == "localhost" else str(ip_address(value))
     except ValueError:
-        raise click.BadParameter(f"{value!r} is no IP address; give one of this machine's, such as 127.0.0.1") from None
+        raise click.BadParameter(
+            f"{value!r} is no IP address; give one of this machine's, such as 127.0.0.1"
+        ) from None
 
 
 def show(
@@ -77,15 +84,19 @@ def show(
     guesses: "Callable[[Dataset], tuple[Guesses | None, tuple[str, ...]]]",
     predicted: bool = False,
 ) -> None:
-    """Serve the dataset, or all in a folder, until the command is stopped, or write samples to the page `out`.
+    """Serve the dataset, or all in a folder, until the command is stopped, or write samples to the
+    page `out`.
 
-    `guesses` says of a dataset who predicts, and their names; `predicted`, whether that is for one dataset alone.
+    `guesses` says of a dataset who predicts, and their names; `predicted`, whether that is for one
+    dataset alone.
     """
     for name in ("host", "port"):
         if out is not None and was_given(name):
             raise click.UsageError(f"--{name}: is for what is served; leave out --html")
     if out is None and len(indices) > 1:
-        raise click.UsageError("--index: give one to begin with, or --html for a file of several samples")
+        raise click.UsageError(
+            "--index: give one to begin with, or --html for a file of several samples"
+        )
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
@@ -104,10 +115,16 @@ def show(
 
 
 def _write(
-    found: "Dataset", split: str, indices: tuple[int, ...], count: int, out: Path, quiet: bool, guesses: Any
+    found: "Dataset",
+    split: str,
+    indices: tuple[int, ...],
+    count: int,
+    out: Path,
+    quiet: bool,
+    guesses: Any,
 ) -> None:
     from scenegen.errors import printable
-    from scenegen.files import make_parent, write_whole
+    from scenegen.files import write_result
     from scenegen.terminal.progress import note
     from scenegen.terminal.show import say
     from scenegen.view.look import looks, spread
@@ -115,16 +132,19 @@ def _write(
 
     check_grid(found.grid)
     shown, notes = looks(found, split, indices or spread(found, split, count), guesses(found)[0])
-    content = page(shown, title=printable(f"{found.folder.name}: {found.manifest.kind}, {split}"), notes=notes)
-    make_parent(out)
-    write_whole(out, content.encode())
+    content = page(
+        shown, title=printable(f"{found.folder.name}: {found.manifest.kind}, {split}"), notes=notes
+    )
+    write_result(out, content.encode())
     for line in notes:
         note(line)
     if not quiet:
         say(f"{out}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
 
 
-def _serve(opened: "list[Dataset]", split: str, index: int, host: str, port: int, guesses: Any) -> None:
+def _serve(
+    opened: "list[Dataset]", split: str, index: int, host: str, port: int, guesses: Any
+) -> None:
     """Serve until a stop, which ends the process."""
     import sys
 
@@ -140,10 +160,18 @@ def _serve(opened: "list[Dataset]", split: str, index: int, host: str, port: int
         for line in incomplete(dataset, split):
             note(f"{dataset.folder}: {line}")
     guess, methods = guesses(opened[0])
-    server = Live(opened, split=split, index=index, host=host, port=port, guesses=guess, methods=methods)
-    say(f"{server.address}  shows {', '.join(str(dataset.folder) for dataset in opened)}; Ctrl-C ends it")
+    server = Live(
+        opened, split=split, index=index, host=host, port=port, guesses=guess, methods=methods
+    )
+    say(
+        f"{server.address}  shows {', '.join(str(dataset.folder) for dataset in opened)}; Ctrl-C "
+        f"ends it"
+    )
     if server.on_loopback:
         bound = server.server_address[1]
-        say(f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the same address there")
+        say(
+            f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the same "
+            f"address there"
+        )
     sys.stdout.flush()
     server.serve_forever()

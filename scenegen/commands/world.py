@@ -6,13 +6,16 @@ from pathlib import Path
 import rich_click as click
 
 from scenegen.terminal.options import dataset_argument, out_option, split_option
+from scenegen.terminal.show import say
 
 
 @click.command()
 @dataset_argument
 @click.argument("number", type=click.IntRange(min=0), required=False)
 @split_option("train", help="The split that the world belongs to.")
-@out_option("File to write: MJCF, or .glb for its surfaces.  [default: MJCF to standard output]", file=True)
+@out_option(
+    "File to write: MJCF, or .glb for its surfaces.  [default: MJCF to standard output]", file=True
+)
 def world(dataset: Path | str, number: int | None, split: str, out: Path | None) -> None:
     """Take one world's MJCF, and the files it refers to, out of a dataset.
 
@@ -25,20 +28,28 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
     alone = isinstance(dataset, Path) and dataset.suffix == ".xml"
     surfaces = out is not None and out.suffix == ".glb"
     if alone and not surfaces:
-        raise click.UsageError(f"{dataset}: is a world already; give -o with a name that ends in .glb")
+        raise click.UsageError(
+            f"{dataset}: is a world already; give -o with a name that ends in .glb"
+        )
     if alone == (number is not None):
-        raise click.UsageError("give the number of one of the dataset's worlds, and none for an .xml file")
+        raise click.UsageError(
+            "give the number of one of the dataset's worlds, and none for an .xml file"
+        )
     if surfaces:
         assert out is not None
         _write_surfaces(dataset, split, number, out)
+        say(f"written: {out}")
         return
     assert number is not None
     files = Dataset(locate(dataset, shown=True), partial=True).world(split, number)
     if out is not None:
         write_extracted(files, out)
+        say(f"written: {out}" + (f", {out.with_suffix('.files')}/" if len(files) > 1 else ""))
         return
     if len(files) > 1:
-        raise click.UsageError(f"this world refers to {len(files) - 1} other files; give -o: they go beside it")
+        raise click.UsageError(
+            f"this world refers to {len(files) - 1} other files; give -o: they go beside it"
+        )
     sys.stdout.buffer.write(files[DOCUMENT])
 
 
@@ -46,7 +57,7 @@ def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Pa
     from scenegen.dataset.archived import compile_archived
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
-    from scenegen.files import make_parent, write_whole
+    from scenegen.files import write_result
     from scenegen.single import read_world
     from scenegen.view.exchange.glb import encode_world
 
@@ -54,5 +65,4 @@ def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Pa
         found = read_world(Path(dataset))
     else:
         found = compile_archived(Dataset(locate(dataset, shown=True), partial=True), split, number)
-    make_parent(out)
-    write_whole(out, encode_world(found))
+    write_result(out, encode_world(found))

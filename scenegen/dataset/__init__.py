@@ -1,1 +1,2 @@
-"""Datasets on disk: planned, written shard by shard, resumed, and read. docs/format.md is the contract."""
+"""Datasets on disk: planned, written shard by shard, resumed, and read. docs/format.md is the
+contract."""

@@ -1,4 +1,5 @@
-"""A shard's archive of worlds: a zip from anywhere, of which no more is unpacked than its directory may say."""
+"""A shard's archive of worlds: a zip from anywhere, of which no more is unpacked than its directory
+may say."""
 
 import os
 import re
@@ -38,14 +39,20 @@ class Members:
     def read(self, name: str) -> bytes:
         """A member's content. Raises BrokenError for an image that would take too much memory."""
         member = self._members[name]
-        with self._archive.open(member) as file:  # `ZipFile.read` would unpack whatever is in it, and then cut it
+        with self._archive.open(
+            member
+        ) as file:  # `ZipFile.read` would unpack whatever is in it, and then cut it
             content = file.read(member.file_size + 1)
         if len(content) != member.file_size:
-            raise BrokenError(f"member {name}: {len(content)} bytes unpacked, expected {member.file_size}")
+            raise BrokenError(
+                f"member {name}: {len(content)} bytes unpacked, expected {member.file_size}"
+            )
         if content[:8] == b"\x89PNG\r\n\x1a\n":  # which says how much memory it wants
             width, height = struct.unpack(">II", content[16:24])
             if width * height > MOST_CELLS:
-                raise BrokenError(f"member {name}: an image of {width} x {height}, expected {MOST_CELLS} at most")
+                raise BrokenError(
+                    f"member {name}: an image of {width} x {height}, expected {MOST_CELLS} at most"
+                )
         return content
 
     def world(self, name: str) -> tuple[bytes, dict[str, bytes]]:
@@ -55,8 +62,12 @@ class Members:
 
 
 def referred(document: bytes, names: Iterable[str]) -> list[str]:
-    """Those of the files `names`, but for documents, that an MJCF document has among its attributes' values."""
-    values = {match[1] or match[2] for match in re.finditer(rb"""=\s*(?:"([^"<]*)"|'([^'<]*)')""", document)}
+    """Those of the files `names`, but for documents, that an MJCF document has among its
+    attributes' values."""
+    values = {
+        match[1] or match[2]
+        for match in re.finditer(rb"""=\s*(?:"([^"<]*)"|'([^'<]*)')""", document)
+    }
     return [name for name in names if not name.endswith(".xml") and name.encode() in values]
 
 
@@ -73,8 +84,12 @@ def open_archive(file: BufferedReader, name: str) -> Iterator[Members]:
             yield Members(archive)
     except BrokenError as error:
         raise BrokenError(f"{name}: {error}") from None
-    except Exception as error:  # zipfile's, zlib's, struct's, and what else a crafted file may bring forth
-        raise BrokenError(f"{name}: is damaged ({printable(error)[:200] or type(error).__name__})") from None
+    except (
+        Exception
+    ) as error:  # zipfile's, zlib's, struct's, and what else a crafted file may bring forth
+        raise BrokenError(
+            f"{name}: is damaged ({printable(error)[:200] or type(error).__name__})"
+        ) from None
 
 
 def _check_directory(file: BufferedReader) -> None:
@@ -84,30 +99,50 @@ def _check_directory(file: BufferedReader) -> None:
         raise BrokenError(f"{size} bytes, expected {MOST_ARCHIVE_BYTES} at most")
     file.seek(max(size - 42, 0))
     end = file.read(42)
-    if len(end) < 22 or end[-22:-18] != b"PK\5\6" or end[:4] == b"PK\6\7":  # the latter: another directory, of any size
+    if (
+        len(end) < 22 or end[-22:-18] != b"PK\5\6" or end[:4] == b"PK\6\7"
+    ):  # the latter: another directory, of any size
         raise BrokenError("is not a whole zip file: it does not end as one")
     count, length = struct.unpack("<HI", end[-12:-6])
     if count > MOST_MEMBERS or length > MOST_MEMBERS * 200:
-        raise BrokenError(f"{count} members listed in {length} bytes, expected {MOST_MEMBERS} members at most")
+        raise BrokenError(
+            f"{count} members listed in {length} bytes, expected {MOST_MEMBERS} members at most"
+        )
 
 
 def _check_members(members: list[zipfile.ZipInfo]) -> None:
     total = 0
     for member in members:
         name = member.filename
-        plain = name.isascii() and name.isprintable() and not set(name) & set('/\\:*?"<>|') and not name.startswith(".")
+        plain = (
+            name.isascii()
+            and name.isprintable()
+            and not set(name) & set('/\\:*?"<>|')
+            and not name.startswith(".")
+        )
         if not plain or len(name) > 200 or member.orig_filename != name:
-            raise BrokenError(f"member {short(name)}: expected a plain file name, of a file beside the others")
+            raise BrokenError(
+                f"member {short(name)}: expected a plain file name, of a file beside the others"
+            )
         if name.endswith(".xml") and not DOCUMENT.fullmatch(name):
-            raise BrokenError(f"member {short(name)}: expected a world's number, six digits or more, before .xml")
-        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
+            raise BrokenError(
+                f"member {short(name)}: expected a world's number, six digits or more, before .xml"
+            )
+        if (
+            member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+            or member.flag_bits & 1
+        ):
             raise BrokenError(f"member {name}: is encrypted or packed otherwise than by deflate")
         most = MOST_DOCUMENT_BYTES if name.endswith(".xml") else MOST_ASSET_BYTES
         if member.file_size > most:
-            raise BrokenError(f"member {name}: {member.file_size} bytes unpacked, expected {most} at most")
+            raise BrokenError(
+                f"member {name}: {member.file_size} bytes unpacked, expected {most} at most"
+            )
         total += member.file_size
     if total > MOST_ARCHIVE_BYTES:
         raise BrokenError(f"{total} bytes unpacked, expected {MOST_ARCHIVE_BYTES} at most")
-    twice = [name for name, count in Counter(member.filename for member in members).items() if count > 1]
+    twice = [
+        name for name, count in Counter(member.filename for member in members).items() if count > 1
+    ]
     if twice:
         raise BrokenError(f"member {twice[0]}: is there twice")

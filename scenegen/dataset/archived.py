@@ -18,4 +18,6 @@ def compile_archived(dataset: Dataset, split: str, number: int) -> World:
         screen(document, files, name)
         return compile_world(document, files, name=name)
     except (BrokenError, SceneError) as error:
-        raise DatasetError(f"{dataset.folder}: {error}; copy the dataset again, or generate it") from None
+        raise DatasetError(
+            f"{dataset.folder}: {error}; copy the dataset again, or generate it"
+        ) from None

@@ -1,4 +1,5 @@
-"""Build a dataset: plan its shards, find those that are there, have the rest written, and sign the whole."""
+"""Build a dataset: plan its shards, find those that are there, have the rest written, and sign the
+whole."""
 
 import math
 import os
@@ -24,7 +25,13 @@ from scenegen.errors import DatasetError, short
 from scenegen.executors import Executor
 from scenegen.executors.local import Local
 from scenegen.files import remove_drafts
-from scenegen.limits import MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
+from scenegen.limits import (
+    MOST_SAMPLES,
+    MOST_SAMPLES_IN_SHARD,
+    MOST_SEED,
+    MOST_SHARDS,
+    USUAL_IN_SHARD,
+)
 from scenegen.places import PlacePath
 from scenegen.recipe import Recipe
 from scenegen.source import Source
@@ -38,8 +45,8 @@ NOTE_SHARE = 50
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """What a run did, and what it knows to be there; a job with a part of the shards looks at no others until all are
-    there."""
+    """What a run did, and what it knows to be there; a job with a part of the shards looks at no
+    others until all are there."""
 
     folder: Path
     complete: bool
@@ -64,10 +71,11 @@ def plan_dataset(
     shard_samples: int = USUAL_IN_SHARD,
     engine: str = DEFAULT,
 ) -> Plan:
-    """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole units.
+    """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole
+    units.
 
-    `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an engine that is not to
-    be had, and for numbers beyond those that readers take.
+    `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an
+    engine that is not to be had, and for numbers beyond those that readers take.
     """
     _check_asked("--seed", seed, 0, MOST_SEED)
     _check_asked("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
@@ -75,7 +83,13 @@ def plan_dataset(
         _check_asked("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
     find_engine(engine)
     given = manifest.parameters(
-        recipe, source, seed=seed, counts=counts, compact=compact, shard_samples=shard_samples, engine=engine
+        recipe,
+        source,
+        seed=seed,
+        counts=counts,
+        compact=compact,
+        shard_samples=shard_samples,
+        engine=engine,
     )
     return divide(folder, given, recipe, source, compact=compact, engine=engine)
 
@@ -90,7 +104,8 @@ def divide(
     engine: str,
     kind: type[ShardSpec] = ShardSpec,
 ) -> Plan:
-    """Divide the samples that the manifest's parameters `given` ask for into shards. Raises DatasetError."""
+    """Divide the samples that the manifest's parameters `given` ask for into shards. Raises
+    DatasetError."""
     counts, shard_samples = given["counts"], given["shard_samples"]
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints
@@ -98,7 +113,8 @@ def divide(
     shards = []
     if sum(counts.values()) > MOST_SHARDS * step * each:
         raise DatasetError(
-            f"{sum(counts.values())} samples in shards of {step * each}: too many files; raise --shard-samples"
+            f"{sum(counts.values())} samples in shards of {step * each}: too many files; raise "
+            f"--shard-samples"
         )
     for split in SPLITS:
         units = math.ceil(counts[split] / each)
@@ -125,7 +141,9 @@ def divide(
 
 def _check_asked(option: str, value: int, least: int, most: int) -> None:
     if not least <= value <= most:
-        raise DatasetError(f"{option} {short(value)}: expected a whole number from {least} to {most}")
+        raise DatasetError(
+            f"{option} {short(value)}: expected a whole number from {least} to {most}"
+        )
 
 
 def build(
@@ -138,14 +156,16 @@ def build(
     on_start: Callable[[], None] = lambda: None,
     on_shard: Callable[[ShardReport, bool], None] = lambda report, fresh: None,
 ) -> Summary:
-    """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make a part of it.
+    """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make
+    a part of it.
 
     A folder that holds the same dataset with fewer samples goes on from there.
 
-    `workers` processes of this machine write the shards, or whatever `execute` has do it. `force` replaces another
-    dataset in the folder. `on_start` is called once the work has begun, and `on_shard` for every shard that is there
-    already (False) and for every one that is written (True). A run that ends in any way leaves whole shards, and the
-    next one goes on from there. The run that finds every shard completes the manifest.
+    `workers` processes of this machine write the shards, or whatever `execute` has do it. `force`
+    replaces another dataset in the folder. `on_start` is called once the work has begun, and
+    `on_shard` for every shard that is there already (False) and for every one that is written
+    (True). A run that ends in any way leaves whole shards, and the next one goes on from there. The
+    run that finds every shard completes the manifest.
 
     Raises DatasetError for a folder that holds something else, and what writing shards raises.
     """
@@ -158,7 +178,8 @@ def build(
     state.look(mine, workers=workers)
     missing = [shard for shard in mine if shard.file not in state.reports]
     _check_space(plan, missing)
-    # kernels compile here, once, before workers start, and hopeless parameters end here, before anything is written
+    # kernels compile here, once, before workers start, and hopeless parameters end here, before
+    # anything is written
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
         _first_unit(missing[0])
     state.open()
@@ -195,29 +216,41 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
 
 
 def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
-    """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells nobody beforehand."""
+    """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells
+    nobody beforehand."""
     if not missing or isinstance(plan.folder, PlacePath):
         return
     needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
-    there = next(place for place in (plan.folder, *plan.folder.absolute().parents) if place.exists())
+    there = next(
+        place for place in (plan.folder, *plan.folder.absolute().parents) if place.exists()
+    )
     disk = shutil.disk_usage(there)
-    if needed / 2 > disk.free and disk.total:  # the system's own folders have no size; they refuse by themselves
+    if (
+        needed / 2 > disk.free and disk.total
+    ):  # the system's own folders have no size; they refuse by themselves
         raise DatasetError(
-            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; free some space, or "
+            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are "
+            f"free; free some space, or "
             "choose another disk with --out"
         )
     if plan.folder.exists() and not os.access(plan.folder, os.W_OK):
-        raise DatasetError(f"{plan.folder}: no permission to write there; choose another folder with --out")
+        raise DatasetError(
+            f"{plan.folder}: no permission to write there; choose another folder with --out"
+        )
 
 
 def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = Counter(dict.fromkeys(SPLITS, 0))
-    worlds: dict[str, list[NDArray[np.int64]]] = {split: [np.empty(0, np.int64)] for split in SPLITS}
+    worlds: dict[str, list[NDArray[np.int64]]] = {
+        split: [np.empty(0, np.int64)] for split in SPLITS
+    }
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples
-            worlds[shard.split].append(np.unique(shard.numbers) + (shard.more.get("source", 0) << 32))
+            worlds[shard.split].append(
+                np.unique(shard.numbers) + (shard.more.get("source", 0) << 32)
+            )
     return Summary(
         folder=plan.folder,
         complete=final["complete"],
@@ -226,7 +259,9 @@ def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
-        shards_missing=0 if final["complete"] else len(state.absent()) or len(plan.shards) - len(reports),
+        shards_missing=0
+        if final["complete"]
+        else len(state.absent()) or len(plan.shards) - len(reports),
         samples_written=written,
         digest=final["digest"],
     )

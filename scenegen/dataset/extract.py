@@ -1,11 +1,19 @@
-"""One world out of a dataset, as files that MuJoCo opens: the document, and what it refers to in a folder beside it."""
+"""One world out of a dataset, as files that MuJoCo opens: the document, and what it refers to in a
+folder beside it."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
 from scenegen.errors import DatasetError
-from scenegen.files import disk_error, make_parent, read_bounded, write_whole
+from scenegen.files import (
+    check_ours,
+    disk_error,
+    make_parent,
+    read_bounded,
+    write_result,
+    write_whole,
+)
 from scenegen.limits import MOST_ASSET_BYTES
 
 DOCUMENT = "world.xml"
@@ -16,18 +24,19 @@ FOLDERS = ("assetdir", "meshdir", "texturedir")
 def write_extracted(files: Mapping[str, bytes], output: Path) -> None:
     """Write a world, as `Dataset.world` gives it, to `output`.
 
-    The document goes there as it is archived. If it refers to other files, these go into a folder of their own,
-    `output`'s name with ``.files`` for its ending, and the document says so. In that folder nothing is replaced.
-    Raises DatasetError.
+    The document goes there as it is archived. If it refers to other files, these go into a folder
+    of their own, `output`'s name with ``.files`` for its ending, and the document says so. In that
+    folder nothing is replaced. Raises DatasetError.
     """
     document = files[DOCUMENT]
     others = {name: content for name, content in files.items() if name != DOCUMENT}
+    check_ours(output)
     make_parent(output)
     if others:
         folder = output.with_suffix(".files")
         document = _referring(document, folder.name, output)
         _add(others, folder)
-    write_whole(output, document)
+    write_result(output, document)
 
 
 def _referring(document: bytes, folder: str, output: Path) -> bytes:
@@ -35,7 +44,9 @@ def _referring(document: bytes, folder: str, output: Path) -> bytes:
     try:
         root = ElementTree.fromstring(document)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise DatasetError(f"{output}: the archived world is no XML ({error}); verify the dataset") from None
+        raise DatasetError(
+            f"{output}: the archived world is no XML ({error}); verify the dataset"
+        ) from None
     for compiler in root.iter("compiler"):
         for name in FOLDERS:
             compiler.attrib.pop(name, None)

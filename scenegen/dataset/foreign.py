@@ -1,4 +1,5 @@
-"""HDF5 that other writers made, indexed by the HDF5 library in a process that may crash, hang or take all memory."""
+"""HDF5 that other writers made, indexed by the HDF5 library in a process that may crash, hang or
+take all memory."""
 
 import math
 import signal
@@ -32,8 +33,8 @@ MEMORY_BYTES = 1 << 30
 def read_index(handle: int, path: Path, most_chunks: int) -> Index:
     """The index of the HDF5 file at `path`, which is open as `handle`; see `walk`.
 
-    Opening a shard of our own takes some 1.5 ms; one that another writer made, some 30 ms more, for the process. Raises
-    Hdf5Error.
+    Opening a shard of our own takes some 1.5 ms; one that another writer made, some 30 ms more, for
+    the process. Raises Hdf5Error.
     """
     try:
         return walk(handle, most_chunks)
@@ -52,8 +53,8 @@ def read_index(handle: int, path: Path, most_chunks: int) -> Index:
 
 
 def read_guarded(read: Callable[[Path], Any], path: Path, most_bytes: int) -> Any:
-    """What `read` makes of the HDF5 file at `path`, of at most `most_bytes` bytes, in a process with limits: anybody
-    may have written it. Raises DatasetError."""
+    """What `read` makes of the HDF5 file at `path`, of at most `most_bytes` bytes, in a process
+    with limits: anybody may have written it. Raises DatasetError."""
     from scenegen.workers import guarded
 
     try:
@@ -68,7 +69,8 @@ def read_guarded(read: Callable[[Path], Any], path: Path, most_bytes: int) -> An
 
 @contextmanager
 def _children_allowed() -> Iterator[None]:
-    """Torch's loaders and verify's workers are daemons, which may start no process; this one ends before they do."""
+    """Torch's loaders and verify's workers are daemons, which may start no process; this one ends
+    before they do."""
     import multiprocessing
 
     settings: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]
@@ -83,7 +85,9 @@ def _children_allowed() -> Iterator[None]:
 def _index(task: tuple[Path, int]) -> Index | str:
     """What `walk` gives, or in one line why there is none."""
     path, most_chunks = task
-    signal.alarm(math.ceil(SECONDS) + 5)  # should the parent be gone: HDF5 lets no thread of Python's run meanwhile
+    signal.alarm(
+        math.ceil(SECONDS) + 5
+    )  # should the parent be gone: HDF5 lets no thread of Python's run meanwhile
     try:
         import h5py
 
@@ -110,9 +114,17 @@ def _object(h5py: Any, file: Any, name: str, most_chunks: int) -> Stored | str:
     if dataset.shape and dataset.chunks == (1, *dataset.shape[1:]):
         if dataset.id.get_num_chunks() > most_chunks:
             raise Hdf5Error(f"{name} has more than {most_chunks} chunks")
-        dataset.id.chunk_iter(lambda it: places.append((it.chunk_offset[0], it.byte_offset, it.size, it.filter_mask)))
+        dataset.id.chunk_iter(
+            lambda it: places.append((it.chunk_offset[0], it.byte_offset, it.size, it.filter_mask))
+        )
     known = dataset.dtype if dataset.dtype in TYPES.values() else None
-    return Stored(known, dataset.shape or (), dataset.chunks, filters, np.array(places, np.int64).reshape(-1, 4))
+    return Stored(
+        known,
+        dataset.shape or (),
+        dataset.chunks,
+        filters,
+        np.array(places, np.int64).reshape(-1, 4),
+    )
 
 
 def _attribute(attributes: Any, name: str) -> int | str | None:

@@ -1,8 +1,10 @@
-"""HDF5 as a shard uses it, read without the HDF5 library: on hostile bytes that one hangs, crashes or takes all memory.
+"""HDF5 as a shard uses it, read without the HDF5 library: on hostile bytes that one hangs, crashes
+or takes all memory.
 
-`walk` finds where every sample of every dataset lies. It knows the structures that h5py writes by default: superblock
-0, groups by symbol table, object headers 1, chunks by a version 1 B-tree (HDF5 File Format Specification 3.0, sections
-II to IV). Nothing is read beyond the file's end, nothing twice, and no loop runs longer than the file is large.
+`walk` finds where every sample of every dataset lies. It knows the structures that h5py writes by
+default: superblock 0, groups by symbol table, object headers 1, chunks by a version 1 B-tree (HDF5
+File Format Specification 3.0, sections II to IV). Nothing is read beyond the file's end, nothing
+twice, and no loop runs longer than the file is large.
 """
 
 import os
@@ -42,7 +44,8 @@ UNDEFINED = 2**64 - 1
 def walk(handle: int, most_chunks: int) -> Index:
     """The index of the open file `handle`, whose datasets have at most `most_chunks` chunks each.
 
-    Raises ForeignError for a file that the HDF5 library may be able to read, Hdf5Error for a damaged one.
+    Raises ForeignError for a file that the HDF5 library may be able to read, Hdf5Error for a
+    damaged one.
     """
     try:
         return _Walk(handle, most_chunks).index()
@@ -67,7 +70,9 @@ class _Walk:
         if begin + length > self._size:
             raise Hdf5Error(f"it ends at byte {self._size}, within a structure at byte {begin}")
         self._left -= length
-        if self._left < 0:  # beginnings of structures are read twice, and nothing else in a sound file
+        if (
+            self._left < 0
+        ):  # beginnings of structures are read twice, and nothing else in a sound file
             raise Hdf5Error("its structures overlap")
         return os.pread(self._handle, length, begin)
 
@@ -142,7 +147,9 @@ class _Walk:
                     raise Hdf5Error(f"no node of a B-tree begins at byte {address}")
                 level, total = here, total + count
                 if total > min(most, self._size // entry.itemsize):
-                    raise Hdf5Error(f"its index lists more than {most} of what is there once a sample")
+                    raise Hdf5Error(
+                        f"its index lists more than {most} of what is there once a sample"
+                    )
                 found.append(np.frombuffer(self._at(address + 24, count * entry.itemsize), entry))
             entries = np.concatenate(found)
             if not level:
@@ -150,7 +157,8 @@ class _Walk:
             nodes, level = entries["child"].tolist(), level - 1
 
     def _names(self, tree: int, heap: int) -> list[tuple[str, int, bool]]:
-        """(name, address of the object's header, whether it is a soft link) of all that the root group holds."""
+        """(name, address of the object's header, whether it is a soft link) of all that the root
+        group holds."""
         mark, length, _, place = struct.unpack("<4s4xQQQ", self._at(heap, 32))
         if mark != b"HEAP" or length > MOST_HEAP_BYTES:
             raise Hdf5Error(f"no heap of names begins at byte {heap}")
@@ -162,7 +170,9 @@ class _Walk:
             mark, count = struct.unpack("<4s2xH", self._at(node, 8))
             if mark != b"SNOD" or len(found) + count > MOST_OBJECTS:
                 raise Hdf5Error(f"no table of at most {MOST_OBJECTS} names begins at byte {node}")
-            for name, header, cache in struct.iter_unpack("<QQI20x", self._at(node + 8, 40 * count)):
+            for name, header, cache in struct.iter_unpack(
+                "<QQI20x", self._at(node + 8, 40 * count)
+            ):
                 found.append((texts[name : texts.index(b"\0", name)].decode(), header, cache == 2))
         if len({name for name, _, _ in found}) < len(found):
             raise Hdf5Error("it holds two objects of one name")
@@ -174,7 +184,11 @@ class _Walk:
             return NO_DATASET
         if EXTERNAL in found:
             return ELSEWHERE
-        shape, layout, filters = shape_in(found[SPACE]) or (), found[LAYOUT], filters_in(found.get(FILTERS))
+        shape, layout, filters = (
+            shape_in(found[SPACE]) or (),
+            found[LAYOUT],
+            filters_in(found.get(FILTERS)),
+        )
         if layout[0] != 3:
             raise ForeignError(f"its layouts have version {layout[0]}")
         chunk, places = None, np.empty((0, 4), np.int64)
@@ -186,13 +200,25 @@ class _Walk:
         return Stored(type_in(found[TYPE]), shape, chunk, filters, places)
 
     def _places(self, tree: int, rank: int) -> NDArray[np.int64]:
-        entry = np.dtype([("bytes", "<u4"), ("mask", "<u4"), ("first", "<u8", (rank + 1,)), ("child", "<u8")])
+        entry = np.dtype(
+            [("bytes", "<u4"), ("mask", "<u4"), ("first", "<u8", (rank + 1,)), ("child", "<u8")]
+        )
         found = self._leaves(tree, 1, entry, self._most)
-        begin, length, size = found["child"], found["bytes"].astype(np.uint64), np.uint64(self._size)
+        begin, length, size = (
+            found["child"],
+            found["bytes"].astype(np.uint64),
+            np.uint64(self._size),
+        )
         outside = (begin > size) | (length > size - np.minimum(begin, size))
-        if outside.any() or found["first"][:, 1:].any() or (found["first"][:, 0] >= np.uint64(self._most)).any():
+        if (
+            outside.any()
+            or found["first"][:, 1:].any()
+            or (found["first"][:, 0] >= np.uint64(self._most)).any()
+        ):
             raise Hdf5Error("its index names places outside of it")
-        return np.stack([found["first"][:, 0], begin, length, found["mask"]], axis=1).astype(np.int64)
+        return np.stack([found["first"][:, 0], begin, length, found["mask"]], axis=1).astype(
+            np.int64
+        )
 
     def _attribute(self, body: bytes) -> tuple[str, int | str | None]:
         version, flags, *sizes = struct.unpack_from("<BBHHH", body)

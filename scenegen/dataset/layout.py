@@ -1,6 +1,8 @@
-"""A shard's HDF5 file, held against the format before any sample is read; then read chunk by chunk, each into no more
-bytes than it may have. Reading, resuming, verifying and training all go through here."""
+"""A shard's HDF5 file, held against the format before any sample is read; then read chunk by chunk,
+each into no more bytes than it may have. Reading, resuming, verifying and training all go through
+here."""
 
+import hashlib
 import json
 import math
 import os
@@ -22,14 +24,18 @@ from scenegen.dataset.foreign import read_index
 from scenegen.dataset.messages import Hdf5Error, Stored
 from scenegen.errors import BrokenError, DatasetError, printable, short
 from scenegen.files import open_bounded
-from scenegen.sample import FIELDS, shape_of
+from scenegen.sample import FIELDS, shape_of, whole
 
 DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
 FILTERS = {DEFLATE := 1, SHUFFLE := 2, FLETCHER32 := 3}
 """HDF5's numbers of the filters that a shard may use."""
 SMALL_BYTES = 4096
-"""Fields that take no more a sample, and that no filter has changed, are read for all samples at once."""
+"""Fields that take no more a sample, and that no filter has changed, are read for all samples at
+once."""
+
+DERIVED = tuple(name for name, meta in FIELDS.items() if meta["derived"])
+"""Fields that follow from others."""
 
 Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 """Every dataset that a shard has to hold: its type, and the shape of one sample."""
@@ -37,7 +43,10 @@ Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 
 def layout_of(fields: Iterable[str], grid: GridSpec, lidar: Sensor, scans: int = 1) -> Layout:
     """The layout of a shard that stores `fields` of samples of so many `scans`."""
-    found = {name: (np.dtype(FIELDS[name]["dtype"]), shape_of(name, grid, lidar, scans)) for name in fields}
+    found = {
+        name: (np.dtype(FIELDS[name]["dtype"]), shape_of(name, grid, lidar, scans))
+        for name in fields
+    }
     return {**found, DIGEST: (np.dtype(np.uint8), (32,))}
 
 
@@ -58,7 +67,8 @@ class Column:
     filters: tuple[int, ...]
     """In the order of writing."""
     places: NDArray[np.int64]
-    """(N, 4): a sample's row, where its chunk begins in the file, bytes, and which filters were left out (a bit each).
+    """(N, 4): a sample's row, where its chunk begins in the file, bytes, and which filters were
+    left out (a bit each).
     """
 
     @property
@@ -79,7 +89,8 @@ class ShardFile:
     """Whole columns, as far as they have been read."""
 
     def value(self, name: str, row: int, *, read_only: bool = False) -> Any:
-        """A sample's field. `read_only` saves a copy, but kernels are compiled for arrays that can be written.
+        """A sample's field. `read_only` saves a copy, but kernels are compiled for arrays that can
+        be written.
 
         Raises BrokenError for a chunk that does not unpack to just what it should.
         """
@@ -89,18 +100,29 @@ class ShardFile:
         return self.column(name)[row].copy()
 
     def column(self, name: str) -> NDArray[Any]:
-        """A field of all samples, (N, ...); where the chunks lie in a row, they are read as one. Raises BrokenError."""
+        """A field of all samples, (N, ...); where the chunks lie in a row, they are read as one.
+        Raises BrokenError."""
         column = self.columns[name]
         if name not in self._read:
-            count, size, (_, first, *_) = len(column.places), column.bytes, column.places[0].tolist()
-            in_a_row = np.array_equal(column.places[:, 1:3], [(first + n * size, size) for n in range(count)])
+            count, size, (_, first, *_) = (
+                len(column.places),
+                column.bytes,
+                column.places[0].tolist(),
+            )
+            in_a_row = np.array_equal(
+                column.places[:, 1:3], [(first + n * size, size) for n in range(count)]
+            )
             if in_a_row and not column.filters:
                 raw = os.pread(self.file.fileno(), count * size, first)
                 if len(raw) != count * size:
                     raise BrokenError(f"{self.name}: {name}: the file ends within it")
-                self._read[name] = _array(bytearray(raw), column, (count, *column.shape), f"{self.name}: {name}")
+                self._read[name] = _array(
+                    bytearray(raw), column, (count, *column.shape), f"{self.name}: {name}"
+                )
             else:
-                self._read[name] = np.stack([self._chunk(column, row, True) for row in range(count)])
+                self._read[name] = np.stack(
+                    [self._chunk(column, row, True) for row in range(count)]
+                )
         return self._read[name]
 
     def _chunk(self, column: Column, row: int, read_only: bool) -> NDArray[Any]:
@@ -112,10 +134,21 @@ class ShardFile:
             raise BrokenError(f"{where} cannot be unpacked ({error})") from None
         return _array(raw if read_only else bytearray(raw), column, column.shape, where)
 
+    def check(self, row: int) -> None:
+        """Raise BrokenError unless a sample has the digest that stands beside it; fields that
+        follow from others have no part in it."""
+        nothing = {name: np.empty(0, FIELDS[name]["dtype"]) for name in DERIVED}
+        stored = [name for name in self.columns if name not in (DIGEST, *DERIVED)]
+        sample = whole(nothing | {name: self.value(name, row, read_only=True) for name in stored})
+        if sample.sha256() != self.value(DIGEST, row).tobytes():
+            raise BrokenError(
+                f"{self.name}: sample {row}: its content does not have the digest stored beside it"
+            )
+
     @property
     def stray_bytes(self) -> int:
-        """Bytes of the file beyond those of samples and what the format needs at most: an index entry a chunk, and some
-        kilobytes."""
+        """Bytes of the file beyond those of samples and what the format needs at most: an index
+        entry a chunk, and some kilobytes."""
         stored = sum(int(column.places[:, 2].sum()) for column in self.columns.values())
         entries = sum(len(column.places) for column in self.columns.values())
         return max(os.fstat(self.file.fileno()).st_size - stored - 200 * entries - (1 << 20), 0)
@@ -125,7 +158,8 @@ class ShardFile:
         for name, value in expected.items():
             if self.attributes.get(name) != value:
                 raise BrokenError(
-                    f"{self.name}: was written with {name} {short(self.attributes.get(name))}, the manifest's is "
+                    f"{self.name}: was written with {name} {short(self.attributes.get(name))}, "
+                    f"the manifest's is "
                     f"{value!r}: one of the two was edited, or the shard is another dataset's"
                 )
 
@@ -135,14 +169,22 @@ class ShardFile:
         try:
             given = json.loads(text)  # type: ignore[arg-type]
             found = {what: Counter(dict(given[what])) for what in ("worlds", "viewpoints")}
-            if all(type(n) is int and 0 <= n <= 10**9 for counts in found.values() for n in counts.values()):
+            if all(
+                type(n) is int and 0 <= n <= 10**9
+                for counts in found.values()
+                for n in counts.values()
+            ):
                 return found
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             pass
-        raise BrokenError(f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON")
+        raise BrokenError(
+            f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON"
+        )
 
 
-def _array(raw: bytes | bytearray, column: Column, shape: tuple[int, ...], where: str) -> NDArray[Any]:
+def _array(
+    raw: bytes | bytearray, column: Column, shape: tuple[int, ...], where: str
+) -> NDArray[Any]:
     """Bytes as an array of a column's type."""
     values = np.frombuffer(raw, dtype=np.uint8 if column.dtype == np.bool_ else column.dtype)
     if column.dtype == np.bool_:
@@ -153,7 +195,8 @@ def _array(raw: bytes | bytearray, column: Column, shape: tuple[int, ...], where
 
 
 def unpack(packed: bytes, column: Column, left_out: int) -> bytes:
-    """A chunk's bytes with the filters undone, last first. Raises ValueError unless as many come out as there must."""
+    """A chunk's bytes with the filters undone, last first. Raises ValueError unless as many come
+    out as there must."""
     data = packed
     if left_out >> len(column.filters):
         raise ValueError(f"it leaves out filters that it does not have: {left_out:#b}")
@@ -182,12 +225,21 @@ def open_file(path: Path) -> BufferedReader:
     try:
         return open_bounded(path, sys.maxsize)
     except (FileNotFoundError, DatasetError):
-        raise BrokenError(f"{path.name}: is missing, or no file that can be read, though it is listed") from None
+        raise BrokenError(
+            f"{path.name}: is missing, or no file that can be read, though it is listed"
+        ) from None
+
+
+def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
+    """Raise BrokenError unless the file called `name` has the SHA-256 that the manifest lists."""
+    file.seek(0)
+    if hashlib.file_digest(file, "sha256").hexdigest() != sha256:
+        raise BrokenError(f"{name}: is not the file that the manifest lists")
 
 
 def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -> ShardFile:
-    """The shard in `file`, which `path` was opened as, its layout checked; the file is closed once nobody holds the
-    shard any more. Raises BrokenError with what is wrong."""
+    """The shard in `file`, which `path` was opened as, its layout checked; the file is closed once
+    nobody holds the shard any more. Raises BrokenError with what is wrong."""
     try:
         shard = ShardFile(file, path.name, *_checked(file, path, samples, layout))
     except BaseException:
@@ -210,10 +262,14 @@ def _checked(
         raise BrokenError(f"{path.name}: is damaged: {printable(error)}") from None
     for name, stored in index.objects.items():
         if isinstance(stored, str):
-            raise BrokenError(f"{path.name}: {short(name)[1:-1]} {stored}; only data of its own may be in a shard")
+            raise BrokenError(
+                f"{path.name}: {short(name)[1:-1]} {stored}; only data of its own may be in a shard"
+            )
     if odd := sorted(set(index.objects) ^ set(layout)):
         named = ", ".join(short(name)[1:-1] for name in odd)
-        raise BrokenError(f"{path.name}: {named}: there or missing, expected just {', '.join(layout)}")
+        raise BrokenError(
+            f"{path.name}: {named}: there or missing, expected just {', '.join(layout)}"
+        )
     columns = {}
     for name, (dtype, shape) in layout.items():
         stored = index.objects[name]
@@ -223,12 +279,19 @@ def _checked(
 
 
 def _column(
-    where: str, name: str, stored: Stored, samples: int, dtype: np.dtype, shape: tuple[int, ...], size: int
+    where: str,
+    name: str,
+    stored: Stored,
+    samples: int,
+    dtype: np.dtype,
+    shape: tuple[int, ...],
+    size: int,
 ) -> Column:
     """The dataset `name`, checked. Raises BrokenError."""
     if stored.dtype is None or stored.dtype != dtype or stored.shape != (samples, *shape):
         raise BrokenError(
-            f"{where} is {stored.dtype or 'another type'} {stored.shape[:4]}, expected {dtype} {(samples, *shape)}: "
+            f"{where} is {stored.dtype or 'another type'} {stored.shape[:4]}, expected {dtype} "
+            f"{(samples, *shape)}: "
             "as many samples as the manifest lists, of the grid's or the sensor's shape"
         )
     if stored.chunk != (1, *shape):
@@ -236,15 +299,22 @@ def _column(
     odd = set(stored.filters) - FILTERS
     if odd or len(set(stored.filters)) < len(stored.filters):
         raise BrokenError(
-            f"{where} has filters {stored.filters}, expected only gzip (1), shuffle (2) and fletcher32 (3)"
+            f"{where} has filters {stored.filters}, expected only gzip (1), shuffle (2) and "
+            f"fletcher32 (3)"
         )
     places = stored.places[np.argsort(stored.places[:, 0], kind="stable")]
     if not np.array_equal(places[:, 0], np.arange(len(places))) or len(places) != samples:
-        raise BrokenError(f"{where}: {len(np.unique(places[:, 0]))} of {samples} samples are stored")
+        raise BrokenError(
+            f"{where}: {len(np.unique(places[:, 0]))} of {samples} samples are stored"
+        )
     raw = int(dtype.itemsize * math.prod(shape))
     most = raw + raw // 100 + 1000
-    wrong = (places[:, 1:3] < 0).any(axis=1) | (places[:, 2] > np.minimum(most, size - places[:, 1]))
+    wrong = (places[:, 1:3] < 0).any(axis=1) | (
+        places[:, 2] > np.minimum(most, size - places[:, 1])
+    )
     if wrong.any():
         row, begin, length, _ = places[wrong][0].tolist()
-        raise BrokenError(f"{where}: sample {row}: {length} bytes at byte {begin} cannot be its own")
+        raise BrokenError(
+            f"{where}: sample {row}: {length} bytes at byte {begin} cannot be its own"
+        )
     return Column(name, dtype, shape, stored.filters, places)

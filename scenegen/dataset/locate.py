@@ -1,20 +1,24 @@
-"""Where a dataset is: a folder as it stands, ``hf://user/name[@revision]``, downloaded from the Hugging Face Hub, or a
-place, ``s3://bucket/folder``, of which files are copied when they are read."""
+"""Where a dataset is: a folder as it stands, ``hf://user/name[@revision]``, downloaded from the
+Hugging Face Hub, or a place, ``s3://bucket/folder``, of which files are copied when they are
+read."""
 
 import contextlib
 import hashlib
 import os
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from scenegen.dataset import manifest, trust
-from scenegen.errors import DatasetError, needs, printable
+from scenegen.errors import DatasetError, PlaceError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
-from scenegen.places import folder_of, is_remote
+from scenegen.places import LOCATED, folder_of, is_remote
 
-os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # read when the Hub's client is imported, which is later
+os.environ.setdefault(
+    "HF_HUB_DISABLE_TELEMETRY", "1"
+)  # read when the Hub's client is imported, which is later
 
 SCHEME = "hf://"
 REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
@@ -31,24 +35,35 @@ def check_name(name: str) -> None:
 
 
 def parse(name: str) -> tuple[str, str | None]:
-    """Repository and revision (None: the newest) of ``hf://user/name[@revision]``. Raises DatasetError."""
+    """Repository and revision (None: the newest) of ``hf://user/name[@revision]``. Raises
+    DatasetError."""
     repository, at, revision = name.removeprefix(SCHEME).partition("@")
-    if not REPOSITORY.fullmatch(repository) or (at and not REVISION.fullmatch(revision)) or ".." in name:
-        raise DatasetError(f"{name}: expected hf://user/name or hf://user/name@tag, such as hf://ada/pillar@v1")
+    if (
+        not REPOSITORY.fullmatch(repository)
+        or (at and not REVISION.fullmatch(revision))
+        or ".." in name
+    ):
+        raise DatasetError(
+            f"{name}: expected hf://user/name or hf://user/name@tag, such as hf://ada/pillar@v1"
+        )
     return repository, revision or None
 
 
 def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Path:
-    """The folder of a dataset on this machine. A path comes back as it is; only a name with a scheme is looked for.
+    """The folder of a dataset on this machine. A path comes back as it is; only a name with a
+    scheme is looked for.
 
-    ``hf://…`` is downloaded: see `download`. Of any other place the manifest is, into a folder of copies (see
-    `scenegen.places.cache`), where every other file comes to lie when it is first opened, or all of them now, with
-    `whole`. Raises DatasetError and PlaceError.
+    ``hf://…`` is downloaded: see `download`. Of any other place the manifest is, into a folder of
+    copies (see `scenegen.places.cache`), where every other file comes to lie when it is first
+    opened, or all of them now, with `whole`. Raises DatasetError and PlaceError.
     """
     if not is_remote(name):
         return Path(name)
     if str(name).startswith(SCHEME):
-        return download(str(name), shown=shown)
+        found = download(str(name), shown=shown)
+        commit = f"{SCHEME}{parse(str(name))[0]}@{found.name}"
+        LOCATED[found] = locate_again, commit, found.name
+        return found
     from scenegen.places.cache import fetch_all, keep, note
 
     place = folder_of(str(name))
@@ -56,22 +71,36 @@ def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Pat
         content = read_bounded(place / manifest.NAME, MOST_MANIFEST_BYTES)
     except FileNotFoundError:
         raise DatasetError(
-            f"{name}: not a dataset, it has no {manifest.NAME}; make one with `scenegen generate --out {name}`"
+            f"{name}: not a dataset, it has no {manifest.NAME}; make one with `scenegen generate "
+            f"--out {name}`"
         ) from None
     folder = keep(str(place), manifest.NAME, content)
     listed = trust.load(folder, str(name)).files  # checked before they are used as names
     note(folder, str(place), listed)
     if whole:
         fetch_all(folder, listed)
+    LOCATED[folder] = locate_again, str(place), folder.name
     return folder
+
+
+@cache
+def locate_again(name: str, folder: str) -> Path:
+    """`locate` on another machine, once a process. The manifest, after which the `folder` is
+    called, must be the same; raises PlaceError where it is not, and as `locate`."""
+    found = locate(name)
+    if found.name != folder:
+        raise PlaceError(
+            f"{name}: has changed since the command was given; give the same command again"
+        )
+    return found
 
 
 def download(name: str, *, shown: bool = False) -> Path:
     """The folder of a dataset on the Hub.
 
-    What the Hub has is downloaded into the client's usual cache by revision, no file but those that the manifest
-    lists, and held against the manifest's SHA-256s at every call; with `shown`, the client shows how far it has come.
-    Raises DatasetError.
+    What the Hub has is downloaded into the client's usual cache by revision, no file but those that
+    the manifest lists, and held against the manifest's SHA-256s at every call; with `shown`, the
+    client shows how far it has come. Raises DatasetError.
     """
     repository, revision = parse(name)
     try:
@@ -80,7 +109,11 @@ def download(name: str, *, shown: bool = False) -> Path:
         raise DatasetError(f"{name}: {needs('huggingface_hub', 'publish')}") from None
 
     def fetch(revision: str | None, *files: str) -> Path:
-        return Path(snapshot_download(repository, repo_type="dataset", revision=revision, allow_patterns=list(files)))
+        return Path(
+            snapshot_download(
+                repository, repo_type="dataset", revision=revision, allow_patterns=list(files)
+            )
+        )
 
     try:
         with client_output(shown):
@@ -92,16 +125,23 @@ def download(name: str, *, shown: bool = False) -> Path:
     except DatasetError:
         raise
     except Exception as error:  # whatever the Hub's client or the network beneath it raises
-        raise DatasetError(f"{name}: {reason(error)}; check the name, the revision and the network") from None
+        raise DatasetError(
+            f"{name}: {reason(error)}; check the name, the revision and the network"
+        ) from None
     check_files(folder, listed, name)
     return folder
 
 
 @contextlib.contextmanager
 def client_output(shown: bool) -> Iterator[None]:
-    """Whether the Hub's client shows its progress; it never gives advice, which would be about itself."""
+    """Whether the Hub's client shows its progress; it never gives advice, which would be about
+    itself."""
     from huggingface_hub.utils import logging
-    from huggingface_hub.utils.tqdm import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
+    from huggingface_hub.utils.tqdm import (
+        are_progress_bars_disabled,
+        disable_progress_bars,
+        enable_progress_bars,
+    )
 
     before, let_be = logging.get_verbosity(), shown or are_progress_bars_disabled()
     logging.set_verbosity_error()
@@ -116,20 +156,29 @@ def client_output(shown: bool) -> Iterator[None]:
 
 
 def check_files(folder: Path, files: dict[str, str], name: str) -> None:
-    """Hold `files` (name to SHA-256) against what is in `folder`. Raises DatasetError naming the first that differs."""
+    """Hold `files` (name to SHA-256) against what is in `folder`. Raises DatasetError naming the
+    first that differs."""
 
     def check(item: tuple[str, str]) -> str:
         path = folder / item[0]
         if not path.is_file():
             return f"{item[0]} is missing"
-        return "" if file_sha256(path) == item[1] else f"{item[0]} is not the file that {manifest.NAME} lists"
+        return (
+            ""
+            if file_sha256(path) == item[1]
+            else f"{item[0]} is not the file that {manifest.NAME} lists"
+        )
 
-    from concurrent.futures import ThreadPoolExecutor  # for what the Hub sends alone; importing it takes time
+    from concurrent.futures import (
+        ThreadPoolExecutor,
+    )  # for what the Hub sends alone; importing it takes time
 
     with ThreadPoolExecutor() as pool:  # hashing lets other threads run
         for wrong in pool.map(check, sorted(files.items())):
             if wrong:
-                raise DatasetError(f"{name}: {wrong}; delete {folder} to download it anew, or ask its publisher")
+                raise DatasetError(
+                    f"{name}: {wrong}; delete {folder} to download it anew, or ask its publisher"
+                )
 
 
 def file_sha256(path: Path) -> str:
@@ -139,21 +188,23 @@ def file_sha256(path: Path) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """The first paragraph of what the Hub's client says, and who says it, in one line and without any token: a server
-    may repeat what it was sent."""
+    """The first paragraph of what the Hub's client says, and who says it, in one line and without
+    any token: a server may repeat what it was sent."""
     said = without_tokens(str(error).split("\n\n")[0])
     return f"{type(error).__name__}: {said[:300]}" if said else type(error).__name__
 
 
 def without_tokens(said: object) -> str:
-    """What was said, as one printable line, without the user's token for the Hub and whatever else looks like one."""
+    """What was said, as one printable line, without the user's token for the Hub and whatever else
+    looks like one."""
     from huggingface_hub import get_token
 
     return TOKEN.sub("…", printable(said).replace(get_token() or "\0", "…"))
 
 
 def _check_listing(repository: str, revision: str | None) -> None:
-    """Refuse, before anything is downloaded, a repository without a manifest, or with one too large to be ours.
+    """Refuse, before anything is downloaded, a repository without a manifest, or with one too large
+    to be ours.
 
     Without network there is nothing to ask: the client then looks into its cache.
     """
@@ -163,15 +214,22 @@ def _check_listing(repository: str, revision: str | None) -> None:
     if constants.HF_HUB_OFFLINE:
         return
     try:
-        info = HfApi().dataset_info(repository, revision=revision, files_metadata=True, timeout=TIMEOUT_S)
+        info = HfApi().dataset_info(
+            repository, revision=revision, files_metadata=True, timeout=TIMEOUT_S
+        )
     except HfHubHTTPError:
         raise
-    except Exception:  # each version of the client has its own errors for a network that is not there
+    except (
+        Exception
+    ):  # each version of the client has its own errors for a network that is not there
         return
     sizes = {file.rfilename: file.size or 0 for file in info.siblings or []}
     if manifest.NAME not in sizes:
-        raise DatasetError(f"{SCHEME}{repository}: not a scenegen dataset, it has no {manifest.NAME}")
+        raise DatasetError(
+            f"{SCHEME}{repository}: not a scenegen dataset, it has no {manifest.NAME}"
+        )
     if sizes[manifest.NAME] > MOST_MANIFEST_BYTES:
         raise DatasetError(
-            f"{SCHEME}{repository}: its {manifest.NAME} has {sizes[manifest.NAME]} bytes; that is no manifest of ours"
+            f"{SCHEME}{repository}: its {manifest.NAME} has {sizes[manifest.NAME]} bytes; that is "
+            f"no manifest of ours"
         )

@@ -1,9 +1,10 @@
-"""The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust` checks its values."""
+"""The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust`
+checks its values."""
 
 import dataclasses
 import hashlib
 import json
-import platform
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.mapping import Mapper
 from scenegen.places import TRIES, ConflictError
 from scenegen.sample import stored_fields
+from scenegen.software import software
 
 if TYPE_CHECKING:  # these draw worlds, and import what that takes
     from scenegen.dataset.shard import ShardReport
@@ -29,10 +31,15 @@ NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
 """What a manifest says that has none of the entries of `MINOR`."""
-MINOR: Mapping[float, tuple[str, ...]] = {1.2: ("noise", "labels", "rescan"), 1.3: ("mapping",), 1.4: ("sources",)}
-"""Versions that one says with any of these entries, the highest of them: readers of earlier versions refuse it."""
-PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
-"""What the numbers depend on besides scenegen itself."""
+MINOR: Mapping[str, tuple[str, ...]] = {
+    "1.2": ("noise", "labels", "rescan"),
+    "1.3": ("mapping",),
+    "1.4": ("sources",),
+}
+"""Versions, rising, that one says with any of these entries, the last of them: readers of earlier
+versions refuse it. Whatever they would refuse is to raise the version."""
+LAST_NUMBER = (1, 4)
+"""Versions up to this one stand in the file as numbers, later ones as text: 1.10 is no 1.1."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters."""
 SEVERAL = "several"
@@ -40,7 +47,8 @@ SEVERAL = "several"
 GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m", "hollow": "hollow"}
 """A grid's parameters: their names in the file, and in `GridSpec`."""
 RARE = "hollow"
-"""The one of them that the file names only where it is true: manifests of earlier commits do not name it."""
+"""The one of them that the file names only where it is true: manifests of earlier commits do not
+name it."""
 
 
 def parameters(
@@ -53,7 +61,8 @@ def parameters(
     shard_samples: int,
     engine: str = DEFAULT,
 ) -> dict[str, Any]:
-    """The part of the manifest that is known before anything is drawn, and decides everything after."""
+    """The part of the manifest that is known before anything is drawn, and decides everything
+    after."""
     more = noise.entry_of(recipe.noise, recipe.lidar.max_range_m)
     if recipe.labels is not None:
         more["labels"] = _plain(dataclasses.asdict(recipe.labels))
@@ -65,10 +74,18 @@ def parameters(
         "kind": recipe.kind,
         "seed": seed,
         "counts": {split: counts[split] for split in SPLITS},
-        "recipe": _plain(recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})),
-        "fields": list(stored_fields(compact, labels=recipe.labels is not None, scans=recipe.mapping.scans)),
+        "recipe": _plain(
+            recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})
+        ),
+        "fields": list(
+            stored_fields(compact, labels=recipe.labels is not None, scans=recipe.mapping.scans)
+        ),
         "grid": _plain(
-            {name: getattr(recipe.grid, ours) for name, ours in GRID.items() if name != RARE or recipe.grid.hollow}
+            {
+                name: getattr(recipe.grid, ours)
+                for name, ours in GRID.items()
+                if name != RARE or recipe.grid.hollow
+            }
         ),
         "lidar": entry_of(recipe.lidar),
         **more,
@@ -78,45 +95,57 @@ def parameters(
     }
 
 
-def version_of(given: Mapping[str, Any]) -> float:
-    """The version of a manifest that has the entries `given`."""
-    minor = [version for version, names in MINOR.items() if any(given.get(name) is not None for name in names)]
-    return max([VERSION, *minor])
+def version_of(given: Mapping[str, Any]) -> float | str:
+    """The version of a manifest that has the entries `given`, as it stands in the file."""
+    found: list[float | str] = [VERSION]
+    for version, names in MINOR.items():
+        if any(given.get(name) is not None for name in names):
+            found.append(_written(version))
+    return found[-1]
+
+
+def _written(version: str) -> float | str:
+    """A minor version as it stands in the file."""
+    return float(version) if _pair(version) <= LAST_NUMBER else version
+
+
+def is_later(document: Mapping[str, Any]) -> bool:
+    """Whether a manifest says that a later version of scenegen wrote it."""
+    software = document.get("software")
+    said = software.get("scenegen") if isinstance(software, dict) else ""
+    theirs, ours = (
+        list(map(int, re.findall(r"[0-9]{1,9}", str(one)[:50]))) for one in (said, __version__)
+    )
+    return theirs > ours
+
+
+def _pair(version: Any) -> tuple[int, ...]:
+    """A version as whole numbers, major first; (0, 0) for what is none."""
+    numbers = re.fullmatch(r"([0-9]{1,9})(?:\.([0-9]{1,9}))?", short(version).strip("'"))
+    return (int(numbers[1]), int(numbers[2] or 0)) if numbers else (0, 0)
 
 
 def mapping_entry(mapping: Mapper) -> dict[str, Any]:
-    """What the manifest says of how maps are made; nothing where each is one scan around a level sensor."""
+    """What the manifest says of how maps are made; nothing where each is one scan around a level
+    sensor."""
     return {} if mapping.plain else described(mapping)
 
 
 def described(mapping: Mapper) -> dict[str, Any]:
-    """Every parameter of how maps are made, as plain JSON values; those of the default for what is the same."""
+    """Every parameter of how maps are made, as plain JSON values; those of the default for what is
+    the same."""
     return {"mapping": _plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))}
 
 
-def software() -> dict[str, str]:
-    """Versions of what the numbers depend on."""
-    found = {"scenegen": __version__, "machine": platform.machine()}
-    return found | {package: installed(package) for package in PACKAGES}
-
-
-def installed(package: str) -> str:
-    """The installed version of a package, or ``absent``."""
-    from importlib.metadata import PackageNotFoundError, version  # which takes longer than reading a manifest
-
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "absent"
-
-
 def parameters_of(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The `parameters` of a manifest, as they stand in it: all that it does not say of its shards."""
+    """The `parameters` of a manifest, as they stand in it: all that it does not say of its
+    shards."""
     return {name: value for name, value in document.items() if name not in OF_SHARDS}
 
 
 def completed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The `parameters` of a manifest, with the generator and the engine, where it does not name them."""
+    """The `parameters` of a manifest, with the generator and the engine, where it does not name
+    them."""
     return {"generator": 1, "engine": MUJOCO} | parameters_of(document)
 
 
@@ -133,7 +162,9 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str 
         if isinstance(old, dict) and isinstance(new, dict):
             found += differences(old, new, f"{prefix}{name}.")
         elif old != new:
-            found.append(f"{short(f'{prefix}{name}')[1:-1]} is {_said(old)} there, {_said(new)} asked for")
+            found.append(
+                f"{short(f'{prefix}{name}')[1:-1]} is {_said(old)} there, {_said(new)} asked for"
+            )
     return found
 
 
@@ -143,7 +174,9 @@ def _said(value: Any) -> str:
     return text if len(text) <= MOST_TOLD else f"{text[: MOST_TOLD - 3]}..."
 
 
-def assemble(given: Mapping[str, Any], reports: Sequence["ShardReport"], *, complete: bool) -> dict[str, Any]:
+def assemble(
+    given: Mapping[str, Any], reports: Sequence["ShardReport"], *, complete: bool
+) -> dict[str, Any]:
     """The manifest of the shards reported, in order."""
     worlds: Counter[str] = Counter()
     viewpoints: Counter[str] = Counter()
@@ -155,7 +188,10 @@ def assemble(given: Mapping[str, Any], reports: Sequence["ShardReport"], *, comp
         **given,
         "complete": complete,
         "shards": [report.entry() for report in reports],
-        "rejected": {"worlds": dict(sorted(worlds.items())), "viewpoints": dict(sorted(viewpoints.items()))},
+        "rejected": {
+            "worlds": dict(sorted(worlds.items())),
+            "viewpoints": dict(sorted(viewpoints.items())),
+        },
         "digest": digest if complete else None,
     }
 
@@ -163,8 +199,9 @@ def assemble(given: Mapping[str, Any], reports: Sequence["ShardReport"], *, comp
 def write(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Replace the manifest of `folder`; at a place, the one that was read last.
 
-    If another run has put one there meanwhile, a complete one stays, and this one takes the place of any other; they
-    may list other shards, but none differently. Raises PlaceError where it is of another dataset.
+    If another run has put one there meanwhile, a complete one stays, and this one takes the place
+    of any other; they may list other shards, but none differently. Raises PlaceError where it is of
+    another dataset.
     """
     content = (json.dumps(manifest, indent=1) + "\n").encode()
     for _ in range(TRIES):
@@ -174,12 +211,20 @@ def write(folder: Path, manifest: Mapping[str, Any]) -> None:
         except ConflictError:
             there = read(folder)
         if parameters_of(there) != parameters_of(manifest):
-            raise PlaceError(f"{folder}: another run has begun another dataset there; choose another --out for one")
+            raise PlaceError(
+                f"{folder}: another run has begun another dataset there; choose another --out for "
+                f"one"
+            )
         if there["complete"] and manifest["complete"]:
-            raise PlaceError(f"{folder}: another run has completed it with other bytes; give the same command again")
+            raise PlaceError(
+                f"{folder}: another run has completed it with other bytes; give the same command "
+                f"again"
+            )
         if there["complete"]:
             return
-    raise PlaceError(f"{folder}: other runs put manifests all the time; give the same command again to go on")
+    raise PlaceError(
+        f"{folder}: other runs put manifests all the time; give the same command again to go on"
+    )
 
 
 def read(folder: Path) -> dict[str, Any]:
@@ -193,17 +238,32 @@ def read(folder: Path) -> dict[str, Any]:
         _check_depth(manifest)
     except FileNotFoundError:
         lacks = f"it has no {NAME}" if folder.is_dir() else "there is no such folder"
-        raise DatasetError(f"{folder}: not a dataset, {lacks}; make one with `scenegen generate`") from None
+        raise DatasetError(
+            f"{folder}: not a dataset, {lacks}; make one with `scenegen generate`"
+        ) from None
     except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(
-            f"{path}: cannot be read ({printable(error)[:200]}); copy the dataset again, or generate it in another "
+            f"{path}: cannot be read ({printable(error)[:200]}); copy the dataset again, or "
+            f"generate it in another "
             "folder"
         ) from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "shards" not in manifest:
+    if (
+        not isinstance(manifest, dict)
+        or manifest.get("format") != FORMAT
+        or "shards" not in manifest
+    ):
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
-    if manifest.get("version") not in (VERSION, *MINOR):
-        there, ours = short(manifest.get("version")), ", ".join(map(str, (VERSION, *MINOR)))
-        raise DatasetError(f"{path}: format version {there}, this scenegen reads {ours}; install one that matches")
+    there, last = manifest.get("version"), [*MINOR][-1]
+    if there not in (VERSION, *map(_written, MINOR)):
+        newer = _pair(there) > _pair(last)
+        more = (
+            "a newer scenegen wrote it; read it with that one"
+            if newer
+            else "copy the dataset again"
+        )
+        raise DatasetError(
+            f"{path}: format version {short(there)}, this scenegen reads up to {last}; {more}"
+        )
     return manifest
 
 
@@ -212,7 +272,11 @@ def _check_depth(found: Any) -> None:
     level = [found]
     for _ in range(MOST_DEPTH):
         holders = [value for value in level if isinstance(value, dict | list)]
-        level = [inner for value in holders for inner in (value.values() if isinstance(value, dict) else value)]
+        level = [
+            inner
+            for value in holders
+            for inner in (value.values() if isinstance(value, dict) else value)
+        ]
         if not level:
             return
     raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")

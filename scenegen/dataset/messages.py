@@ -1,4 +1,5 @@
-"""Messages in the headers of HDF5 objects, as h5py writes them by default, and what a file is found to hold."""
+"""Messages in the headers of HDF5 objects, as h5py writes them by default, and what a file is found
+to hold."""
 
 import struct
 from collections.abc import Mapping
@@ -7,9 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SPACE, TYPE, EXTERNAL, LAYOUT, FILTERS, ATTRIBUTE, CONTINUATION, SYMBOLS = 0x1, 0x3, 0x7, 0x8, 0xB, 0xC, 0x10, 0x11
+SPACE, TYPE, EXTERNAL, LAYOUT, FILTERS, ATTRIBUTE, CONTINUATION, SYMBOLS = (
+    0x1,
+    0x3,
+    0x7,
+    0x8,
+    0xB,
+    0xC,
+    0x10,
+    0x11,
+)
 """Numbers of the messages in an object's header."""
-LINK, NO_DATASET, ELSEWHERE = "is a link to elsewhere", "is not a dataset", "keeps its data in other files"
+LINK, NO_DATASET, ELSEWHERE = (
+    "is a link to elsewhere",
+    "is not a dataset",
+    "keeps its data in other files",
+)
 """Why an object of a file holds no data of its own."""
 
 
@@ -33,7 +47,8 @@ class Stored:
     filters: tuple[int, ...]
     """HDF5's numbers of them, in the order of writing."""
     places: NDArray[np.int64]
-    """(n, 4) of the stored chunks, if each is one row: row, first byte in the file, bytes, filters left out (bits)."""
+    """(n, 4) of the stored chunks, if each is one row: row, first byte in the file, bytes, filters
+    left out (bits)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +74,9 @@ TYPES: dict[bytes, np.dtype] = {
     _whole(2, signed=False): np.dtype("<u2"),
     _whole(1, signed=False): np.dtype("u1"),
     # h5py's bool: an enumeration of two names
-    struct.pack("<BHxI12s8s8sBB", 0x18, 2, 1, _whole(1, signed=True), b"FALSE", b"TRUE", 0, 1): np.dtype(bool),
+    struct.pack(
+        "<BHxI12s8s8sBB", 0x18, 2, 1, _whole(1, signed=True), b"FALSE", b"TRUE", 0, 1
+    ): np.dtype(bool),
 }
 """The types of a sample's fields, by their datatype messages."""
 

@@ -1,6 +1,6 @@
-"""What a job that sees to a part of the shards writes down of them: the one that completes the dataset then need not
-read their samples. Such a file is trusted as far as the manifest is: whoever reads it holds the shards' files against
-the digests in it."""
+"""What a job that sees to a part of the shards writes down of them: the one that completes the
+dataset then need not read their samples. Such a file is trusted as far as the manifest is: whoever
+reads it holds the shards' files against the digests in it."""
 
 import hashlib
 import json
@@ -16,21 +16,26 @@ from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 
-PATTERN = "dataset.part-*.json"
+PATTERN = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""
 
 
-def write(folder: Path, parameters: str, part: Sequence[Path], reports: Sequence[ShardReport]) -> None:
-    """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose parameters have the digest
-    `parameters`."""
+def write(
+    folder: Path, parameters: str, part: Sequence[Path], reports: Sequence[ShardReport]
+) -> None:
+    """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
+    parameters have the digest `parameters`."""
     name = hashlib.sha256("\n".join(path.name for path in part).encode()).hexdigest()[:12]
-    shards = [{item.name: getattr(report, item.name) for item in fields(Entry)} for report in reports]
+    shards = [
+        {item.name: getattr(report, item.name) for item in fields(Entry)} for report in reports
+    ]
     content = json.dumps({"parameters": parameters, "shards": shards}, indent=1) + "\n"
-    write_whole(folder / PATTERN.replace("*", name), content.encode())
+    write_whole(folder / f"dataset.part-{name}.json", content.encode())
 
 
 def read(folder: Path, parameters: str) -> dict[str, Entry]:
-    """All that jobs wrote down of this dataset's shards, by file. What is damaged counts as not there."""
+    """All that jobs wrote down of this dataset's shards, by file. What is damaged counts as not
+    there."""
     found: dict[str, Entry] = {}
     for path in folder.glob(PATTERN):
         with suppress(OSError, ValueError, RecursionError, BrokenError, DatasetError):

@@ -1,4 +1,5 @@
-"""How a split's samples are numbered: which world and which of its viewpoints the sample at a place is of."""
+"""How a split's samples are numbered: which world and which of its viewpoints the sample at a place
+is of."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +13,8 @@ class Numbering:
     viewpoints: int
     """Samples of one flight."""
     scenes: int | None
-    """Worlds from MJCF files, which flights visit in turn; None where each flight has a world of its own."""
+    """Worlds from MJCF files, which flights visit in turn; None where each flight has a world of
+    its own."""
 
     def name(self, place: Any) -> tuple[Any, Any]:
         """(world, viewpoint) of the sample at `place`."""
@@ -31,4 +33,8 @@ class Numbering:
     def worlds(self, start: int, samples: int) -> Sequence[int]:
         """Numbers of the worlds that so many samples are of, from the one at `start` on, rising."""
         units = range(start // self.viewpoints, (start + samples - 1) // self.viewpoints + 1)
-        return units if self.scenes is None else sorted({unit % self.scenes for unit in units[: self.scenes]})
+        return (
+            units
+            if self.scenes is None
+            else sorted({unit % self.scenes for unit in units[: self.scenes]})
+        )

@@ -1,4 +1,5 @@
-"""Shards at a place: what a resumed run must know of each lies beside it, so that it reads no samples again."""
+"""Shards at a place: what a resumed run must know of each lies beside it, so that it reads no
+samples again."""
 
 import json
 from collections import Counter
@@ -30,10 +31,12 @@ def write_placed(spec: ShardTask) -> ShardReport:
 
 
 def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[ShardReport]:
-    """Reports of those shards, each with what the manifest lists of it, that are at the place `folder` as they should.
+    """Reports of those shards, each with what the manifest lists of it, that are at the place
+    `folder` as they should.
 
-    Objects that are those which a report beside them was written for are taken as they are: stores keep what they
-    took. Any other shard is read, and removed where it is damaged. Raises PlaceError.
+    Objects that are those which a report beside them was written for are taken as they are: stores
+    keep what they took. Any other shard is read, and removed where it is damaged. Raises
+    PlaceError.
     """
     assert isinstance(folder, PlacePath)
     there = {item.name: item for item in folder.place.list()} if tasks else {}
@@ -42,7 +45,9 @@ def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[
         spec, listed = task
         now = [there[path.name].version if path.name in there else None for path in _paths(spec)]
         report = _noted(spec, now, there) if None not in now else None
-        if report is None or (listed and any(getattr(report, each) != getattr(listed, each) for each in SUMS)):
+        if report is None or (
+            listed and any(getattr(report, each) != getattr(listed, each) for each in SUMS)
+        ):
             report = read_report(spec, listed, verify=True)
             if report is None:
                 for path in _paths(spec):  # the samples, which commit it, first
@@ -81,7 +86,9 @@ def _rejections(said: dict[str, dict[str, int]]) -> Rejections:
     return Rejections(**{what: Counter(counts) for what, counts in said.items()})
 
 
-def _noted(spec: ShardTask, now: Sequence[str | None], there: dict[str, Object]) -> ShardReport | None:
+def _noted(
+    spec: ShardTask, now: Sequence[str | None], there: dict[str, Object]
+) -> ShardReport | None:
     """What the report beside a shard says, if it is of just these objects."""
     path = spec.file.with_suffix(SUFFIX)
     if path.name not in there:
@@ -96,7 +103,11 @@ def _noted(spec: ShardTask, now: Sequence[str | None], there: dict[str, Object])
             digests=bytes.fromhex(said["digests"]),
             more=spec.more,
         )
-        fits = (said["parameters"], said["versions"], report.samples) == (spec.parameters, list(now), spec.samples)
+        fits = (said["parameters"], said["versions"], report.samples) == (
+            spec.parameters,
+            list(now),
+            spec.samples,
+        )
         return report if fits and len(report.digests) == 32 * spec.samples else None
     except (FileNotFoundError, DatasetError, ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -1,10 +1,12 @@
-"""Read a dataset: samples by split and number, with what was left out derived, and the worlds they come from."""
+"""Read a dataset: samples by split and number, with what was left out derived, and the worlds they
+come from."""
 
 import html
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple, overload
 
@@ -15,12 +17,13 @@ from lidarsim import Sensor
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import open_archive
-from scenegen.dataset.layout import ShardFile, open_file, open_shard
+from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, short
 from scenegen.sample import LazySample, Sample, derive_free, derive_tudf, describe_fields, fields_of
 
 MOST_OPEN = 64
-"""Shards that a reader keeps open in one process; a large dataset has more than a process may open."""
+"""Shards that a reader keeps open in one process; a large dataset has more than a process may
+open."""
 
 
 class Rows(NamedTuple):
@@ -36,26 +39,36 @@ class Rows(NamedTuple):
 class Dataset:
     """A dataset folder, opened for reading.
 
-    ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field. Raises DatasetError
-    for a folder that holds none, or, unless `partial`, an incomplete one.
+    ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field.
+    Raises DatasetError for a folder that holds none, or, unless `partial`, an incomplete one.
+    Whoever writes new data from it has it `checked`: every file by its sum when it is opened, every
+    sample by its digest.
     """
 
-    def __init__(self, folder: Path | str, *, partial: bool = False):
+    def __init__(self, folder: Path | str, *, partial: bool = False, checked: bool = False):
         self.folder = Path(folder)
+        self.checked = checked
+        self._sound: set[str] = set()
         self.manifest = trust.load(self.folder)
         with self._advice():
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
         if not (self.manifest.complete or partial):
-            raise DatasetError(f"{self.folder}: incomplete; give the command that made it again to go on where it was")
+            raise DatasetError(
+                f"{self.folder}: incomplete; give the command that made it again to go on where "
+                f"it was"
+            )
 
     def split(self, name: str) -> "Split":
         """The samples of a split: train, val or test. Raises DatasetError for another name."""
         if name not in SPLITS:
-            raise DatasetError(f"{self.folder}: has no split {short(name)}; expected one of {', '.join(SPLITS)}")
+            raise DatasetError(
+                f"{self.folder}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
+            )
         return Split(self, name)
 
     def world(self, split: str, number: int) -> dict[str, bytes]:
-        """World `number` of `split`: its MJCF under ``world.xml``, and the files that it refers to by their names.
+        """World `number` of `split`: its MJCF under ``world.xml``, and the files that it refers to
+        by their names.
 
         Raises DatasetError where there is no such world.
         """
@@ -63,7 +76,7 @@ class Dataset:
             member = f"{own:06d}.xml"
             with (
                 self._advice(),
-                open_file(self.folder / shard.worlds) as file,
+                self._open(shard.worlds, shard.worlds_sha256) as file,
                 open_archive(file, shard.worlds) as members,
             ):
                 if member in members:
@@ -72,27 +85,40 @@ class Dataset:
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
     def _shards_before(self, split: str, number: int) -> list[tuple[trust.Entry, int]]:
-        """The shards of a split that may hold its world `number`, the likeliest first, and the number that it bears
-        there."""
-        found = [(entry, number - self._first_world(entry)) for entry in self.manifest.shards if entry.split == split]
+        """The shards of a split that may hold its world `number`, the likeliest first, and the
+        number that it bears there."""
+        found = [
+            (entry, number - self._first_world(entry))
+            for entry in self.manifest.shards
+            if entry.split == split
+        ]
         return sorted(
-            ((entry, own) for entry, own in found if entry.first_world <= own), key=lambda one: -one[0].first_world
+            ((entry, own) for entry, own in found if entry.first_world <= own),
+            key=lambda one: -one[0].first_world,
         )
 
     def _first_world(self, entry: trust.Entry) -> int:
         """See `trust.Manifest.first_world`."""
-        return self._first.get((entry.split, entry.source), 0) if isinstance(entry, trust.GatheredEntry) else 0
+        return (
+            self._first.get((entry.split, entry.source), 0)
+            if isinstance(entry, trust.GatheredEntry)
+            else 0
+        )
 
     @cached_property
     def _first(self) -> dict[tuple[str, int], int]:
         it = self.manifest
-        return {(split, n): it.first_world(split, n) for split in SPLITS for n in range(len(it.sources))}
+        return {
+            (split, n): it.first_world(split, n) for split in SPLITS for n in range(len(it.sources))
+        }
 
     def _shard(self, entry: trust.Entry) -> ShardFile:
         """An open shard, of this dataset by its own word."""
         path = self.folder / entry.file
         with self._advice():
-            shard = open_shard(open_file(path), path, entry.samples, self.manifest.layout)
+            shard = open_shard(
+                self._open(entry.file, entry.sha256), path, entry.samples, self.manifest.layout
+            )
             shard.check_origin(
                 split=entry.split,
                 first_world=entry.first_world,
@@ -101,17 +127,32 @@ class Dataset:
             )
         return shard
 
+    def _open(self, name: str, sha256: str) -> BufferedReader:
+        """A file that the manifest lists; if `checked`, its sum is held against the list, once."""
+        file = open_file(self.folder / name)
+        if self.checked and name not in self._sound:
+            try:
+                check_sum(file, name, sha256)
+            except BrokenError:
+                file.close()
+                raise
+            self._sound.add(name)
+        return file
+
     @contextmanager
     def _advice(self) -> Iterator[None]:
         """Say of a broken file where it is, and what to do about it."""
         try:
             yield
         except BrokenError as error:
-            raise DatasetError(f"{self.folder}/{error}; copy the dataset again, or generate it") from None
+            raise DatasetError(
+                f"{self.folder}/{error}; copy the dataset again, or generate it"
+            ) from None
 
 
 class Split(Sequence[Sample]):
-    """The samples of one split, in order. Files are opened when first read, and anew in every process that reads."""
+    """The samples of one split, in order. Files are opened when first read, and anew in every
+    process that reads."""
 
     def __init__(self, dataset: Dataset, name: str):
         self.dataset = dataset
@@ -134,7 +175,16 @@ class Split(Sequence[Sample]):
             return [self[n] for n in range(*index.indices(len(self)))]
         number, row = self._place(index)
         self._shard(number)  # which says at once if the file is missing or not this dataset's
+        if self.dataset.checked:
+            self.check(index)
         return _Stored.at(self, number, row)
+
+    def check(self, index: int) -> None:
+        """Raise DatasetError unless sample `index` has the digest that stands beside it; `free` and
+        `tudf` have no part in that."""
+        number, row = self._place(index)
+        with self.dataset._advice():
+            self._shard(number).check(row)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[n] for n in range(len(self)))
@@ -148,7 +198,8 @@ class Split(Sequence[Sample]):
     def _repr_html_(self) -> str:
         """For notebooks: what the split is, and what its samples hold."""
         rows = "".join(
-            f"<tr><td>{name}</td><td>{about['dtype']} {about['shape']}</td><td>{about['meaning']}</td></tr>"
+            f"<tr><td>{name}</td><td>{about['dtype']} "
+            f"{about['shape']}</td><td>{about['meaning']}</td></tr>"
             for name, about in self.describe().items()
         )
         return f"<p>{html.escape(repr(self))}</p><table>{rows}</table>"
@@ -156,18 +207,24 @@ class Split(Sequence[Sample]):
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
         it = self.dataset.manifest
-        return describe_fields(it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans)
+        return describe_fields(
+            it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans
+        )
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
         if not -len(self) <= index < len(self):
-            raise IndexError(f"sample {index} of {len(self)} in {self.dataset.folder}, split {self.name}")
+            raise IndexError(
+                f"sample {index} of {len(self)} in {self.dataset.folder}, split {self.name}"
+            )
         index %= len(self)
         shard = int(np.searchsorted(self._start, index, side="right")) - 1
         return shard, index - int(self._start[shard])
 
     def _shard(self, number: int) -> ShardFile:
-        if self._process != os.getpid():  # a forked process has handles of its own to close, and opens its own files
+        if (
+            self._process != os.getpid()
+        ):  # a forked process has handles of its own to close, and opens its own files
             self._open, self._process = {}, os.getpid()
         shard = self._open.pop(number, None) or self.dataset._shard(self.shards[number])
         self._open[number] = shard  # last in line: the one used longest ago stands first
@@ -192,8 +249,8 @@ class Split(Sequence[Sample]):
         return int(self._start[number])
 
     def places(self, number: int) -> NDArray[np.int64]:
-        """Where a shard's samples, (N,), stand in the split of the dataset that they were made for. Raises
-        DatasetError."""
+        """Where a shard's samples, (N,), stand in the split of the dataset that they were made for.
+        Raises DatasetError."""
         entry = self.shards[number]
         start = self.first(number)
         if isinstance(entry, trust.GatheredEntry):
@@ -202,18 +259,22 @@ class Split(Sequence[Sample]):
                 shard = self._shard(number)
                 with self.dataset._advice():
                     numbering = self.dataset.manifest.home(entry).numbering(self.name)
-                    places: NDArray[np.int64] = numbering.place(shard.column("world"), shard.column("viewpoint"))
+                    places: NDArray[np.int64] = numbering.place(
+                        shard.column("world"), shard.column("viewpoint")
+                    )
                     return places
         return np.arange(start, start + entry.samples)
 
     def count_worlds(self) -> int:
-        """How many worlds its samples are of; files are opened only where samples were left out between others. Raises
-        DatasetError."""
+        """How many worlds its samples are of; files are opened only where samples were left out
+        between others. Raises DatasetError."""
         found = [np.empty(0, np.int64)]
         for number, entry in enumerate(self.shards):
             with self.dataset._advice():
                 numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            found.append(np.unique(numbering.name(self.places(number))[0]) + self.first_worlds[number])
+            found.append(
+                np.unique(numbering.name(self.places(number))[0]) + self.first_worlds[number]
+            )
         return len(np.unique(np.concatenate(found)))
 
     def home(self, index: int) -> trust.Manifest:
@@ -229,7 +290,10 @@ class Split(Sequence[Sample]):
             with self.dataset._advice():
                 worlds = (shard.column("world") + self.first_worlds[number]).tolist()
                 viewpoints = shard.column("viewpoint").tolist()
-            found += [(self.name, world, viewpoint) for world, viewpoint in zip(worlds, viewpoints, strict=True)]
+            found += [
+                (self.name, world, viewpoint)
+                for world, viewpoint in zip(worlds, viewpoints, strict=True)
+            ]
         return found
 
 
@@ -269,7 +333,11 @@ class _Stored(LazySample):
             ranges = [getattr(self, name) for name in self.names if name.endswith("ranges")]
             if not np.isfinite(self.origin).all() or not all((each >= 0).all() for each in ranges):
                 raise ValueError("origin or ranges are no lengths")
-            return derive_free(self.scans(), self.origin, grid=dataset.grid, fusion=dataset.manifest.mapping)
+            return derive_free(
+                self.scans(), self.origin, grid=dataset.grid, fusion=dataset.manifest.mapping
+            )
         except ValueError as error:
             with dataset._advice():
-                raise BrokenError(f"{self._split.shards[self._number].file}: sample {self._row}: {error}") from None
+                raise BrokenError(
+                    f"{self._split.shards[self._number].file}: sample {self._row}: {error}"
+                ) from None

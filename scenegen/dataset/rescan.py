@@ -1,4 +1,5 @@
-"""A dataset scanned again: the worlds and poses of one that is there, seen by another sensor, or with its faults."""
+"""A dataset scanned again: the worlds and poses of one that is there, seen by another sensor, or
+with its faults."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,6 +25,7 @@ from scenegen.recipe import Recipe
 from scenegen.rescan import fly_again, scan_again
 from scenegen.sample import stored_fields
 from scenegen.screen import screen
+from scenegen.software import software
 from scenegen.world import World, compile_world
 
 MOST_WORLDS = 8
@@ -36,15 +38,17 @@ class Archived:
 
     folder: Path
     scenes: Mapping[str, int] | None
-    """Worlds of each split, where MJCF files were visited in turn; None where each flight has a world of its own."""
+    """Worlds of each split, where MJCF files were visited in turn; None where each flight has a
+    world of its own."""
     _open: list[Dataset] = field(default_factory=list, compare=False)
     _worlds: dict[tuple[str, int], World] = field(default_factory=dict, compare=False)
 
     @property
     def dataset(self) -> Dataset:
-        """The dataset, opened once a process."""
+        """The dataset, opened once a process, and checked: what comes of it would hide its
+        faults."""
         if not self._open:
-            self._open.append(Dataset(self.folder))
+            self._open.append(Dataset(self.folder, checked=True))
         return self._open[0]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -74,13 +78,15 @@ class Archived:
         return {}
 
     def poses(self, split: str, samples: Sequence[int]) -> list[list[Pose]]:
-        """Poses of the sensor, by the samples' places in their split: of each its own, and those before it, the last
-        one first. Raises DatasetError."""
+        """Poses of the sensor, by the samples' places in their split: of each its own, and those
+        before it, the last one first. Raises DatasetError."""
         found = self.dataset.split(split)
         try:
             return [[scan.pose for scan in found[place].scans()] for place in samples]
         except ValueError as error:
-            raise DatasetError(f"{self.folder}: {split} sample: {printable(error)}; verify the dataset") from None
+            raise DatasetError(
+                f"{self.folder}: {split} sample: {printable(error)}; verify the dataset"
+            ) from None
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,8 @@ class RescanSpec(ShardSpec):
     """A shard of a dataset that is scanned again."""
 
     def draw(self, unit: int) -> Unit:
-        """See `ShardSpec.draw`: the unit as it was flown, scanned by the recipe's sensor and noise."""
+        """See `ShardSpec.draw`: the unit as it was flown, scanned by the recipe's sensor and
+        noise."""
         source: Any = self.source
         each = self.recipe.flight.viewpoints
         begin = unit * each
@@ -122,33 +129,41 @@ def plan_rescan(
     engine: str | None = None,
     mapping: Mapping[str, Any] | None = None,
 ) -> Plan:
-    """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, cast by another `engine`,
-    or mapped otherwise, by some parameters of a `Mapper`; what is not given stays, but for noise, of which there is
-    none then. Poses are those that are stored, unless more earlier scans are asked for, or others: then flights are
-    planned again, for these alone.
+    """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, cast
+    by another `engine`, or mapped otherwise, by some parameters of a `Mapper`; what is not given
+    stays, but for noise, of which there is none then. Poses are those that are stored, unless more
+    earlier scans are asked for, or others: then flights are planned again, for these alone.
 
     Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
     """
     found = dataset.manifest
     if found.sources:
         raise DatasetError(
-            f"{dataset.folder}: its samples were made for other datasets; scan those again, and take or merge then"
+            f"{dataset.folder}: its samples were made for other datasets; scan those again, and "
+            f"take or merge then"
         )
     if engine is None and found.engine not in ENGINES.known:
         raise DatasetError(
-            f"{dataset.folder}: made with the engine {short(found.engine)}, which is not imported because a "
+            f"{dataset.folder}: made with the engine {short(found.engine)}, which is not imported "
+            f"because a "
             "manifest names it; give --engine with its name, or one of ours"
         )
     engine = engine or found.engine
     find_engine(engine)
     try:
         mapper = replace(found.mapping, **(mapping or {}))
-        recipe: Recipe = replace(found.recipe, lidar=lidar or found.lidar, noise=chain or Noise(), mapping=mapper)
+        recipe: Recipe = replace(
+            found.recipe, lidar=lidar or found.lidar, noise=chain or Noise(), mapping=mapper
+        )
     except ValueError as error:
         raise DatasetError(printable(error)) from None
     if folder.resolve() == dataset.folder.resolve():
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
-    given = {name: value for name, value in found.parameters.items() if name not in ("noise", "engine", "mapping")}
+    given = {
+        name: value
+        for name, value in found.parameters.items()
+        if name not in ("noise", "engine", "mapping")
+    }
     compact, labels = "tudf" not in found.fields, found.labels is not None
     given |= {
         "generator": GENERATOR,
@@ -158,9 +173,12 @@ def plan_rescan(
         **manifest.mapping_entry(mapper),
         "rescan": {"digest": found.digest},
         "engine": engine,
-        "software": manifest.software(),
+        "software": software(),
     }
     given["version"] = manifest.version_of(given)
     scenes = found.tables.get("scenes") if found.kind == "scene" else None
-    source = Archived(dataset.folder, None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS})
+    source = Archived(
+        dataset.folder,
+        None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS},
+    )
     return divide(folder, given, recipe, source, compact=compact, engine=engine, kind=RescanSpec)

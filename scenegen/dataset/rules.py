@@ -1,4 +1,5 @@
-"""A stranger's JSON, held against rules before anybody relies on it; what is wrong is said in words of our own."""
+"""A stranger's JSON, held against rules before anybody relies on it; what is wrong is said in words
+of our own."""
 
 import re
 from collections.abc import Callable, Collection, Mapping
@@ -6,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any, TypeVar
 
-from scenegen.errors import BrokenError, short
+from scenegen.errors import BrokenError, NewerError, short
 
 T = TypeVar("T")
 
@@ -26,7 +27,10 @@ LIST = Rule(lambda value: isinstance(value, list), "a list")
 
 def whole(least: int, most: int) -> Rule:
     """Whole numbers from `least` to `most`."""
-    return Rule(lambda value: type(value) is int and least <= value <= most, f"a whole number from {least} to {most}")
+    return Rule(
+        lambda value: type(value) is int and least <= value <= most,
+        f"a whole number from {least} to {most}",
+    )
 
 
 def text(pattern: str, words: str) -> Rule:
@@ -52,10 +56,11 @@ def table_of(rule: Rule) -> Rule:
 
 
 def check(found: Any, rules: Mapping[str, Rule], at: str, known: Collection[str] = ()) -> None:
-    """Raise BrokenError unless `found` is a table that has all that `rules` name, each as its rule says, and, where
-    names are `known`, no others.
+    """Raise BrokenError unless `found` is a table that has all that `rules` name, each as its rule
+    says, and, where names are `known`, NewerError if it has others.
 
-    `at` is where the table stands in the file, such as ``shards.3``, empty for the whole; it begins the error.
+    `at` is where the table stands in the file, such as ``shards.3``, empty for the whole; it begins
+    the error.
     """
     if not isinstance(found, Mapping):
         raise BrokenError(f"{at} = {short(found)}: expected a table")
@@ -67,7 +72,7 @@ def check(found: Any, rules: Mapping[str, Rule], at: str, known: Collection[str]
             raise BrokenError(f"{where} = {short(found[name])}: expected {rule.words}")
     for name in found if known else ():
         if name not in known:
-            raise BrokenError(f"{at}: unknown parameter {short(name)}: expected {', '.join(known)}")
+            raise NewerError(f"{at}: unknown parameter {short(name)}: expected {', '.join(known)}")
 
 
 def ruled(rule: Rule) -> Any:
@@ -76,7 +81,8 @@ def ruled(rule: Rule) -> Any:
 
 
 def checked(kind: type, found: Any, at: str) -> dict[str, Any]:
-    """The values in the table `found` of those fields of the dataclass `kind` that have a rule. Raises BrokenError."""
+    """The values in the table `found` of those fields of the dataclass `kind` that have a rule.
+    Raises BrokenError."""
     rules = _rules_of(kind)
     check(found, rules, at)
     return {name: found[name] for name in rules}
@@ -88,7 +94,8 @@ def _rules_of(kind: type) -> Mapping[str, Rule]:
 
 
 def made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:
-    """The dataclass `part` of a table whose keys `names` are called otherwise there. Raises BrokenError."""
+    """The dataclass `part` of a table whose keys `names` are called otherwise there. Raises
+    BrokenError."""
     check(table, {}, at, names)
     try:
         return part(**{names[name]: value for name, value in table.items()})

@@ -1,6 +1,8 @@
-"""The sensor of a dataset: what the manifest's `lidar` says of it, and the table of rays in the folder.
+"""The sensor of a dataset: what the manifest's `lidar` says of it, and the table of rays in the
+folder.
 
-A raster is written by its parameters, any other sensor by its rays, so that reading imports nothing that made them.
+A raster is written by its parameters, any other sensor by its rays, so that reading imports nothing
+that made them.
 """
 
 import dataclasses
@@ -36,7 +38,9 @@ _ENTRY = {
         f"up to {MOST_AXES} counts, {MOST_RAYS} rays at most",
     ),
     "max_range_m": Rule(lambda value: type(value) in (int, float), "metres"),
-    "made_by": Rule(lambda value: isinstance(value, str) and len(value) <= MOST_MADE_BY, "what made the rays"),
+    "made_by": Rule(
+        lambda value: isinstance(value, str) and len(value) <= MOST_MADE_BY, "what made the rays"
+    ),
 }
 """What a manifest says of a table of rays; a recipe's [lidar] takes the same, but for the shape."""
 
@@ -57,7 +61,8 @@ def entry_of(sensor: Sensor) -> dict[str, Any]:
 
 
 def files_of(entry: Mapping[str, Any]) -> dict[str, str]:
-    """Files that the sensor takes in the dataset's folder, with their SHA-256. Raises BrokenError."""
+    """Files that the sensor takes in the dataset's folder, with their SHA-256. Raises
+    BrokenError."""
     if "sensor" not in entry:
         _raster(entry)
         return {}
@@ -66,7 +71,8 @@ def files_of(entry: Mapping[str, Any]) -> dict[str, str]:
 
 
 def reach_of(entry: Mapping[str, Any]) -> tuple[float, int]:
-    """How far the sensor of an entry that `files_of` takes reaches, metres, and how many rays it has."""
+    """How far the sensor of an entry that `files_of` takes reaches, metres, and how many rays it
+    has."""
     if "sensor" in entry:
         return float(entry["max_range_m"]), math.prod(entry["shape"])
     lidar = _raster(entry)
@@ -74,7 +80,8 @@ def reach_of(entry: Mapping[str, Any]) -> tuple[float, int]:
 
 
 def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
-    """The sensor of a manifest's `entry`. Raises BrokenError where it, or the table in `folder`, is damaged."""
+    """The sensor of a manifest's `entry`. Raises BrokenError where it, or the table in `folder`, is
+    damaged."""
     files = files_of(entry)
     if not files:
         return _raster(entry)
@@ -88,18 +95,18 @@ def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
             raise ValueError(f"has shape {rays.shape}, the manifest's lidar names {expected}")
         return BeamTable(rays=rays, max_range_m=entry["max_range_m"], made_by=entry["made_by"])
     except FileNotFoundError:
-        raise BrokenError(f"{RAYS}: is missing, though the manifest's lidar is a table of rays") from None
+        raise BrokenError(
+            f"{RAYS}: is missing, though the manifest's lidar is a table of rays"
+        ) from None
     except (ValueError, OSError, DatasetError) as error:
         raise BrokenError(f"{RAYS}: {printable(error)[:200]}") from None
 
 
 def write_rays(sensor: Sensor, folder: Path) -> None:
-    """Put the sensor's table into the dataset's folder, unless it is there; remove one of another sensor."""
-    path = folder / RAYS
+    """Put the sensor's table into the dataset's folder, unless it is there."""
     if isinstance(sensor, Lidar):
-        path.unlink(missing_ok=True)
         return
-    table = BeamTable.of(sensor)
+    path, table = folder / RAYS, BeamTable.of(sensor)
     if not path.is_file() or path.read_bytes() != table.npy:
         write_whole(path, table.npy)
 

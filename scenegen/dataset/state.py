@@ -1,24 +1,30 @@
-"""A folder and the dataset that is to be in it: what is there, what is missing, and what the manifest says of it."""
+"""A folder and the dataset that is to be in it: what is there, what is missing, and what the
+manifest says of it."""
 
 import contextlib
+import hashlib
+import json
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import GridSpec, Lidar, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, noted, placed, trust
-from scenegen.dataset.sensor import write_rays
-from scenegen.dataset.shard import ShardReport, ShardTask, read_report, relabel
+from scenegen.dataset.sensor import RAYS, write_rays
+from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import disk_error, names_in, remove_drafts
+from scenegen.files import disk_error, names_in, open_bounded, remove_drafts
 from scenegen.places import PlacePath
 from scenegen.workers import run
 
+SHARD = re.compile(rf"({'|'.join(SPLITS)})-[0-9]{{5}}(\.h5|\.worlds\.zip)", re.ASCII)
+"""What the files of a shard are called."""
 MANY = 8
 """Shards from which on several processes read what is there."""
 FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
@@ -50,11 +56,13 @@ class Plan:
 class State:
     """The folder of a plan, as far as one run knows it.
 
-    The manifest is read here, and again only where another job may have written one meanwhile: before this run's first
-    shard, and before its signature. `force` allows another dataset in the folder, which `open` then replaces.
+    The manifest is read here, and again only where another job may have written one meanwhile:
+    before this run's first shard, and before its signature. `force` allows another dataset in the
+    folder, which `open` then replaces.
 
-    Raises DatasetError unless the folder is free, or holds this dataset, or the beginning of it, or, with `force`,
-    another one. A manifest without a shard, left by a run that drew none, stands in nobody's way.
+    Raises DatasetError unless the folder is free, or holds this dataset, or the beginning of it,
+    or, with `force`, another one. A manifest without a shard, left by a run that drew none, stands
+    in nobody's way.
     """
 
     def __init__(self, plan: Plan, *, force: bool = False):
@@ -80,7 +88,9 @@ class State:
         except OSError as error:
             raise disk_error(folder, error) from None
         if not folder.is_dir():
-            raise DatasetError(f"{folder}: is a file, expected a folder; choose another one with --out")
+            raise DatasetError(
+                f"{folder}: is a file, expected a folder; choose another one with --out"
+            )
         # listed first: what another job begins meanwhile, it begins with a manifest
         others = [item.name for item in folder.iterdir() if not item.name.endswith(".tmp")]
         if not (folder / manifest.NAME).exists():
@@ -89,35 +99,45 @@ class State:
             if any(read_report(shard) for shard in self.plan.shards if shard.file.name in others):
                 return {}  # the manifest alone was lost
             raise DatasetError(
-                f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another folder with --out"
+                f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another "
+                f"folder with --out"
             )
         there = manifest.read(folder)
-        differing = manifest.differences(manifest.completed(there), manifest.completed(self.plan.parameters))
+        differing = manifest.differences(
+            manifest.completed(there), manifest.completed(self.plan.parameters)
+        )
         if not differing:
             try:
                 return {entry.file: entry for entry in trust.parse(there, folder).shards}
-            except BrokenError:  # what it says of its shards is damaged: they are held against their own digests
+            except (
+                BrokenError
+            ):  # what it says of its shards is damaged: they are held against their own digests
                 return {}
         if _grows(there, self.plan.parameters, differing):
             with contextlib.suppress(BrokenError):
                 self._smaller = trust.parse(there, folder)
                 return {}
-        if not self._force and _shard_files(folder):
+        if not self._force and any(map(SHARD.fullmatch, others)):
             more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
-                f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose another folder with --out, "
+                f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
+                f"another folder with --out, "
                 "or replace it with --force"
             )
         return None
 
     def adopt(self) -> None:
-        """Make the shards of a smaller dataset this one's: they hold the same samples, and say of how many they are.
+        """Make the shards of a smaller dataset this one's: they hold the same samples, and say of
+        how many they are.
 
         A run that is killed on the way goes on, whichever of the two its manifest describes.
         """
         if self._smaller is None:
             return
-        old, listed = self._smaller.fingerprint, {entry.file: entry for entry in self._smaller.shards}
+        old, listed = (
+            self._smaller.fingerprint,
+            {entry.file: entry for entry in self._smaller.shards},
+        )
         for shard in self.plan.shards:
             entry = listed.get(shard.file.name)
             if entry is not None and entry.samples == shard.samples:
@@ -127,51 +147,76 @@ class State:
         self._smaller = None
 
     def look(self, shards: Sequence[ShardTask], *, workers: int = 1) -> None:
-        """Take in those of `shards` that are on disk, are not known yet, and are as the manifest says.
+        """Take in those of `shards` that are on disk, are not known yet, and are as the manifest
+        says.
 
-        The samples of those that it does not list are held against their own digests. Each worker reads its part.
+        The samples of those that it does not list are held against their own digests. Each worker
+        reads its part.
         """
         if self._listed is None:
             return
         there = names_in(self.plan.folder)
-        unknown = [shard for shard in shards if shard.file not in self.reports and shard.file.name in there]
+        unknown = [
+            shard for shard in shards if shard.file not in self.reports and shard.file.name in there
+        ]
         listed = self._listed
         if isinstance(self.plan.folder, PlacePath):
             tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
-            self.reports |= {self.plan.folder / report.file: report for report in placed.look(self.plan.folder, tasks)}
+            self.reports |= {
+                self.plan.folder / report.file: report
+                for report in placed.look(self.plan.folder, tasks)
+            }
             return
         if any(shard.file.name not in listed for shard in unknown):
-            listed = {**noted.read(self.plan.folder, manifest.fingerprint(self.plan.parameters)), **listed}
+            listed = {
+                **noted.read(self.plan.folder, manifest.fingerprint(self.plan.parameters)),
+                **listed,
+            }
         tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
         with closing(run(_report, tasks, workers if len(tasks) >= MANY else 1)) as reports:
-            self.reports |= {self.plan.folder / report.file: report for report in reports if report is not None}
+            self.reports |= {
+                self.plan.folder / report.file: report for report in reports if report is not None
+            }
 
     def open(self) -> None:
-        """Make the folder ready for shards. Nothing in it is touched unless it is this dataset's or `force`."""
+        """Make the folder ready for shards, and touch nothing but the dataset that `force`
+        replaces.
+
+        Raises DatasetError where a file stands in the way that is of neither.
+        """
         folder = self.plan.folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            there = _shard_files(folder)  # listed first: what comes later is another job's, and this dataset's
+            there = names_in(
+                folder
+            )  # listed first: what comes later is another job's, and this dataset's
             self._listed = self._read()
             remove_drafts(folder)
+            former = [] if self.begun else _former(folder, there)
         except OSError as error:
             raise disk_error(folder, error) from None
-        begun = self.begun
-        if not begun:
+        if not self.begun:
+            planned = {
+                path.name for shard in self.plan.shards for path in (shard.file, shard.worlds_file)
+            }
+            planned |= set() if isinstance(self.plan.lidar, Lidar) else {RAYS}
+            for name in sorted(planned & there - set(former)):
+                raise DatasetError(
+                    f"{folder / name}: is of no dataset there; move it away, or choose another "
+                    f"--out"
+                )
+            for name in former:  # before the manifest that says whose they are
+                (folder / name).unlink(missing_ok=True)
             noted.remove(folder)
-        if not begun or not (folder / manifest.NAME).exists():
-            # the new manifest comes first: shards that carry another fingerprint are not taken for its own
+        if not self.begun or not (folder / manifest.NAME).exists():
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
             self._listed = self._listed or {}
         write_rays(self.plan.lidar, folder)
-        planned = {path for shard in self.plan.shards for path in (shard.file, shard.worlds_file)}
-        for file in there:
-            if not begun or file not in planned:  # another dataset's, or left by a replacement that was killed
-                file.unlink(missing_ok=True)
 
     def note(self, mine: Sequence[ShardTask] | None = None) -> None:
-        """Write down the shards that are known, for a run that is stopped: the next one hashes their files, and not
-        their samples. The manifest lists them; those of a job that sees to `mine` alone stand in a file of its own."""
+        """Write down the shards that are known, for a run that is stopped: the next one hashes
+        their files, and not their samples. The manifest lists them; those of a job that sees to
+        `mine` alone stand in a file of its own."""
         if mine is not None and len(mine) < len(self.plan.shards):
             if isinstance(self.plan.folder, PlacePath):
                 return  # a report lies beside each shard
@@ -179,22 +224,28 @@ class State:
             parameters = manifest.fingerprint(self.plan.parameters)
             noted.write(self.plan.folder, parameters, [shard.file for shard in mine], reports)
             return
-        manifest.write(self.plan.folder, manifest.assemble(self.plan.parameters, self._known(), complete=False))
+        manifest.write(
+            self.plan.folder, manifest.assemble(self.plan.parameters, self._known(), complete=False)
+        )
 
     def sign(self, *, workers: int = 1) -> dict[str, Any]:
         """Write the manifest, complete if no shard is missing; the manifest.
 
-        Other jobs may write shards meanwhile, and manifests. The one that finds a file of every shard looks at all of
-        them; others leave what is not theirs alone, but look again once they have written. A job whose shards are all
-        in a complete manifest already is done.
+        Other jobs may write shards meanwhile, and manifests. The one that finds a file of every
+        shard looks at all of them; others leave what is not theirs alone, but look again once they
+        have written. A job whose shards are all in a complete manifest already is done.
         """
         while True:
-            if len(self.reports) < len(self.plan.shards) and self._is_signed(there := manifest.read(self.plan.folder)):
+            if len(self.reports) < len(self.plan.shards) and self._is_signed(
+                there := manifest.read(self.plan.folder)
+            ):
                 return there
             if whole := not self.absent():
                 self.look(self.plan.shards, workers=workers)
             final = manifest.assemble(
-                self.plan.parameters, self._known(), complete=len(self.reports) == len(self.plan.shards)
+                self.plan.parameters,
+                self._known(),
+                complete=len(self.reports) == len(self.plan.shards),
             )
             if manifest.read(self.plan.folder) != final:
                 manifest.write(self.plan.folder, final)
@@ -205,7 +256,10 @@ class State:
 
     def _is_signed(self, there: Mapping[str, Any]) -> bool:
         """Whether the manifest `there` is complete, and lists what is known just so."""
-        if there.get("complete") is not True or manifest.parameters_of(there) != self.plan.parameters:
+        if (
+            there.get("complete") is not True
+            or manifest.parameters_of(there) != self.plan.parameters
+        ):
             return False
         entries = [entry for entry in there["shards"] if isinstance(entry, dict)]
         listed = {entry.get("file"): entry for entry in entries}
@@ -214,19 +268,29 @@ class State:
     def absent(self) -> list[ShardTask]:
         """Shards that are neither known nor on disk."""
         there = names_in(self.plan.folder)
-        return [shard for shard in self.plan.shards if shard.file not in self.reports and shard.file.name not in there]
+        return [
+            shard
+            for shard in self.plan.shards
+            if shard.file not in self.reports and shard.file.name not in there
+        ]
 
     def _known(self) -> list[ShardReport]:
-        return [self.reports[shard.file] for shard in self.plan.shards if shard.file in self.reports]
+        return [
+            self.reports[shard.file] for shard in self.plan.shards if shard.file in self.reports
+        ]
 
 
 def _grows(there: Mapping[str, Any], asked: Mapping[str, Any], differing: Sequence[str]) -> bool:
-    """Whether the dataset `asked` for is that of the manifest `there` with more samples of its splits."""
+    """Whether the dataset `asked` for is that of the manifest `there` with more samples of its
+    splits."""
     counts = there.get("counts")
     return (
         isinstance(counts, dict)
         and all(line.startswith("counts.") for line in differing)
-        and all(isinstance(counts.get(split), int) and counts[split] <= asked["counts"][split] for split in SPLITS)
+        and all(
+            isinstance(counts.get(split), int) and counts[split] <= asked["counts"][split]
+            for split in SPLITS
+        )
     )
 
 
@@ -234,7 +298,34 @@ def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
     return read_report(*task, verify=True)
 
 
-def _shard_files(folder: Path) -> list[Path]:
-    """Files in `folder` that are named like a dataset's."""
-    named = re.compile(rf"({'|'.join(SPLITS)})-[0-9]{{5}}(\.h5|\.worlds\.zip)", re.ASCII)
-    return [folder / name for name in names_in(folder) if named.fullmatch(name)]
+def _former(folder: Path, names: set[str]) -> list[str]:
+    """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its table
+    of rays, the shards that it lists, and those not listed yet, which carry its fingerprint, or
+    that of one of its sources. In an order that can be gone on with: worlds come before their
+    samples, which hold their digest."""
+    if manifest.NAME not in names:
+        return []
+    there = manifest.read(folder)
+    said, owners = json.dumps(there), [manifest.fingerprint(manifest.parameters_of(there)).encode()]
+    with contextlib.suppress(BrokenError):
+        owners += [source.fingerprint.encode() for source in trust.parse(there, folder).sources]
+    found = {name for name in names if SHARD.fullmatch(name) and f'"{name}"' in said}
+    for name in filter(SHARD.fullmatch, sorted(names - found)):
+        content, samples = _content(folder / name), name.replace(".worlds.zip", ".h5")
+        if name == samples:
+            known = any(owner in content for owner in owners)
+        elif samples in names:
+            known = samples in found and hashlib.sha256(content).hexdigest().encode() in _content(
+                folder / samples
+            )
+        else:  # whose writer was killed before it put the samples beside them
+            known = content.startswith(ARCHIVE)
+        found |= {name} if known else set()
+    if RAYS in names and hashlib.sha256(_content(folder / RAYS)).hexdigest() in said:
+        found.add(RAYS)
+    return sorted(found, reverse=True)
+
+
+def _content(path: Path) -> bytes:
+    with open_bounded(path, sys.maxsize) as file:
+        return file.read()

@@ -33,7 +33,7 @@ from scenegen.dataset.rules import (
     whole,
 )
 from scenegen.dataset.sensor import files_of, reach_of, sensor_of
-from scenegen.errors import BrokenError, DatasetError, RecipeError, printable, short
+from scenegen.errors import BrokenError, DatasetError, NewerError, RecipeError, printable, short
 from scenegen.limits import (
     MOST_CLASSES,
     MOST_KIND_NAME,
@@ -46,7 +46,7 @@ from scenegen.limits import (
     MOST_VOXELS,
 )
 from scenegen.mapping import Mapper
-from scenegen.sample import EARLIER, LABELS, stored_fields
+from scenegen.sample import EARLIER, FIELDS, LABELS, stored_fields
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
@@ -58,7 +58,12 @@ _COUNT = whole(0, MOST_SAMPLES)
 FLAGS = (False, True)
 _FIELDS = Rule(
     lambda value: (
-        value in [list(stored_fields(*given, scans)) for given in itertools.product(FLAGS, FLAGS) for scans in (1, 2)]
+        value
+        in [
+            list(stored_fields(*given, scans))
+            for given in itertools.product(FLAGS, FLAGS)
+            for scans in (1, 2)
+        ]
     ),
     "all, or all but the derived ones, with labels or without, with earlier scans or without",
 )
@@ -77,13 +82,17 @@ _LABELS = {
 _GIVEN = Rule(lambda value: True, "a value")
 _ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
 _LIST_OF_SOURCES = Rule(
-    lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES, "datasets, one at least"
+    lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES,
+    "datasets, one at least",
 )
 _SOURCE = {"digest": DIGEST, "parameters": TABLE, "taken": LIST}
 ALIKE = ("format", "generator", "fields", "grid", "lidar", "noise", "labels", "mapping")
 """Parameters in which all datasets agree whose samples are in one."""
 _TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
-_FILE = text(r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)", "such as train-00000.h5 or train-00000.worlds.zip")
+_FILE = text(
+    r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)",
+    "such as train-00000.h5 or train-00000.worlds.zip",
+)
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
 _RECIPE_RULES = {
     "version": whole(0, MOST_SEED),
@@ -96,7 +105,10 @@ _RECIPE_RULES = {
             or (
                 isinstance(value, dict)
                 and value.keys() <= set(SPLITS)
-                and all(isinstance(worlds, list) and all(map(_TEXTS.fits, worlds)) for worlds in value.values())
+                and all(
+                    isinstance(worlds, list) and all(map(_TEXTS.fits, worlds))
+                    for worlds in value.values()
+                )
             )
         ),
         "the worlds of each split",
@@ -142,13 +154,17 @@ class Manifest:
     """The part of the file that is known before anything is drawn, as it stands there."""
     generator: int = ruled(whole(1, MOST_SEED))
     """The generator that made the dataset, see `scenegen.GENERATOR`."""
-    kind: str = ruled(text(rf"(?=.{{1,{MOST_KIND_NAME}}}$)\w[\w.-]*(:\w+)?", "the name of a kind of worlds"))
+    kind: str = ruled(
+        text(rf"(?=.{{1,{MOST_KIND_NAME}}}$)\w[\w.-]*(:\w+)?", "the name of a kind of worlds")
+    )
     seed: int = ruled(optional(whole(0, MOST_SEED)))
-    """None where its `sources` have different ones; of a dataset without `sources`, and of a source, always there."""
+    """None where its `sources` have different ones; of a dataset without `sources`, and of a
+    source, always there."""
     counts: Mapping[str, int] = ruled(TABLE)
     """Samples that each split is to hold."""
     tables: Mapping[str, Any]
-    """The recipe as it stands in the file: `version`, `flight`, `accept`, and `world` or `scenes`."""
+    """The recipe as it stands in the file: `version`, `flight`, `accept`, and `world` or
+    `scenes`."""
     fields: tuple[str, ...]
     """Names of the fields that shards store."""
     grid: GridSpec
@@ -157,15 +173,19 @@ class Manifest:
     engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
     """What cast the rays; never imported unless it is one of ours."""
     noise: Mapping[str, Any] | None = ruled(optional(TABLE))
-    """`stages` as text, and `bound_m`; None for clean ranges. Never imported unless `noise_is_ours`."""
+    """`stages` as text, and `bound_m`; None for clean ranges. Never imported unless
+    `noise_is_ours`."""
     labels: Mapping[str, Any] | None = ruled(optional(TABLE))
-    """What the samples' labels mean: `by` what geoms are of a class, and the `classes`; None without labels."""
+    """What the samples' labels mean: `by` what geoms are of a class, and the `classes`; None
+    without labels."""
     rescan: Mapping[str, Any] | None = ruled(optional(TABLE))
-    """The `digest` of the dataset whose worlds and poses were scanned again; None where they were drawn."""
+    """The `digest` of the dataset whose worlds and poses were scanned again; None where they were
+    drawn."""
     mapping: Mapper
     """How maps are made."""
     sources: tuple["Manifest", ...] = ()
-    """The datasets that its samples were made for, each without shards; none where they were made for this one."""
+    """The datasets that its samples were made for, each without shards; none where they were made
+    for this one."""
     shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
     software: Mapping[str, str] = ruled(_TEXTS)
     complete: bool = ruled(FLAG)
@@ -217,8 +237,8 @@ class Manifest:
         return Numbering(viewpoints=flight["viewpoints"], scenes=scenes)
 
     def first_world(self, split: str, source: int) -> int:
-        """What readers add to the number of a world that a sample of `sources` number `source` bears, so that worlds of
-        a split have numbers of their own."""
+        """What readers add to the number of a world that a sample of `sources` number `source`
+        bears, so that worlds of a split have numbers of their own."""
         counted = [(one.numbering(split), one.counts[split]) for one in self.sources[:source]]
         return sum(len(numbering.worlds(0, samples)) for numbering, samples in counted if samples)
 
@@ -234,19 +254,23 @@ class Manifest:
 
     @property
     def drawn(self) -> bool:
-        """Whether the recipe can draw the worlds again: they are of a kind known here, or named by the user."""
+        """Whether the recipe can draw the worlds again: they are of a kind known here, or named by
+        the user."""
         from scenegen.recipes import kind_names
 
         return self.kind in (*kind_names(), self.named)
 
     @cached_property
     def recipe(self) -> "Recipe":
-        """What the tables spell out; without its world where the kind is not `drawn`, and without noise that is not
-        ours: no module is imported because a manifest names it. Raises BrokenError."""
+        """What the tables spell out; without its world where the kind is not `drawn`, and without
+        noise that is not ours: no module is imported because a manifest names it. Raises
+        BrokenError."""
         from scenegen.labels import Labels
         from scenegen.recipe import make_recipe
 
-        tables = {name: table for name, table in self.tables.items() if name not in ("version", "scenes")}
+        tables = {
+            name: table for name, table in self.tables.items() if name not in ("version", "scenes")
+        }
         tables["grid"] = dataclasses.asdict(self.grid)
         if not self.drawn:
             tables.pop("world", None)
@@ -255,9 +279,13 @@ class Manifest:
                 raise BrokenError(f"recipe.{name}: is there, expected {name} beside recipe")
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
         try:
-            found = make_recipe(self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar)
+            found = make_recipe(
+                self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar
+            )
             labels = (
-                None if self.labels is None else Labels(by=self.labels["by"], classes=tuple(self.labels["classes"]))
+                None
+                if self.labels is None
+                else Labels(by=self.labels["by"], classes=tuple(self.labels["classes"]))
             )
             return dataclasses.replace(found, noise=noise, labels=labels, mapping=self.mapping)
         except (RecipeError, ValueError) as error:
@@ -269,10 +297,20 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
 
     Raises BrokenError with what is wrong, where, and what was expected.
     """
-    found: dict[str, Any] = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | dict(document)
+    found: dict[str, Any] = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | dict(
+        document
+    )
     plain = checked(Manifest, found, "")
-    check(found, {"shards": LIST, "fields": _FIELDS, "recipe": TABLE, "grid": TABLE, "lidar": TABLE}, "")
-    check(found, {"sources": optional(_LIST_OF_SOURCES)}, "")
+    check(
+        found, {"shards": LIST, "fields": LIST, "recipe": TABLE, "grid": TABLE, "lidar": TABLE}, ""
+    )
+    check(
+        dict.fromkeys(name for name in found["fields"] if isinstance(name, str)),
+        {},
+        "fields",
+        FIELDS,
+    )
+    check(found, {"fields": _FIELDS, "sources": optional(_LIST_OF_SOURCES)}, "")
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
     check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
     check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
@@ -286,22 +324,33 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     if found["rescan"] is not None:
         check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
     if found["version"] != (expected := manifest.version_of(found)):
-        named = ", ".join(name for name in MINOR if found[name] is not None) or "nothing of a minor version"
+        named = (
+            ", ".join(name for name in MINOR if found[name] is not None)
+            or "nothing of a minor version"
+        )
         raise BrokenError(f"version = {short(found['version'])}: expected {expected} with {named}")
     sources = _sources(found, folder)
     kind = GatheredEntry if sources else Entry
-    shards = tuple(kind(**checked(kind, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"]))
+    shards = tuple(
+        kind(**checked(kind, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"])
+    )
     for n, entry in enumerate(shards):
         _check_place(entry, sources, f"shards.{n}")
-    for name, count in Counter(name for entry in shards for name in (entry.file, entry.worlds)).most_common(1):
+    for name, count in Counter(
+        name for entry in shards for name in (entry.file, entry.worlds)
+    ).most_common(1):
         if count > 1:
             raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
     grid = made(GridSpec, found["grid"], manifest.GRID, "grid")
     if math.prod(grid.shape) > MOST_VOXELS:
-        raise BrokenError(f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most")
+        raise BrokenError(
+            f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most"
+        )
     mapping = _mapping(found["mapping"], grid, found["lidar"])
     if (mapping.scans > 1) != (not EARLIER.keys().isdisjoint(found["fields"])):
-        raise BrokenError("mapping.scans: expected above 1 exactly where `fields` names earlier scans")
+        raise BrokenError(
+            "mapping.scans: expected above 1 exactly where `fields` names earlier scans"
+        )
     return Manifest(
         **plain,
         mapping=mapping,
@@ -317,7 +366,8 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
 
 
 def _mapping(entry: Any, grid: GridSpec, lidar: Mapping[str, Any]) -> Mapper:
-    """How a manifest's `entry` says that maps are made, with the sensor that it describes. Raises BrokenError."""
+    """How a manifest's `entry` says that maps are made, with the sensor that it describes. Raises
+    BrokenError."""
     if entry is None:
         return Mapper()
     check(entry, dict.fromkeys(_MAPPING, _GIVEN), "mapping", _MAPPING)
@@ -330,7 +380,8 @@ def _mapping(entry: Any, grid: GridSpec, lidar: Mapping[str, Any]) -> Mapper:
 
 
 def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
-    """The datasets that the samples of a manifest, `found`, were made for, which agree with it. Raises BrokenError."""
+    """The datasets that the samples of a manifest, `found`, were made for, which agree with it.
+    Raises BrokenError."""
     if found["sources"] is None:
         check(found, {"seed": whole(0, MOST_SEED)}, "")
         return ()
@@ -358,27 +409,36 @@ def _check_place(entry: Entry, sources: Sequence[Manifest], at: str) -> None:
     if not isinstance(entry, GatheredEntry):
         return
     if entry.source >= len(sources):
-        raise BrokenError(f"{at}.source = {entry.source}: expected less than {len(sources)}, the number of `sources`")
+        raise BrokenError(
+            f"{at}.source = {entry.source}: expected less than {len(sources)}, the number of "
+            f"`sources`"
+        )
     most = sources[entry.source].counts[entry.split]
     if not entry.samples <= entry.stop - entry.start or entry.stop > most:
         raise BrokenError(
-            f"{at}: {entry.samples} samples from {entry.start} to {entry.stop}: expected as many places, up to {most}"
+            f"{at}: {entry.samples} samples from {entry.start} to {entry.stop}: expected as many "
+            f"places, up to {most}"
         )
 
 
 def load(folder: Path, name: str = "") -> Manifest:
-    """The manifest of `folder`, by which samples can be read; `name` stands for the folder in errors.
+    """The manifest of `folder`, by which samples can be read; `name` stands for the folder in
+    errors.
 
-    Raises DatasetError for a folder without one, for a value of a wrong type or beyond reason, and for shards that are
-    no dataset's files, or not as many samples as the counts say.
+    Raises DatasetError for a folder without one, for a value of a wrong type or beyond reason, and
+    for shards that are no dataset's files, or not as many samples as the counts say.
     """
+    document = manifest.read(folder)
     try:
-        found = parse(manifest.read(folder), folder)
+        found = parse(document, folder)
         for split, asked in found.counts.items():
             total = sum(entry.samples for entry in found.shards if entry.split == split)
             if total > asked or (found.complete and total < asked):
                 raise BrokenError(f"counts.{split} = {asked}, but its shards hold {total} samples")
         return found
     except BrokenError as error:
-        wrong = printable(error)[:300]
-    raise DatasetError(f"{name or folder}: {manifest.NAME} is damaged: {wrong}; copy the dataset again, or generate it")
+        where, wrong = f"{name or folder}: {manifest.NAME}", printable(error)[:300]
+        newer = isinstance(error, NewerError) or manifest.is_later(document)
+    if newer:
+        raise DatasetError(f"{where}: a newer scenegen wrote it: {wrong}; read it with that one")
+    raise DatasetError(f"{where} is damaged: {wrong}; copy the dataset again, or generate it")

@@ -1,6 +1,7 @@
 """Executors: where tasks run. One file an executor; each fills `Executor`.
 
-What one task gives depends on the task alone, so what a command makes of them has the same bits wherever they run.
+What one task gives depends on the task alone, so what a command makes of them has the same bits
+wherever they run.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -11,12 +12,14 @@ from scenegen.errors import ScenegenError
 
 
 class Executor(Protocol):
-    """A place where tasks run, made of an `address`, "" for none, and of the number of `workers` asked for."""
+    """A place where tasks run, made of an `address`, "" for none, and of the number of `workers`
+    asked for."""
 
     def __init__(self, address: str, workers: int) -> None: ...
 
     def mine(self, tasks: Sequence[Any]) -> Sequence[Any]:
-        """Those of all `tasks` of a run, done or not, that are for this process to see to: all, unless it says so."""
+        """Those of all `tasks` of a run, done or not, that are for this process to see to: all,
+        unless it says so."""
         return tasks
 
     def __call__(
@@ -24,9 +27,11 @@ class Executor(Protocol):
     ) -> Generator[Any, None, None]:
         """Have `function` applied to `tasks`, and yield the results as they come, in any order.
 
-        `on_start` is called once the work has begun. `function` and tasks can be pickled; files that they name are
-        reached from everywhere. Closing the generator ends what it began, and only that. Raises GenerationError where
-        a task is lost for good, and whatever `function` raises.
+        `on_start` is called once the work has begun. `function` and tasks can be pickled; files
+        that they name are reached from everywhere, but for copies of a place:
+        `scenegen.executors.remote` sends its name instead, and has nodes that have another scenegen
+        refuse. Closing the generator ends what it began, and only that. Raises GenerationError
+        where a task is lost for good, and whatever `function` raises.
         """
         ...
 

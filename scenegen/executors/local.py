@@ -13,7 +13,9 @@ class Local(Executor):
 
     def __init__(self, address: str, workers: int):
         if address:
-            raise DatasetError(f"--on local://{address}: this machine has no address; give --on local")
+            raise DatasetError(
+                f"--on local://{address}: this machine has no address; give --on local"
+            )
         self.workers = workers
 
     def __call__(

@@ -1,4 +1,5 @@
-"""One of many jobs that are the same but for their rank, begun by something else; each takes its part of the tasks."""
+"""One of many jobs that are the same but for their rank, begun by something else; each takes its
+part of the tasks."""
 
 import os
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -10,13 +11,14 @@ from scenegen.workers import run
 
 NAMES = (
     ("SCENEGEN_RANK", "SCENEGEN_WORLD_SIZE"),
-    ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_COUNT"),
-    ("SLURM_PROCID", "SLURM_NTASKS"),
     ("JOB_COMPLETION_INDEX", "SCENEGEN_WORLD_SIZE"),
     ("RANK", "WORLD_SIZE"),
+    ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_COUNT"),
+    ("SLURM_PROCID", "SLURM_NTASKS"),
 )
-"""Where rank and world size stand in the environment; the first pair that is there counts. Slurm's job arrays and
-tasks, indexed Jobs of Kubernetes (which do not tell their number), torchrun and others."""
+"""Where rank and world size stand in the environment; the first pair that is there counts. What the
+user set, for an indexed Job of Kubernetes the size alone, comes first. Then torchrun, which begins
+several processes in one of Slurm's tasks; then Slurm's own job arrays and tasks."""
 FIRST = "SLURM_ARRAY_TASK_MIN"
 """The least number of a job array, which need not be 0."""
 
@@ -29,7 +31,9 @@ class Rank(Executor):
 
     def __init__(self, address: str, workers: int):
         if address:
-            raise DatasetError(f"--on rank://{address}: the environment tells the rank; give --on rank")
+            raise DatasetError(
+                f"--on rank://{address}: the environment tells the rank; give --on rank"
+            )
         self.rank, self.size = rank_of(os.environ)
         self.workers = workers
 
@@ -45,7 +49,8 @@ class Rank(Executor):
 
 
 def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
-    """Rank, from 0, and world size. Raises DatasetError where `environment` does not tell both, or impossible ones."""
+    """Rank, from 0, and world size. Raises DatasetError where `environment` does not tell both, or
+    impossible ones."""
     for names in NAMES:
         if not set(names) <= environment.keys():
             continue
@@ -62,6 +67,7 @@ def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
         told = ", or ".join(" and ".join(names) for names in NAMES)
         raise DatasetError(f"--on rank: the environment tells no rank; set {told}")
     raise DatasetError(
-        f"--on rank: {names[0]}={short(given[0])}, {names[1]}={short(given[1])}; expected whole numbers, the first "
+        f"--on rank: {names[0]}={short(given[0])}, {names[1]}={short(given[1])}; expected whole "
+        f"numbers, the first "
         "from 0 to one less than the second"
     )

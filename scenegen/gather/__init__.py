@@ -1,1 +1,2 @@
-"""Datasets made of samples that are there: several merged into one, or a part taken of one, each sample as it was."""
+"""Datasets made of samples that are there: several merged into one, or a part taken of one, each
+sample as it was."""

@@ -1,4 +1,5 @@
-"""Which samples of a dataset are taken: by split, world, number, and by what is measured of them."""
+"""Which samples of a dataset are taken: by split, world, number, and by what is measured of
+them."""
 
 import operator
 import re
@@ -51,7 +52,8 @@ class Condition:
         except ValueError:
             pass
         raise ValueError(
-            f"{short(text)}: expected a name, a sign and a number, such as occupied>=0.05; names are "
+            f"{short(text)}: expected a name, a sign and a number, such as occupied>=0.05; names "
+            f"are "
             f"{', '.join(known)}, signs {' '.join(SIGNS)}"
         )
 
@@ -98,9 +100,11 @@ class Chosen:
 
 
 def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Chosen]:
-    """The samples of `dataset` that are taken, shard by shard in its order, and none of a shard without any.
+    """The samples of `dataset` that are taken, shard by shard in its order, and none of a shard
+    without any.
 
-    Samples are read only where something measured is asked for, by `workers` processes. Raises DatasetError.
+    Samples are read only where something measured is asked for, by `workers` processes. Raises
+    DatasetError.
     """
     measured = tuple(condition for condition in choice.where if condition.name in FIGURES)
     step = workers * AT_ONCE if measured else 1
@@ -108,7 +112,10 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
         split = dataset.split(name)
         left = MOST_SAMPLES if choice.most is None else choice.most
         for begin in range(0, len(split.shards), step):
-            found = {n: _named(split, n, choice) for n in range(begin, min(begin + step, len(split.shards)))}
+            found = {
+                n: _named(split, n, choice)
+                for n in range(begin, min(begin + step, len(split.shards)))
+            }
             if measured:
                 tasks = [(n, one.rows) for n, one in found.items()]
                 with closing(run(partial(_measured, split, measured), tasks, workers)) as results:
@@ -134,7 +141,13 @@ def _named(split: Split, number: int, choice: Choice) -> Chosen:
     }
     kept = np.ones(len(places), dtype=np.bool_)
     if choice.worlds:
-        kept &= np.any([(values["world"] >= least) & (values["world"] < stop) for least, stop in choice.worlds], axis=0)
+        kept &= np.any(
+            [
+                (values["world"] >= least) & (values["world"] < stop)
+                for least, stop in choice.worlds
+            ],
+            axis=0,
+        )
     for condition in choice.where:
         if condition.name in values:
             kept &= condition.holds(values[condition.name])
@@ -147,4 +160,6 @@ def _measured(
     """Which of the rows of a shard fulfil the conditions on what is measured."""
     number, rows = task
     samples = (split[split.first(number) + row] for row in rows.tolist())
-    return number, np.array([all(c.holds(FIGURES[c.name](one)) for c in conditions) for one in samples], np.bool_)
+    return number, np.array(
+        [all(c.holds(FIGURES[c.name](one)) for c in conditions) for one in samples], np.bool_
+    )

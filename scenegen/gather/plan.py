@@ -1,5 +1,5 @@
-"""What a gathered dataset is to be: its shards, each a part of one that is there, and what its manifest says of where
-they are from."""
+"""What a gathered dataset is to be: its shards, each a part of one that is there, and what its
+manifest says of where they are from."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -27,7 +27,8 @@ EMPTY: Mapping[str, Any] = {
 
 
 def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 1) -> Plan:
-    """Plan in `folder` the samples of `dataset` that `choice` lets through, in their order. Raises DatasetError."""
+    """Plan in `folder` the samples of `dataset` that `choice` lets through, in their order. Raises
+    DatasetError."""
     pieces = ((dataset, one) for one in choose(dataset, choice, workers=workers))
     nothing = (
         f"{dataset.folder}: no sample is as asked for ({choice}); ask for others"
@@ -38,16 +39,21 @@ def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 
 
 
 def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -> Plan:
-    """Plan in `folder` all samples of `datasets`, split by split in the order in which these are named.
+    """Plan in `folder` all samples of `datasets`, split by split in the order in which these are
+    named.
 
-    Raises DatasetError for datasets that do not go together: of other grids, sensors or fields; ones that have a sample
-    in common; ones that share a world, unless both have it in the same split.
+    Raises DatasetError for datasets that do not go together: of other grids, sensors or fields;
+    ones that have a sample in common; ones that share a world, unless both have it in the same
+    split.
     """
     for other in datasets[1:]:
         _check_alike(datasets[0], other)
     check_disjoint(datasets, workers=workers)
     pieces = (
-        (dataset, one) for split in SPLITS for dataset in datasets for one in choose(dataset, Choice(splits=(split,)))
+        (dataset, one)
+        for split in SPLITS
+        for dataset in datasets
+        for one in choose(dataset, Choice(splits=(split,)))
     )
     return _plan(folder, pieces, taken="", nothing="the datasets hold no sample; merge others")
 
@@ -59,17 +65,22 @@ def _check_alike(first: Dataset, other: Dataset) -> None:
         if ours_is == theirs_is:
             continue
         if isinstance(ours_is, dict) and isinstance(theirs_is, dict):
-            part = next(key for key in (*ours_is, *theirs_is) if ours_is.get(key) != theirs_is.get(key))
+            part = next(
+                key for key in (*ours_is, *theirs_is) if ours_is.get(key) != theirs_is.get(key)
+            )
             name, ours_is, theirs_is = f"{name}.{part}", ours_is.get(part), theirs_is.get(part)
         raise DatasetError(
-            f"{other.folder}: {name} is {short(theirs_is)} there, and {short(ours_is)} in {first.folder}; merge "
+            f"{other.folder}: {name} is {short(theirs_is)} there, and {short(ours_is)} in "
+            f"{first.folder}; merge "
             "datasets that share it"
         )
 
 
-def _plan(folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str, nothing: str) -> Plan:
-    """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were chosen, and `nothing`
-    what is wrong where there is none."""
+def _plan(
+    folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str, nothing: str
+) -> Plan:
+    """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were
+    chosen, and `nothing` what is wrong where there is none."""
     sources = _Sources()
     counts = dict.fromkeys(SPLITS, 0)
     parts: list[Part] = []
@@ -77,7 +88,9 @@ def _plan(folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str,
     dataset: Dataset | None = None
     for dataset, chosen in pieces:
         if dataset.folder.resolve() in (folder.resolve(), *folder.resolve().parents):
-            raise DatasetError(f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out")
+            raise DatasetError(
+                f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
+            )
         source, home, split = *sources.add(dataset, chosen, taken), chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
         numbering = home.numbering(split)
@@ -108,7 +121,9 @@ def _plan(folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str,
     if dataset is None:
         raise DatasetError(nothing)
     if max(index.values()) > MOST_SHARDS:
-        raise DatasetError(f"{folder}: {max(index.values())} shards of a split, expected {MOST_SHARDS} at most")
+        raise DatasetError(
+            f"{folder}: {max(index.values())} shards of a split, expected {MOST_SHARDS} at most"
+        )
     given = sources.parameters(counts, max(part.samples for part in parts))
     return Plan(folder=folder, parameters=given, shards=tuple(parts), lidar=dataset.lidar)
 
@@ -120,16 +135,23 @@ class _Sources:
         self._found: dict[tuple[str, str], tuple[Manifest, list[str]]] = {}
 
     def add(self, dataset: Dataset, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
-        """The number of the dataset for which what is `chosen` was made, and its manifest. Raises DatasetError."""
+        """The number of the dataset for which what is `chosen` was made, and its manifest. Raises
+        DatasetError."""
         it = dataset.manifest
         home, before = it.home(chosen.entry), [""]
         if isinstance(chosen.entry, GatheredEntry):
             before = it.parameters["sources"][chosen.entry.source]["taken"] or before
         key = home.fingerprint, str(home.digest)
         ways = self._found.setdefault(key, (home, []))[1]
-        ways += [way for old in before if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways]
+        ways += [
+            way
+            for old in before
+            if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways
+        ]
         if len(self._found) > MOST_SOURCES:
-            raise DatasetError(f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer")
+            raise DatasetError(
+                f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
+            )
         return list(self._found).index(key), home
 
     def parameters(self, counts: Mapping[str, int], shard_samples: int) -> dict[str, Any]:

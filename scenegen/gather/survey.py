@@ -18,8 +18,8 @@ from scenegen.errors import BrokenError, DatasetError
 from scenegen.workers import run
 
 KEPT = 8
-"""Bytes of each digest by which samples and worlds are told apart: among ten million samples, two that differ are taken
-for one with a probability of 3e-6."""
+"""Bytes of each digest by which samples and worlds are told apart: among ten million samples, two
+that differ are taken for one with a probability of 3e-6."""
 
 
 @dataclass(frozen=True)
@@ -35,22 +35,29 @@ class _Task:
 def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     """Raise DatasetError where `datasets` have a sample in common, or a world in different splits.
 
-    Samples are told apart by their own digests, worlds by the bytes of their MJCF and of the files that it refers to.
+    Samples are told apart by their own digests, worlds by the bytes of their MJCF and of the files
+    that it refers to.
     """
     tasks = [
         _Task(n, dataset.folder, entry, dataset.manifest.layout)
-        for n, (dataset, entry) in enumerate((one, entry) for one in datasets for entry in one.manifest.shards)
+        for n, (dataset, entry) in enumerate(
+            (one, entry) for one in datasets for entry in one.manifest.shards
+        )
     ]
     with closing(run(_look, tasks, workers)) as results:
         found = sorted(results, key=lambda one: one[0])
     names = [f"{task.folder}/{task.entry.file}" for task in tasks]
     splits = np.array([SPLITS.index(task.entry.split) for task in tasks])
     for one, other in _twice([samples for _, samples, _ in found]):
-        raise DatasetError(f"{names[one]} and {names[other]}: hold the same sample; leave one of the two datasets out")
+        raise DatasetError(
+            f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
+            f"datasets out"
+        )
     for one, other in _twice([worlds for _, _, worlds in found]):
         if splits[one] != splits[other]:
             raise DatasetError(
-                f"{names[one]} and {names[other]}: samples of one world would be in two splits; take one split of "
+                f"{names[one]} and {names[other]}: samples of one world would be in two splits; "
+                f"take one split of "
                 "either, with `scenegen take --split`"
             )
 
@@ -70,7 +77,11 @@ def _look(task: _Task) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
                 worlds += digest.digest()[:KEPT]
     except BrokenError as error:
         raise DatasetError(f"{task.folder}/{error}; verify the dataset, or copy it again") from None
-    return task.number, np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0], np.frombuffer(worlds, np.uint64)
+    return (
+        task.number,
+        np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0],
+        np.frombuffer(worlds, np.uint64),
+    )
 
 
 def _twice(digests: Sequence[NDArray[np.uint64]]) -> list[tuple[int, int]]:

@@ -1,7 +1,9 @@
-"""Places: where a dataset lies that lies in no folder, by a name with a scheme. One file a place; each fills `Place`.
+"""Places: where a dataset lies that lies in no folder, by a name with a scheme. One file a place;
+each fills `Place`.
 
-A store has no rename and no locks. What it promises instead: an object is complete or absent, and it can be put on the
-condition that nobody else put one meanwhile. `PlacePath` is how the code of datasets sees it.
+A store has no rename and no locks. What it promises instead: an object is complete or absent, and
+it can be put on the condition that nobody else put one meanwhile. `PlacePath` is how the code of
+datasets sees it.
 """
 
 import io
@@ -12,11 +14,14 @@ from collections.abc import Generator, Iterator
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from typing import IO, TYPE_CHECKING, NamedTuple, Protocol
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from lidarsim.registry import Registry
 from scenegen.errors import DatasetError, PlaceError, printable
 
+LOCATED: dict[Path, tuple[Any, ...]] = {}
+"""Folders of this machine that were found by a name with a scheme: for each, a function that finds
+it on another machine, and what that takes."""
 Version = str | None
 """What tells two contents of an object apart; None where there is no object."""
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
@@ -44,10 +49,12 @@ class Object(NamedTuple):
 
 
 class Place(Protocol):
-    """A flat folder of objects, made of its whole name. Raises DatasetError for a name that cannot be.
+    """A flat folder of objects, made of its whole name. Raises DatasetError for a name that cannot
+    be.
 
-    Every method raises PlaceError, in one line that tells no credential, where the store refuses, is full, or does not
-    answer in good time; a first failure is tried again. A place for reading alone raises it in the last three.
+    Every method raises PlaceError, in one line that tells no credential, where the store refuses,
+    is full, or does not answer in good time; a first failure is tried again. A place for reading
+    alone raises it in the last three.
     """
 
     def __init__(self, name: str) -> None: ...
@@ -57,7 +64,8 @@ class Place(Protocol):
         ...
 
     def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
-        """Copy an object into `file`. Raises FileNotFoundError where there is none, DatasetError where it is larger."""
+        """Copy an object into `file`. Raises FileNotFoundError where there is none, DatasetError
+        where it is larger."""
         ...
 
     def put_whole(self, name: str, content: bytes) -> Version:
@@ -88,23 +96,27 @@ PLACES = Registry(
 
 
 def is_remote(name: object) -> bool:
-    """Whether `name` stands for a place. A Path never does, whatever it looks like, unless it is a `PlacePath`."""
+    """Whether `name` stands for a place. A Path never does, whatever it looks like, unless it is a
+    `PlacePath`."""
     return isinstance(name, PlacePath) or (isinstance(name, str) and REMOTE.match(name) is not None)
 
 
 def folder_of(name: str) -> Path:
-    """What a name stands for that a user gave for a dataset's folder: a place where it begins with a scheme, a path
-    otherwise. Raises DatasetError for a name that cannot be."""
+    """What a name stands for that a user gave for a dataset's folder: a place where it begins with
+    a scheme, a path otherwise. Raises DatasetError for a name that cannot be."""
     if not is_remote(name):
         if ONE_SLASH.match(name):
-            raise DatasetError(f"{printable(name)}: expected two slashes, {printable(name.replace('/', '//', 1))}")
+            raise DatasetError(
+                f"{printable(name)}: expected two slashes, {printable(name.replace('/', '//', 1))}"
+            )
         return Path(name)
     place_of(name)
     return PlacePath(name)
 
 
 def place_of(name: str) -> Place:
-    """The place called `name`, opened once a process. Raises DatasetError for a name that cannot be."""
+    """The place called `name`, opened once a process. Raises DatasetError for a name that cannot
+    be."""
     return _opened(name, os.getpid())  # connections do not survive a fork
 
 
@@ -114,9 +126,16 @@ def _opened(name: str, process: int) -> Place:
     assert match is not None
     scheme, rest = match["scheme"], match["rest"]
     if "@" in rest.partition("/")[0]:
-        raise DatasetError(f"{scheme}://…@…: a name holds no credentials; give them as docs/places.md says")
+        raise DatasetError(
+            f"{scheme}://…@…: a name holds no credentials; give them as docs/places.md says"
+        )
     parts = rest.rstrip("/").split("/")
-    if not rest.isprintable() or not all(parts[:1]) or {"", ".", ".."} & set(parts[1:]) or len(name) > 1000:
+    if (
+        not rest.isprintable()
+        or not all(parts[:1])
+        or {"", ".", ".."} & set(parts[1:])
+        or len(name) > 1000
+    ):
         raise DatasetError(f"{printable(name)[:200]}: expected a name such as s3://bucket/folder")
     if scheme not in PLACES.known:
         from scenegen.places.foreign import Foreign
@@ -127,7 +146,8 @@ def _opened(name: str, process: int) -> Place:
 
 
 _seen: dict[str, Version] = {}
-"""Versions of objects that this process has read or put, by their whole names: it replaces no others."""
+"""Versions of objects that this process has read or put, by their whole names: it replaces no
+others."""
 
 if TYPE_CHECKING:
     _Path = Path
@@ -136,7 +156,8 @@ else:
 
 
 class PlacePath(_Path):
-    """A place, or an object in it, in the stead of a Path: it has those methods of Path that datasets are written by.
+    """A place, or an object in it, in the stead of a Path: it has those methods of Path that
+    datasets are written by.
 
     What is put replaces only what this process has read before; see `Place.put_if`.
     """
@@ -206,7 +227,8 @@ class PlacePath(_Path):
         """What to say of this machine's disk, which says nothing of the object."""
         told = error.strerror or type(error).__name__
         return PlaceError(
-            f"{self}: cannot be copied to this machine's temporary folder ({told}); free some space there"
+            f"{self}: cannot be copied to this machine's temporary folder ({told}); free some "
+            f"space there"
         )
 
     def read_bytes(self) -> bytes:
@@ -215,7 +237,8 @@ class PlacePath(_Path):
             return file.read()
 
     def put(self, content: bytes) -> None:
-        """Put `content` there, unless somebody else put something else: that raises ConflictError."""
+        """Put `content` there, unless somebody else put something else: that raises
+        ConflictError."""
         for _ in range(TRIES):
             try:
                 _seen[str(self)] = self._home().put_if(self.name, content, _seen.get(str(self)))
@@ -231,7 +254,8 @@ class PlacePath(_Path):
                 _seen[str(self)] = mine
                 break
         raise ConflictError(
-            f"{self}: somebody else has put other bytes there; end other runs that write there, remove the object if "
+            f"{self}: somebody else has put other bytes there; end other runs that write there, "
+            f"remove the object if "
             "there are none, and give the same command again to go on"
         )
 

@@ -1,4 +1,5 @@
-"""A place of any other scheme, by fsspec (https://filesystem-spec.readthedocs.io): for reading alone, experimental."""
+"""A place of any other scheme, by fsspec (https://filesystem-spec.readthedocs.io): for reading
+alone, experimental."""
 
 from collections.abc import Iterator
 from typing import IO, NoReturn
@@ -22,7 +23,8 @@ class Foreign(Place):
             self._system, self._path = fsspec.core.url_to_fs(self.name)
         except (ValueError, ImportError, OSError) as error:
             raise DatasetError(
-                f"{printable(name)}: fsspec has nothing here that reads it ({type(error).__name__}); give a folder, "
+                f"{printable(name)}: fsspec has nothing here that reads it "
+                f"({type(error).__name__}); give a folder, "
                 "hf://user/name or s3://bucket/folder"
             ) from None
 
@@ -69,11 +71,14 @@ class Foreign(Place):
         self._read_only()
 
     def _read_only(self) -> NoReturn:
-        raise PlaceError(f"{self.name}: is for reading alone; write to a folder, or to s3://bucket/folder")
+        raise PlaceError(
+            f"{self.name}: is for reading alone; write to a folder, or to s3://bucket/folder"
+        )
 
     def _refused(self, name: str, error: Exception) -> PlaceError:
         """Without what the file system says, which may hold anything."""
         where = f"{self.name}/{name}" if name else self.name
         return PlaceError(
-            f"{where}: cannot be read ({type(error).__name__}); see to the name, the network and the rights"
+            f"{where}: cannot be read ({type(error).__name__}); see to the name, the network and "
+            f"the rights"
         )

@@ -1,1 +1,2 @@
-"""Publish a dataset: check it, describe it, stage it as one folder, and send that to the Hugging Face Hub."""
+"""Publish a dataset: check it, describe it, stage it as one folder, and send that to the Hugging
+Face Hub."""

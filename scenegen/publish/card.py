@@ -1,4 +1,5 @@
-"""The dataset card, `README.md`: front matter that the Hub reads, and what a person wants to know."""
+"""The dataset card, `README.md`: front matter that the Hub reads, and what a person wants to
+know."""
 
 import json
 from collections.abc import Mapping
@@ -11,15 +12,37 @@ from scenegen.view.statistics import FIGURES
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 """Samples below which the Hub's size category is this."""
-TAGS = ("scene-completion", "3d", "occupancy", "distance-field", "lidar", "voxels", "robotics", "synthetic", "hdf5")
+TAGS = (
+    "scene-completion",
+    "3d",
+    "occupancy",
+    "distance-field",
+    "lidar",
+    "voxels",
+    "robotics",
+    "synthetic",
+    "hdf5",
+)
 MOST_NAMED = 50
 """Classes that a card names."""
 
 
 def card(it: Publication) -> str:
     """The whole card."""
-    parts = [_front_matter(it), f"# {it.name}", f"{it.sentence}. Made by scenegen, seed {it.manifest.seed}."]
-    parts += [_pictures(it), _fields(it), _loading(it), _statistics(it), _making(it), _limits(it), _citing(it)]
+    parts = [
+        _front_matter(it),
+        f"# {it.name}",
+        f"{it.sentence}. Made by scenegen, seed {it.manifest.seed}.",
+    ]
+    parts += [
+        _pictures(it),
+        _fields(it),
+        _loading(it),
+        _statistics(it),
+        _making(it),
+        _limits(it),
+        _citing(it),
+    ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -28,7 +51,13 @@ def _front_matter(it: Publication) -> str:
     size = next((name for most, name in SIZES if samples < most), "1M<n<10M")
     lines = ["---", f"pretty_name: {json.dumps(it.name)}", f"license: {it.licence.hub}"]
     lines += ["task_categories:", "- robotics", "tags:", *(f"- {tag}" for tag in TAGS)]
-    lines += ["size_categories:", f"- {size}", "configs:", "- config_name: default", "  data_files:"]
+    lines += [
+        "size_categories:",
+        f"- {size}",
+        "configs:",
+        "- config_name: default",
+        "  data_files:",
+    ]
     for split in it.splits:
         lines += [f"  - split: {split}", f'    path: "{split}-*.h5"']
     return "\n".join([*lines, "---"])
@@ -39,8 +68,10 @@ def _pictures(it: Publication) -> str:
         return ""
     shown = "\n\n".join(f"![{caption}]({name})" for name, caption in it.pictures)
     return (
-        f"{shown}\n\nFrom left to right: what the scan observed, what is there (both coloured by height), and how far "
-        "the nearest occupied voxel is, in the level just below the sensor, from dark (0 m) to light "
+        f"{shown}\n\nFrom left to right: what the scan observed, what is there (both coloured by "
+        f"height), and how far "
+        "the nearest occupied voxel is, in the level just below the sensor, from dark (0 m) to "
+        "light "
         f"({it.manifest.grid.truncation_m:g} m). The dot is the sensor. Shown are "
         f"{', '.join(caption for _, caption in it.pictures)}." + _page(it)
     )
@@ -60,9 +91,15 @@ def _fields(it: Publication) -> str:
         rows.append(f"| `{name}` | {kind} | {field['unit'] or '–'} | {field['meaning']} |")
     grid = it.manifest.grid
     absent = [f"`{name}`" for name in ("free", "tudf") if name not in it.fields]
-    derived = f" {' and '.join(absent)} follow from these; scenegen derives them on reading." if absent else ""
+    derived = (
+        f" {' and '.join(absent)} follow from these; scenegen derives them on reading."
+        if absent
+        else ""
+    )
     surfaces = (
-        " Truth is of surfaces: a voxel that lies wholly inside one solid is not occupied." if grid.hollow else ""
+        " Truth is of surfaces: a voxel that lies wholly inside one solid is not occupied."
+        if grid.hollow
+        else ""
     )
     table = "\n".join(rows)
     if it.manifest.labels is not None:
@@ -129,7 +166,9 @@ def _statistics(it: Publication) -> str:
         for split in splits.values():
             value = split["statistics"][key]
             absent = value["mean"] is None
-            cells.append("–" if absent else f"{value['mean'] * factor:.2f} ± {value['std'] * factor:.2f}")
+            cells.append(
+                "–" if absent else f"{value['mean'] * factor:.2f} ± {value['std'] * factor:.2f}"
+            )
         rows.append(f"| {label}, {unit} | {' | '.join(cells)} |")
     measured = ", ".join(f"{split['sampled']} of {name}" for name, split in splits.items())
     rejected = it.manifest.rejected
@@ -138,12 +177,15 @@ def _statistics(it: Publication) -> str:
         for what, counts in rejected.items()
         if counts
     )
-    told = "" if it.manifest.rescan is not None else f" Rejected while drawing: {dropped or 'none'}."
+    told = (
+        "" if it.manifest.rescan is not None else f" Rejected while drawing: {dropped or 'none'}."
+    )
     return (
         "## Statistics\n\n"
         + "\n".join(rows)
         + f"\n\nMean ± standard deviation over evenly spread samples ({measured}). "
-        f"The whole takes {it.statistics['bytes'] / 1e6:.0f} MB, {it.statistics['bytes_per_sample'] / 1e3:.0f} KB a "
+        f"The whole takes {it.statistics['bytes'] / 1e6:.0f} MB, "
+        f"{it.statistics['bytes_per_sample'] / 1e3:.0f} KB a "
         f"sample.{told}"
     )
 
@@ -154,7 +196,9 @@ def _making(it: Publication) -> str:
     follows = f"every sample follows from the seed and `{file}`"
     stands = ""
     if it.manifest.rescan is not None:
-        follows = f"the worlds and poses of another dataset were scanned again by the sensor in `{file}`"
+        follows = (
+            f"the worlds and poses of another dataset were scanned again by the sensor in `{file}`"
+        )
         stands = f"\n\n`{ORIGINAL}` stands for that dataset, whose digest is `{it.manifest.rescan['digest']}`."
     elif it.manifest.kind == "scene":
         stands = "\n\n`SCENES` stands for the MJCF files whose names and digests `dataset.json` lists under `recipe`."

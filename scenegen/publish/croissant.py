@@ -43,9 +43,37 @@ CONTEXT: dict[str, Any] = {
 } | {
     term: f"cr:{term}"
     for term in (
-        *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field", "fileObject"),
-        *("fileProperty", "fileSet", "format", "includes", "isArray", "isLiveDataset", "jsonPath", "key", "md5"),
-        *("parentField", "path", "recordSet", "references", "regex", "repeated", "replace", "samplingRate"),
+        *(
+            "arrayShape",
+            "citeAs",
+            "column",
+            "containedIn",
+            "equivalentProperty",
+            "extract",
+            "field",
+            "fileObject",
+        ),
+        *(
+            "fileProperty",
+            "fileSet",
+            "format",
+            "includes",
+            "isArray",
+            "isLiveDataset",
+            "jsonPath",
+            "key",
+            "md5",
+        ),
+        *(
+            "parentField",
+            "path",
+            "recordSet",
+            "references",
+            "regex",
+            "repeated",
+            "replace",
+            "samplingRate",
+        ),
         *("separator", "source", "subField", "transform"),
     )
 }
@@ -65,7 +93,11 @@ def croissant(it: Publication, sha256: Mapping[str, str]) -> str:
         "url": it.url,
         "version": f"{VERSION}.{it.manifest.tables.get('version', 0)}.0",
         "datePublished": it.date,
-        "creator": {"@type": "sc:Organization", "name": owner, "url": f"https://huggingface.co/{owner}"},
+        "creator": {
+            "@type": "sc:Organization",
+            "name": owner,
+            "url": f"https://huggingface.co/{owner}",
+        },
         "citeAs": f"{owner}: {it.name}, revision {it.tag}, {it.url}. After {PAPER}.",
         "keywords": ["3D scene completion", "occupancy", "distance field", "LiDAR", "synthetic"],
         "isLiveDataset": False,
@@ -87,7 +119,11 @@ def _responsible(it: Publication) -> dict[str, Any]:
     made = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
     recipe = RECIPE if it.manifest.rescan is None else "the recipe in dataset.json"
     noise = it.manifest.noise
-    faults = "a scan without noise or motion" if noise is None else f"simulated noise ({noise['stages']})"
+    faults = (
+        "a scan without noise or motion"
+        if noise is None
+        else f"simulated noise ({noise['stages']})"
+    )
     return {
         "rai:dataCollection": (
             f"Simulated. {worlds} seed {it.manifest.seed}, a planner flies a robot through "
@@ -96,9 +132,11 @@ def _responsible(it: Publication) -> dict[str, Any]:
             "Nothing was recorded in the real world."
         ),
         "rai:dataCollectionType": ["Software Collection"],
-        "rai:dataCollectionRawData": "The MJCF model of every world, in the archives beside the shards.",
+        "rai:dataCollectionRawData": "The MJCF model of every world, in the archives beside the "
+        "shards.",
         "rai:dataCollectionMissingData": (
-            "Rays without a return within the sensor's reach are stored as infinity; voxels that no ray met are "
+            "Rays without a return within the sensor's reach are stored as infinity; voxels that "
+            "no ray met are "
             f"neither observed nor free. {rejected}"
         ),
         "rai:dataPreprocessingProtocol": [
@@ -107,27 +145,34 @@ def _responsible(it: Publication) -> dict[str, Any]:
         ],
         "rai:dataAnnotationProtocol": [
             "Truth is computed, not labelled: a voxel is occupied where its closed cube touches "
-            f"{'the surface of ' if it.manifest.grid.hollow else ''}a solid of the world, decided by closed forms."
+            f"{'the surface of ' if it.manifest.grid.hollow else ''}a solid of the world, decided "
+            f"by closed forms."
         ],
         "rai:machineAnnotationTools": [made],
         "rai:dataUseCases": [
-            "Training and comparing networks that complete a partial 3D map, and planning in completed maps.",
+            "Training and comparing networks that complete a partial 3D map, and planning in "
+            "completed maps.",
             "Not for certifying the safety of a robot.",
         ],
         "rai:dataBiases": [
             "Worlds are few, and those that their author thought of."
             if by_hand
-            else f"Worlds follow the distributions of {recipe} and no real place; the frequencies of shapes, gaps "
+            else f"Worlds follow the distributions of {recipe} and no real place; the frequencies "
+            f"of shapes, gaps "
             "and densities are those of the recipe."
         ],
         "rai:dataLimitations": [
             f"Rigid and static solids, {faults}, one sensor and one voxel size.",
             "Maps end at their faces: distances do not know what lies outside.",
         ],
-        "rai:dataSocialImpact": "Reproducible data for research on navigation, at the price of minutes of computing.",
-        "rai:personalSensitiveInformation": ["None: there are no people, places or personal data in it."],
+        "rai:dataSocialImpact": "Reproducible data for research on navigation, at the price of "
+        "minutes of computing.",
+        "rai:personalSensitiveInformation": [
+            "None: there are no people, places or personal data in it."
+        ],
         "rai:dataReleaseMaintenancePlan": (
-            f"Revision {it.tag} stays as it is; a correction gets a tag of its own. Digest {it.manifest.digest}."
+            f"Revision {it.tag} stays as it is; a correction gets a tag of its own. Digest "
+            f"{it.manifest.digest}."
         ),
     }
 
@@ -140,14 +185,24 @@ def _node(kind: str, name: str, **about: Any) -> dict[str, Any]:
 def _distribution(it: Publication, sha256: Mapping[str, str]) -> list[dict[str, Any]]:
     """The repository, each of its data files, and the shards of each split as a set."""
     said = "The repository on the Hub; in place of a checksum, the dataset's own digest."
-    at = {"contentUrl": f"{it.url}/tree/{it.tag}", "encodingFormat": "git+https", "sha256": it.manifest.digest}
+    at = {
+        "contentUrl": f"{it.url}/tree/{it.tag}",
+        "encodingFormat": "git+https",
+        "sha256": it.manifest.digest,
+    }
     found = [_node("FileObject", "repository", description=said, **at)]
     for name, digest in sha256.items():
         url, form = f"{it.url}/resolve/{it.tag}/{name}", FORMATS[name[name.rindex(".") :]]
         found.append(_node("FileObject", name, contentUrl=url, encodingFormat=form, sha256=digest))
     for split in it.splits:
-        said = f"HDF5 files of the {split} split; samples along the first dimension of every dataset."
-        within = {"containedIn": {"@id": "repository"}, "encodingFormat": FORMATS[".h5"], "includes": f"{split}-*.h5"}
+        said = (
+            f"HDF5 files of the {split} split; samples along the first dimension of every dataset."
+        )
+        within = {
+            "containedIn": {"@id": "repository"},
+            "encodingFormat": FORMATS[".h5"],
+            "includes": f"{split}-*.h5",
+        }
         found.append(_node("FileSet", f"{split}-shards", description=said, **within))
     return found
 

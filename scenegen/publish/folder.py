@@ -1,4 +1,5 @@
-"""The folder that is published: put together beside its final place, hashed, then moved there whole."""
+"""The folder that is published: put together beside its final place, hashed, then moved there
+whole."""
 
 import contextlib
 import json
@@ -19,7 +20,8 @@ SUMS = "SHA256SUMS"
 
 
 def check_out(dataset: Path, out: Path) -> None:
-    """Raise PublishError where `out` cannot take the folder: it is the dataset, or holds what publish did not make."""
+    """Raise PublishError where `out` cannot take the folder: it is the dataset, or holds what
+    publish did not make."""
     if out.exists() and not out.is_dir():
         raise PublishError(f"--out {out}: is there, and not a folder; give another name")
     there, here = out.resolve(), dataset.resolve()
@@ -31,18 +33,28 @@ def check_out(dataset: Path, out: Path) -> None:
 def _check_foreign(out: Path) -> None:
     foreign = sorted(foreign_files(out))
     if foreign:
-        raise PublishError(f"--out {out}: holds {foreign[0]}, which publish did not put there; choose another folder")
+        raise PublishError(
+            f"--out {out}: holds {foreign[0]}, which publish did not put there; choose another "
+            f"folder"
+        )
 
 
 def foreign_files(out: Path) -> set[str]:
-    """What is in `out`, a folder of a former run or none, that its own list does not name; all of it where no former
-    run made the folder."""
+    """What is in `out`, a folder of a former run or none, that its own list does not name; all of
+    it where no former run made the folder."""
     if not out.is_dir():
         return set()
-    there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_symlink() or not path.is_dir()}
+    there = {
+        str(path.relative_to(out))
+        for path in out.rglob("*")
+        if path.is_symlink() or not path.is_dir()
+    }
     with contextlib.suppress(DatasetError, OSError, UnicodeDecodeError):
         manifest.read(out)
-        there -= {line.partition("  ")[2] for line in (out / SUMS).read_text(encoding="utf-8").splitlines()}
+        there -= {
+            line.partition("  ")[2]
+            for line in (out / SUMS).read_text(encoding="utf-8").splitlines()
+        }
         there.discard(SUMS)
     return there
 
@@ -51,7 +63,8 @@ def foreign_files(out: Path) -> set[str]:
 def drafted(out: Path) -> Iterator[Path]:
     """A folder to fill, which takes the place of `out` once all went well, and vanishes otherwise.
 
-    Raises DatasetError where the disk refuses, PublishError where something foreign came into `out` meanwhile.
+    Raises DatasetError where the disk refuses, PublishError where something foreign came into `out`
+    meanwhile.
     """
     draft, former = draft_of(out), draft_of(out)
 
@@ -80,7 +93,8 @@ def drafted(out: Path) -> Iterator[Path]:
 
 
 def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
-    """Put the files `names` (each with its SHA-256) of a dataset into `draft`: as hard links, or as copies elsewhere.
+    """Put the files `names` (each with its SHA-256) of a dataset into `draft`: as hard links, or as
+    copies elsewhere.
 
     Raises PublishError for one that is not what its digest says.
     """
@@ -92,17 +106,22 @@ def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
         except OSError:  # another disk, or a file system or owner that does not allow it
             shutil.copyfile(there, here)
         if file_sha256(here) != names[name]:
-            raise PublishError(f"{source / name}: is not the file that {manifest.NAME} lists; generate it again")
+            raise PublishError(
+                f"{source / name}: is not the file that {manifest.NAME} lists; generate it again"
+            )
 
     for name in names:
         if not (source / name).is_file():
-            raise PublishError(f"{source / name}: is missing, though {manifest.NAME} lists it; generate it again")
+            raise PublishError(
+                f"{source / name}: is missing, though {manifest.NAME} lists it; generate it again"
+            )
     with ThreadPoolExecutor() as pool:
         list(pool.map(take_one, names))
 
 
 def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
-    """Write `SUMS` over all files of `draft`, those in `known` with the SHA-256 given there. Returns name to size."""
+    """Write `SUMS` over all files of `draft`, those in `known` with the SHA-256 given there.
+    Returns name to size."""
     names = sorted(str(path.relative_to(draft)) for path in draft.rglob("*") if path.is_file())
     lines = [f"{known.get(name) or file_sha256(draft / name)}  {name}\n" for name in names]
     write_whole(draft / SUMS, "".join(lines).encode())
@@ -110,12 +129,16 @@ def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
 
 
 def former_date(out: Path, content: bytes) -> str | None:
-    """The date of publication in the folder `out`, if that folder publishes the dataset with the manifest `content`.
+    """The date of publication in the folder `out`, if that folder publishes the dataset with the
+    manifest `content`.
 
-    A run that goes on after a stop takes this date, so that it sends the same files as the stopped one."""
+    A run that goes on after a stop takes this date, so that it sends the same files as the stopped
+    one."""
     try:
         if (out / manifest.NAME).read_bytes() == content:
-            return str(json.loads((out / "croissant.json").read_text(encoding="utf-8"))["datePublished"])
+            return str(
+                json.loads((out / "croissant.json").read_text(encoding="utf-8"))["datePublished"]
+            )
     except (OSError, ValueError, KeyError, TypeError):
         pass
     return None

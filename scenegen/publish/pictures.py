@@ -1,4 +1,5 @@
-"""Pictures of samples for the card, drawn with numpy alone: blocks seen at an angle, and a level of distances."""
+"""Pictures of samples for the card, drawn with numpy alone: blocks seen at an angle, and a level of
+distances."""
 
 import struct
 import zlib
@@ -23,10 +24,12 @@ Image = NDArray[np.uint8]
 
 
 def draw_sample(sample: Sample, truncation_m: float) -> bytes:
-    """A PNG of three panels: `observed`, `occupancy`, and `tudf` in the level just below the sensor, x right and y up.
+    """A PNG of three panels: `observed`, `occupancy`, and `tudf` in the level just below the
+    sensor, x right and y up.
 
-    Blocks are coloured by height, seen from above, over the corner of greatest x and least y: x points down right, y up
-    right, which is the third panel turned by 45°. The dot is the sensor. Distances go from 0 (dark) to `truncation_m`.
+    Blocks are coloured by height, seen from above, over the corner of greatest x and least y: x
+    points down right, y up right, which is the third panel turned by 45°. The dot is the sensor.
+    Distances go from 0 (dark) to `truncation_m`.
     """
     level = sample.tudf.shape[2] // 2 - 1
     panels = [draw_blocks(sample.observed), draw_blocks(sample.occupancy)]
@@ -39,7 +42,9 @@ def draw_blocks(mask: NDArray[np.bool_]) -> Image:
     """Cubes where `mask` (x, y, z) is set, above the map's floor."""
     mask = mask[:, ::-1]  # below, the second axis comes towards the eye
     nx, ny, nz = mask.shape
-    half = max(2, 2 * (PANEL_PX // (2 * (nx + ny))))  # half a block's width in pixels, even; its height is the same
+    half = max(
+        2, 2 * (PANEL_PX // (2 * (nx + ny)))
+    )  # half a block's width in pixels, even; its height is the same
     image = np.full(((nx + ny) * half // 2 + nz * half, (nx + ny) * half, 3), PAPER, np.uint8)
     floor = np.argwhere(np.ones((nx, ny, 1), bool))
     _paint(image, mask.shape, half, floor, np.full((len(floor), 3), FLOOR), only_top=True)
@@ -52,7 +57,8 @@ def draw_blocks(mask: NDArray[np.bool_]) -> Image:
 
 
 def draw_level(shares: NDArray[Any], *, height: int) -> Image:
-    """A level of values from 0 to 1 (x, y), as squares: x right, y up, on a panel of `height` pixels."""
+    """A level of values from 0 to 1 (x, y), as squares: x right, y up, on a panel of `height`
+    pixels."""
     size = max(1, height // max(shares.shape))
     squares = np.kron(shares.T[::-1], np.ones((size, size)))
     panel = np.full((height, squares.shape[1], 3), PAPER, np.uint8)
@@ -88,7 +94,9 @@ def _stamp(half: int, only_top: bool) -> tuple[NDArray[Any], NDArray[Any], NDArr
     """
     rows, columns, light = [], [], []
     for column in range(2 * half):
-        reach = (min(column, 2 * half - 1 - column) // 2) + 1  # half the rhombus's height in this column
+        reach = (
+            min(column, 2 * half - 1 - column) // 2
+        ) + 1  # half the rhombus's height in this column
         for row in range(half // 2 - reach, half // 2 + reach + (0 if only_top else half)):
             top = row < half // 2 + reach
             rows.append(row)
@@ -97,7 +105,9 @@ def _stamp(half: int, only_top: bool) -> tuple[NDArray[Any], NDArray[Any], NDArr
     return np.array(rows), np.array(columns), np.array(light)
 
 
-def _corner(shape: tuple[int, ...], half: int, places: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _corner(
+    shape: tuple[int, ...], half: int, places: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Row and column of the upper left corner of the blocks at `places` (n, 3)."""
     x, y, z = places.T
     row = (x + y) * half // 2 + (shape[2] - 1 - z) * half
@@ -113,7 +123,9 @@ def _exposed(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _colours(shares: NDArray[Any], anchors: tuple[tuple[int, int, int], ...]) -> Image:
     """Colours of values from 0 to 1, between `anchors`: any shape to that shape by 3."""
     at = np.linspace(0, 1, len(anchors))
-    channels = [np.interp(shares, at, [anchor[channel] for anchor in anchors]) for channel in range(3)]
+    channels = [
+        np.interp(shares, at, [anchor[channel] for anchor in anchors]) for channel in range(3)
+    ]
     return np.stack(channels, axis=-1).astype(np.uint8)
 
 
@@ -129,8 +141,15 @@ def to_png(image: Image) -> bytes:
     lines = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)
 
     def chunk(kind: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        return (
+            struct.pack(">I", len(content))
+            + kind
+            + content
+            + struct.pack(">I", zlib.crc32(kind + content))
+        )
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     pixels = zlib.compress(lines.tobytes(), 6)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    )

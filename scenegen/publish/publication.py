@@ -11,7 +11,8 @@ from scenegen.publish.licence import Licence
 from scenegen.sample import describe_fields
 
 PAPER = (
-    "Yu, Zhao, Xu: Planning-Oriented 3D Scene Completion via Coupled TUDF–Occupancy Representation Learning from "
+    "Yu, Zhao, Xu: Planning-Oriented 3D Scene Completion via Coupled TUDF–Occupancy "
+    "Representation Learning from "
     "Partial Observations"
 )
 KINDS = {
@@ -64,8 +65,10 @@ class Publication:
         voxel, mapping = self.manifest.grid.voxel_m, self.manifest.mapping
         made = "" if mapping.plain else f", each {mapping}"
         return (
-            f"{self.statistics['samples']} pairs of a simulated LiDAR scan and the exact truth around it, in "
-            f"{KINDS.get(kind, f'worlds of kind {kind}')}, as {x} × {y} × {z} voxel maps of {voxel:g} m{made}"
+            f"{self.statistics['samples']} pairs of a simulated LiDAR scan and the exact truth "
+            f"around it, in "
+            f"{KINDS.get(kind, f'worlds of kind {kind}')}, as {x} × {y} × {z} voxel maps of "
+            f"{voxel:g} m{made}"
         )
 
     @property
@@ -77,8 +80,15 @@ class Publication:
     def fields(self) -> dict[str, dict[str, Any]]:
         """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
         it = self.manifest
-        known = describe_fields(it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans)
+        known = describe_fields(
+            it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans
+        )
         stored = {name: known[name] for name in self.manifest.fields}
         return stored | {
-            DIGEST: {"dtype": "uint8", "shape": (32,), "unit": "", "meaning": "the sample's own SHA-256 digest"}
+            DIGEST: {
+                "dtype": "uint8",
+                "shape": (32,),
+                "unit": "",
+                "meaning": "the sample's own SHA-256 digest",
+            }
         }

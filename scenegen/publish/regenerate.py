@@ -1,4 +1,5 @@
-"""The recipe and the command that make a dataset again, from its manifest alone, and the check that they do."""
+"""The recipe and the command that make a dataset again, from its manifest alone, and the check that
+they do."""
 
 import dataclasses
 import re
@@ -23,7 +24,8 @@ from scenegen.source import DrawnWorlds
 from scenegen.stopping import undone_if_stopped
 
 RECIPE, SENSOR = "recipe.toml", "sensor.toml"
-"""What `command` reads: all of a dataset that was drawn, or the sensor of one that was scanned again."""
+"""What `command` reads: all of a dataset that was drawn, or the sensor of one that was scanned
+again."""
 ORIGINAL = "ORIGINAL"
 """Stands in `command` for the dataset that was scanned again."""
 _NOT_OURS = ("software", "format", "version")
@@ -36,11 +38,14 @@ def source_file(found: Manifest) -> tuple[str, str]:
     if found.rescan is None:
         return RECIPE, recipe_text(found.parameters, title)
     given = {name: value for name, value in found.parameters["lidar"].items() if name != "shape"}
-    return SENSOR, "\n".join([f"# the sensor of the dataset {found.digest}", *_entries(given)]) + "\n"
+    return SENSOR, "\n".join(
+        [f"# the sensor of the dataset {found.digest}", *_entries(given)]
+    ) + "\n"
 
 
 def command(found: Manifest, out: str) -> str:
-    """What to type, next to what `source_file` says, to make the dataset of a manifest again in the folder `out`."""
+    """What to type, next to what `source_file` says, to make the dataset of a manifest again in the
+    folder `out`."""
     if found.rescan is not None:
         words = ["scenegen", "rescan", ORIGINAL, "--lidar", SENSOR]
         if found.noise is not None:
@@ -67,11 +72,13 @@ def command(found: Manifest, out: str) -> str:
 
 
 def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
-    """A recipe file with every parameter of a manifest, so that no preset's later version changes anything; `title` is
-    its first line."""
+    """A recipe file with every parameter of a manifest, so that no preset's later version changes
+    anything; `title` is its first line."""
     tables = {name: parameters["recipe"].get(name) for name in ("world", "flight", "accept")}
     # a table of rays has its shape in the file
-    tables["lidar"] = {name: value for name, value in parameters["lidar"].items() if name != "shape"}
+    tables["lidar"] = {
+        name: value for name, value in parameters["lidar"].items() if name != "shape"
+    }
     tables["noise"] = {"stages": parameters["noise"]["stages"]} if parameters.get("noise") else None
     tables["mapping"] = parameters.get("mapping")
     tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
@@ -87,25 +94,27 @@ def _entries(table: Mapping[str, Any]) -> list[str]:
 
 
 def check_kind(there: str, named: str | None) -> None:
-    """Raise PublishError for a dataset of kind `there` whose worlds only a module of somebody's own can draw, unless
-    the user `named` it: no module is imported because a manifest names it."""
+    """Raise PublishError for a dataset of kind `there` whose worlds only a module of somebody's own
+    can draw, unless the user `named` it: no module is imported because a manifest names it."""
     if there != "scene" and there not in KINDS.known and there != named:
         raise PublishError(
-            f"the dataset's kind, {short(there)}, is none of scenegen's own, and only its module can say whether the "
+            f"the dataset's kind, {short(there)}, is none of scenegen's own, and only its module "
+            f"can say whether the "
             "recipe makes the same worlds again; give --kind with its name to have it imported"
         )
 
 
 def check_source(dataset: Dataset, name: str, text: str) -> None:
-    """Read the file `name` that holds `text` as `command` would, next to the dataset's files, and hold what it resolves
-    to against the manifest.
+    """Read the file `name` that holds `text` as `command` would, next to the dataset's files, and
+    hold what it resolves to against the manifest.
 
     Raises PublishError where this version would make another dataset of it.
     """
     found = dataset.manifest
     if not found.noise_is_ours:
         raise PublishError(
-            f"its noise, {short(dict(found.noise or {}))}, has stages that are none of scenegen's own, which are not "
+            f"its noise, {short(dict(found.noise or {}))}, has stages that are none of scenegen's "
+            f"own, which are not "
             "imported; it cannot be said whether its command makes the same ranges again"
         )
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
@@ -119,7 +128,9 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
                 return
             recipe = read_recipe(path)
         except RecipeError as error:
-            raise PublishError(f"{_advice(found)}: {str(error).removeprefix(f'{path}: ')}") from None
+            raise PublishError(
+                f"{_advice(found)}: {str(error).removeprefix(f'{path}: ')}"
+            ) from None
     given = manifest.parameters(
         dataclasses.replace(recipe, labels=found.recipe.labels),
         DrawnWorlds(recipe),
@@ -129,10 +140,16 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
         shard_samples=found.shard_samples,
         engine=found.engine,
     )
-    there = {name: value for name, value in manifest.completed(found.parameters).items() if name not in _NOT_OURS}
+    there = {
+        name: value
+        for name, value in manifest.completed(found.parameters).items()
+        if name not in _NOT_OURS
+    }
     there["recipe"] = {name: value for name, value in found.tables.items() if name != "scenes"}
     _check_same(
-        found, there, {name: value for name, value in manifest.completed(given).items() if name not in _NOT_OURS}
+        found,
+        there,
+        {name: value for name, value in manifest.completed(given).items() if name not in _NOT_OURS},
     )
 
 
@@ -144,7 +161,8 @@ def _check_same(found: Manifest, there: Mapping[str, Any], here: Mapping[str, An
 def _advice(found: Manifest) -> str:
     made, generator = found.software.get("scenegen", "of another version"), found.generator
     return (
-        f"this scenegen would not make the same dataset again; publish with the one that made it, {made} with "
+        f"this scenegen would not make the same dataset again; publish with the one that made it, "
+        f"{made} with "
         f"generator {generator}, or generate it anew"
     )
 

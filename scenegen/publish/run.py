@@ -29,10 +29,11 @@ def publish(
     on_done: Callable[[int], None] = lambda samples: None,
     on_staged: Callable[[Staged], None] = lambda staged: None,
 ) -> Published:
-    """Verify the dataset with `workers` processes, put the folder together, and send it unless this is a `dry_run`.
+    """Verify the dataset with `workers` processes, put the folder together, and send it unless this
+    is a `dry_run`.
 
-    `quick` verifies with the cheap checks alone. No server is contacted before the folder is complete; a dry run
-    contacts none. Raises DatasetError, PublishError.
+    `quick` verifies with the cheap checks alone. No server is contacted before the folder is
+    complete; a dry run contacts none. Raises DatasetError, PublishError.
     """
     from scenegen.verify import verify
 
@@ -40,15 +41,25 @@ def publish(
         check_token()
     examine(request)
     report = verify(
-        request.dataset, quick=quick, kind=request.kind, workers=workers, on_start=on_start, on_done=on_done
+        request.dataset,
+        quick=quick,
+        kind=request.kind,
+        workers=workers,
+        on_start=on_start,
+        on_done=on_done,
     )
     failed = [check for check in report.checks if not check.ok]
     if not report.ok:
         first = f" {failed[0].name}: {failed[0].detail};" if failed else ""
         raise PublishError(
-            f"{request.dataset}: does not pass `scenegen verify`:{first} nothing is published; generate it again"
+            f"{request.dataset}: does not pass `scenegen verify`:{first} nothing is published; "
+            f"generate it again"
         )
-    checks = tuple((check.name, f"{'not checked, ' * check.skipped}{check.detail}") for check in report.checks)
+    checks = tuple(
+        (check.name, f"{'not checked, ' * check.skipped}{check.detail}") for check in report.checks
+    )
     staged = stage(request, checks)
     on_staged(staged)
-    return Published(staged=staged, commit=None if dry_run else upload(staged, private=private, shown=shown))
+    return Published(
+        staged=staged, commit=None if dry_run else upload(staged, private=private, shown=shown)
+    )

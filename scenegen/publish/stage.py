@@ -46,20 +46,25 @@ class Request:
     out: Path
     """Where the folder is put together."""
     tag: str | None = None
-    """The name of the revision. None stands for the format's version and the beginning of the digest, which names the
-    content."""
+    """The name of the revision. None stands for the format's version and the beginning of the
+    digest, which names the content."""
     licence: str = USUAL
     """The SPDX name of the data's licence."""
     kind: str | None = None
-    """The dataset's kind, where its own module may be imported: a user's own, as ``module:Class``."""
+    """The dataset's kind, where its own module may be imported: a user's own, as
+    ``module:Class``."""
     commit: str = "unknown"
     """The commit of the scenegen checkout that publishes."""
 
     def __post_init__(self) -> None:
-        if not REPOSITORY.fullmatch(self.repository) or re.search(r"--|\.\.|[.-](/|$)|\.git$", self.repository):
+        if not REPOSITORY.fullmatch(self.repository) or re.search(
+            r"--|\.\.|[.-](/|$)|\.git$", self.repository
+        ):
             raise PublishError(f"--repo {self.repository}: expected user/name, such as ada/pillar")
         if self.tag is not None and (not REVISION.fullmatch(self.tag) or ".." in self.tag):
-            raise PublishError(f"--tag {self.tag}: expected letters, digits and . _ - /, such as v1")
+            raise PublishError(
+                f"--tag {self.tag}: expected letters, digits and . _ - /, such as v1"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +80,8 @@ class Staged:
 
 
 def examine(request: Request) -> Dataset:
-    """Open the dataset, and refuse at once everything that can be refused before its samples are read.
+    """Open the dataset, and refuse at once everything that can be refused before its samples are
+    read.
 
     Raises DatasetError, PublishError.
     """
@@ -84,7 +90,8 @@ def examine(request: Request) -> Dataset:
     check_out(request.dataset, request.out)
     if dataset.manifest.sources:
         raise PublishError(
-            f"{request.dataset}: its samples were made for other datasets, and no one command makes them again; "
+            f"{request.dataset}: its samples were made for other datasets, and no one command "
+            f"makes them again; "
             "publish those, and say how they were merged or taken"
         )
     files = len(dataset.manifest.files) + _BESIDES
@@ -92,7 +99,8 @@ def examine(request: Request) -> Dataset:
         samples = sum(shard.samples for shard in dataset.manifest.shards)
         room = (MOST_FILES - _BESIDES) // 2 - len(SPLITS)
         raise PublishError(
-            f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; generate it again with "
+            f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; "
+            f"generate it again with "
             f"--shard-samples {-(-samples // room // 100) * 100 + 100}, which changes no sample"
         )
     if dataset.manifest.rescan is None:
@@ -102,10 +110,11 @@ def examine(request: Request) -> Dataset:
 
 
 def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
-    """Put the folder together: shards and worlds, pictures, card, Croissant, recipe, lock, licence, and checksums.
+    """Put the folder together: shards and worlds, pictures, card, Croissant, recipe, lock, licence,
+    and checksums.
 
-    `checks` are names and details of what the dataset passed. The same request gives the same bytes. Raises
-    DatasetError, PublishError.
+    `checks` are names and details of what the dataset passed. The same request gives the same
+    bytes. Raises DatasetError, PublishError.
     """
     dataset = examine(request)
     found, digest = dataset.manifest, str(dataset.manifest.digest)
@@ -120,7 +129,8 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             repository=request.repository,
             tag=tag,
             licence=find_licence(request.licence),
-            date=former_date(request.out, content) or datetime.datetime.now(datetime.UTC).date().isoformat(),
+            date=former_date(request.out, content)
+            or datetime.datetime.now(datetime.UTC).date().isoformat(),
             manifest=found,
             statistics=inspect(draft),
             command=command(found, name),
@@ -140,7 +150,9 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
         for file, text in texts.items():
             write_whole(draft / file, text.encode())
         sizes = seal(draft, sums)
-    return Staged(folder=request.out, repository=request.repository, tag=tag, files=sizes, digest=digest)
+    return Staged(
+        folder=request.out, repository=request.repository, tag=tag, files=sizes, digest=digest
+    )
 
 
 def _draw(dataset: Dataset, draft: Path) -> tuple[tuple[str, str], ...]:
@@ -148,21 +160,31 @@ def _draw(dataset: Dataset, draft: Path) -> tuple[tuple[str, str], ...]:
     (draft / "pictures").mkdir()
     split: Any = next(found for name in SPLITS if len(found := dataset.split(name)))
     pictures = []
-    for number, index in enumerate(np.unique(np.linspace(0, len(split) - 1, min(SHOWN, len(split))).astype(int))):
+    for number, index in enumerate(
+        np.unique(np.linspace(0, len(split) - 1, min(SHOWN, len(split))).astype(int))
+    ):
         sample = split[int(index)]
         name = f"pictures/{split.name}-{number}.png"
         write_whole(draft / name, draw_sample(sample, dataset.grid.truncation_m))
-        pictures.append((name, f"{split.name} sample {index} (world {sample.world}, viewpoint {sample.viewpoint})"))
+        pictures.append(
+            (
+                name,
+                f"{split.name} sample {index} (world {sample.world}, viewpoint {sample.viewpoint})",
+            )
+        )
     return tuple(pictures)
 
 
 def _write_page(dataset: Dataset, draft: Path) -> str:
-    """Write the page to look at some samples with. Returns its name; "" for grids that no browser takes."""
+    """Write the page to look at some samples with. Returns its name; "" for grids that no browser
+    takes."""
     split = next(name for name in SPLITS if len(dataset.split(name)))
     try:
         check_grid(dataset.grid)
     except DatasetError:
         return ""
     shown, notes = looks(dataset, split, spread(dataset, split, ON_PAGE))
-    write_whole(draft / PAGE, page(shown, title=f"{dataset.manifest.kind}, {split}", notes=notes).encode())
+    write_whole(
+        draft / PAGE, page(shown, title=f"{dataset.manifest.kind}, {split}", notes=notes).encode()
+    )
     return PAGE

@@ -1,7 +1,8 @@
-"""Kinds of worlds, one file a kind: a frozen dataclass of parameters with a method that adds solids to an MjSpec.
+"""Kinds of worlds, one file a kind: a frozen dataclass of parameters with a method that adds solids
+to an MjSpec.
 
-The file's name is the kind's name, and its class has that name with a capital. Nothing else lists the kinds: a new file
-here is a new kind. A user's own is named as ``module:Class``.
+The file's name is the kind's name, and its class has that name with a capital. Nothing else lists
+the kinds: a new file here is a new kind. A user's own is named as ``module:Class``.
 """
 
 import pkgutil
@@ -19,8 +20,10 @@ KINDS = Registry(
     {name: f"{__name__}.{name}:{name.capitalize()}" for name in _NAMES},
     needs={
         "version": "a whole number, raised whenever the same parameters would give other worlds",
-        "crowded_by": "a tuple of names: the parameters to lower when worlds are too crowded to fly through",
-        "add_to": "a method: (spec, *, rng), which draws one world and adds its solids to the MjSpec",
+        "crowded_by": "a tuple of names: the parameters to lower when worlds are too crowded to "
+        "fly through",
+        "add_to": "a method: (spec, *, rng), which draws one world and adds its solids to the "
+        "MjSpec",
     },
 )
 
@@ -31,7 +34,8 @@ def kind_names() -> tuple[str, ...]:
 
 
 def find_kind(name: str) -> "type[WorldKind]":
-    """The class of the kind called `name`: one of `kind_names()`, or a user's own as ``module:Class``.
+    """The class of the kind called `name`: one of `kind_names()`, or a user's own as
+    ``module:Class``.
 
     Raises ValueError, in one line, where there is none, or one that is no kind.
     """

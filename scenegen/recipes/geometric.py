@@ -1,4 +1,5 @@
-"""Spheres, boxes and cylinders at any attitude, standing, stacked and floating, with walls and clutter between them."""
+"""Spheres, boxes and cylinders at any attitude, standing, stacked and floating, with walls and
+clutter between them."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -21,18 +22,24 @@ COLOURS = np.array([(0.80, 0.45, 0.35, 1.0), (0.40, 0.60, 0.75, 1.0), (0.75, 0.6
 class Geometric(WorldKind):
     """Solids scattered over the plan and, in part, over the height.
 
-    The paper's first kind of environment: "walls, pillars, and cluttered structures" of "spheres, boxes, and cylinders"
-    (sections "Training Data Generation" and "Visual Reconstruction Results"); it gives no figures, so these are
-    calibrated: docs/results/calibration.md.
+    The paper's first kind of environment: "walls, pillars, and cluttered structures" of "spheres,
+    boxes, and cylinders" (sections "Training Data Generation" and "Visual Reconstruction Results");
+    it gives no figures, so these are calibrated: docs/results/calibration.md.
     """
 
     version: ClassVar[int] = 2
-    crowded_by: ClassVar[tuple[str, ...]] = ("density", "wall_density", "clutter_density", "clutter_count")
+    crowded_by: ClassVar[tuple[str, ...]] = (
+        "density",
+        "wall_density",
+        "clutter_density",
+        "clutter_count",
+    )
     accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 2.0}
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 4.0)}
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 5.0)
-    """Extent of the world along x, y and z, metres; z is how high floating solids may have their centres."""
+    """Extent of the world along x, y and z, metres; z is how high floating solids may have their
+    centres."""
     ground: bool = True
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
     density: Range = number((0.002, 0.4), above=0, rising=True)
@@ -68,7 +75,8 @@ class Geometric(WorldKind):
         super().__post_init__()
         if self.standing_share + self.stacked_share > 1:
             raise ValueError(
-                f"standing_share = {self.standing_share} and stacked_share = {self.stacked_share}: at most 1"
+                f"standing_share = {self.standing_share} and stacked_share = "
+                f"{self.stacked_share}: at most 1"
             )
 
     def most_solids(self) -> float:
@@ -85,7 +93,9 @@ class Geometric(WorldKind):
         self._add_walls(spec, round(area * rng.uniform(*self.wall_density)), rng=rng)
         self._add_clutter(spec, round(area * rng.uniform(*self.clutter_density)), rng=rng)
 
-    def _add_solids(self, spec: Drawing, count: int, scale: float, *, rng: np.random.Generator) -> None:
+    def _add_solids(
+        self, spec: Drawing, count: int, scale: float, *, rng: np.random.Generator
+    ) -> None:
         """Standing, floating and stacked ones."""
         shape = rng.integers(0, len(SHAPES), count)
         size = scale * rng.uniform(*self.half_size_m, (count, 3))
@@ -106,11 +116,15 @@ class Geometric(WorldKind):
     def _add_walls(self, spec: Drawing, count: int, *, rng: np.random.Generator) -> None:
         """Upright slabs, each turned at will."""
         ranges = (self.wall_length_m, self.wall_half_thickness_m, self.wall_height_m)
-        low, high = zip((0.0, self.size_m[0]), (0.0, self.size_m[1]), *ranges, (0.0, np.pi), strict=True)
+        low, high = zip(
+            (0.0, self.size_m[0]), (0.0, self.size_m[1]), *ranges, (0.0, np.pi), strict=True
+        )
         x, y, length, half_thickness, height, yaw = rng.uniform(low, high, (count, 6)).T
         sizes, centres = (length / 2, half_thickness, height / 2), (x, y, height / 2)
         shapes = np.full(count, BOX)
-        spec.add_geoms(shapes, np.stack(sizes, axis=1), np.stack(centres, axis=1), yaw_quaternion(yaw))
+        spec.add_geoms(
+            shapes, np.stack(sizes, axis=1), np.stack(centres, axis=1), yaw_quaternion(yaw)
+        )
 
     def _add_clutter(self, spec: Drawing, heaps: int, *, rng: np.random.Generator) -> None:
         """Heaps of small tilted solids on the ground."""
@@ -122,7 +136,13 @@ class Geometric(WorldKind):
             offset = self.clutter_spread_m * normal((count, 3), rng=rng)
             tilt = attitudes(count, 1.0, rng=rng)
             z = _half_height(shape, size, tilt) + np.abs(offset[:, 2])
-            spec.add_geoms(SHAPES[shape], size, np.column_stack([centre + offset[:, :2], z]), tilt, COLOURS[shape])
+            spec.add_geoms(
+                SHAPES[shape],
+                size,
+                np.column_stack([centre + offset[:, :2], z]),
+                tilt,
+                COLOURS[shape],
+            )
 
 
 def _half_height(
@@ -130,7 +150,11 @@ def _half_height(
 ) -> NDArray[np.float64]:
     """How far solids (n,) reach above their centres, metres."""
     w, x, y, z = quaternion.T
-    u, v, up = np.abs(2 * (x * z - w * y)), np.abs(2 * (y * z + w * x)), np.abs(1 - 2 * (x * x + y * y))
+    u, v, up = (
+        np.abs(2 * (x * z - w * y)),
+        np.abs(2 * (y * z + w * x)),
+        np.abs(1 - 2 * (x * x + y * y)),
+    )
     box = u * size[:, 0] + v * size[:, 1] + up * size[:, 2]
     cylinder = up * size[:, 1] + np.sqrt(np.maximum(1 - up * up, 0.0)) * size[:, 0]
     return np.choose(shape, [size[:, 0], box, cylinder])

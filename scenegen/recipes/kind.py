@@ -25,16 +25,20 @@ class WorldKind(ABC):
     """
 
     version: ClassVar[int]
-    """The preset's version: raised whenever the same parameters would give other worlds, or the defaults change."""
+    """The preset's version: raised whenever the same parameters would give other worlds, or the
+    defaults change."""
     crowded_by: ClassVar[tuple[str, ...]]
-    """The parameters to lower when worlds are too crowded to fly through, or to raise when they are too empty."""
+    """The parameters to lower when worlds are too crowded to fly through, or to raise when they are
+    too empty."""
     flight_defaults: ClassVar[dict[str, object]] = {}
-    """Fields of `scenegen.flight.Flight` in which this kind's preset differs from the general default."""
+    """Fields of `scenegen.flight.Flight` in which this kind's preset differs from the general
+    default."""
     accept_defaults: ClassVar[dict[str, object]] = {}
     """The same for `scenegen.recipe.Acceptance`."""
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 10.0)
-    """Extent of the world along x, y and z, metres; z is how high floating solids may have their centres."""
+    """Extent of the world along x, y and z, metres; z is how high floating solids may have their
+    centres."""
     ground: bool = False
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
     ground_m: float = 0.2
@@ -46,19 +50,21 @@ class WorldKind(ABC):
         if most > MOST_DRAWN_SOLIDS:
             given = ", ".join(f"{name} = {shown(getattr(self, name))}" for name in self.crowded_by)
             raise ValueError(
-                f"{given}: up to {most:.4g} solids in a world of {list(self.size_m)} metres, expected "
+                f"{given}: up to {most:.4g} solids in a world of {list(self.size_m)} metres, "
+                f"expected "
                 f"{MOST_DRAWN_SOLIDS} at most; lower them or size_m"
             )
 
     def most_solids(self) -> float:
-        """How many solids a world may have. Here, parameters named `…density` count them per square metre; a kind that
-        counts otherwise says so."""
+        """How many solids a world may have. Here, parameters named `…density` count them per square
+        metre; a kind that counts otherwise says so."""
         densities = [value for name, value in vars(self).items() if name.endswith("density")]
         return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
 
     @abstractmethod
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
-        """Draw one world and add its solids to `spec`, by `add_geoms` or `add_geom`, or as to any `mujoco.MjSpec`."""
+        """Draw one world and add its solids to `spec`, by `add_geoms` or `add_geom`, or as to any
+        `mujoco.MjSpec`."""
 
     def add_ground(self, spec: Drawing) -> None:
         """Add the floor, where there is one."""
@@ -69,7 +75,8 @@ class WorldKind(ABC):
 
 
 def _bounds_by_name(name: str, value: Any) -> Bounds:
-    """What a parameter that declares no bounds may be: its name's ending says so, and ranges of two rise."""
+    """What a parameter that declares no bounds may be: its name's ending says so, and ranges of two
+    rise."""
     pair = isinstance(value, list | tuple) and len(value) == 2
     if name.endswith("_share"):
         return Bounds(least=0, most=1, rising=pair)
@@ -81,7 +88,8 @@ def _bounds_by_name(name: str, value: Any) -> Bounds:
 
 
 def add_geom(spec: Drawing, shape: mujoco.mjtGeom, size: Any, position: Any, **more: Any) -> None:
-    """Add one solid straight under the world body, where mj_multiRay is fastest. `more` may give `quat` and `rgba`."""
+    """Add one solid straight under the world body, where mj_multiRay is fastest. `more` may give
+    `quat` and `rgba`."""
     spec.add_geom(shape, size, position, **more)
 
 

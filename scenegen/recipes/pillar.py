@@ -14,10 +14,11 @@ from scenegen.recipes.kind import Range, WorldKind, yaw_quaternion
 
 @dataclass(frozen=True, kw_only=True)
 class Pillar(WorldKind):
-    """Pillars scattered over the plan, independently of each other but for those that form a passage.
+    """Pillars scattered over the plan, independently of each other but for those that form a
+    passage.
 
-    The paper's second kind of environment, "densely distributed obstacles and narrow passages" (section
-    "Experiments"); it gives no figures, so these are ours.
+    The paper's second kind of environment, "densely distributed obstacles and narrow passages"
+    (section "Experiments"); it gives no figures, so these are ours.
     """
 
     version: ClassVar[int] = 2
@@ -32,20 +33,26 @@ class Pillar(WorldKind):
     round_share: float = 0.7
     """Share of pillars with a round section."""
     oblong_share: float = 0.1
-    """Share of pillars with a rectangular section, up to `oblong_ratio` times as long as wide; the rest are square."""
+    """Share of pillars with a rectangular section, up to `oblong_ratio` times as long as wide; the
+    rest are square."""
     oblong_ratio: float = number(3.0, least=1, most=1000)
     """Greatest ratio of the two edges of a rectangular section."""
     passage_share: float = 0.1
-    """Share of pillars set beside an earlier one, a passage's width away; a few leave the world by that."""
+    """Share of pillars set beside an earlier one, a passage's width away; a few leave the world by
+    that."""
     passage_m: Range = (0.7, 1.2)
-    """Width of those passages between the pillars' round hulls, metres; between flat sides they are wider."""
+    """Width of those passages between the pillars' round hulls, metres; between flat sides they are
+    wider."""
     height_m: Range = (10.0, 10.0)
     """Heights of pillars, metres, from the ground up."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.round_share + self.oblong_share > 1:
-            raise ValueError(f"round_share + oblong_share = {self.round_share + self.oblong_share}: expected at most 1")
+            raise ValueError(
+                f"round_share + oblong_share = {self.round_share + self.oblong_share}: expected "
+                f"at most 1"
+            )
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """See `WorldKind.add_to`."""
@@ -64,11 +71,18 @@ class Pillar(WorldKind):
         plan = rng.uniform((0.0, 0.0), (x_m, y_m), (count, 2))
         yaw = rng.uniform(0.0, np.pi, count)
         hull = np.where(round_, half, np.sqrt(half * half + length * length))
-        beside = [n for n in np.flatnonzero(rng.random(count) < self.passage_share).tolist() if n > 0]
-        drawn = [(rng.integers(0, n), rng.uniform(0.0, 2 * np.pi), rng.uniform(*self.passage_m)) for n in beside]
+        beside = [
+            n for n in np.flatnonzero(rng.random(count) < self.passage_share).tolist() if n > 0
+        ]
+        drawn = [
+            (rng.integers(0, n), rng.uniform(0.0, 2 * np.pi), rng.uniform(*self.passage_m))
+            for n in beside
+        ]
         sine, cosine = sin_cos([angle for _, angle, _ in drawn])
         for n, (neighbour, _, gap), *aside in zip(beside, drawn, cosine, sine, strict=True):
-            plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(aside)  # which stays where it is
+            plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(
+                aside
+            )  # which stays where it is
         quats = np.where(round_[:, None], UPRIGHT, yaw_quaternion(yaw))
         shapes = np.where(round_, CYLINDER, BOX)
         sizes = np.stack([half, np.where(round_, height / 2, length), height / 2], axis=1)

@@ -3,6 +3,7 @@
 import multiprocessing.connection
 import os
 import sys
+import weakref
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Generic
@@ -12,8 +13,9 @@ from scenegen.workers import MOST_REPLACED, Result, Task, Worker
 
 
 class Ahead(Generic[Task, Result]):
-    """`workers` processes that work off tasks in the order in which they are given. They end with this object, and with
-    this process whatever ends it; one that dies is replaced, and its tasks are given again."""
+    """`workers` processes that work off tasks in the order in which they are given. They end with
+    this object, and with this process whatever ends it; one that dies is replaced, and its tasks
+    are given again."""
 
     def __init__(self, function: Callable[[Task], Result], workers: int):
         self._function, self._count, self._died = function, workers, 0
@@ -21,7 +23,9 @@ class Ahead(Generic[Task, Result]):
         self._workers = [Worker(function, self._start) for _ in range(workers)]
         self._given: list[deque[Task]] = [deque() for _ in range(workers)]
         self._done: dict[Task, tuple[bool, Any]] = {}
-        self._process = os.getpid()
+        # unlike a `__del__`, it runs at exit before the modules that it needs are gone
+        self.close = weakref.finalize(self, _end, self._workers, os.getpid())
+        """End the processes, whatever they are doing."""
 
     @property
     def under_way(self) -> int:
@@ -39,8 +43,8 @@ class Ahead(Generic[Task, Result]):
             self._send(worker, task)
 
     def take(self, task: Task) -> Result:
-        """The result of a task, as soon as it is there. Raises what the function raises, and GenerationError where
-        processes die again and again."""
+        """The result of a task, as soon as it is there. Raises what the function raises, and
+        GenerationError where processes die again and again."""
         self.give(task)
         self.collect()
         while task not in self._done:
@@ -73,7 +77,8 @@ class Ahead(Generic[Task, Result]):
         self._died += 1
         if self._died > MOST_REPLACED:
             raise GenerationError(
-                f"stream: worker processes were killed {self._died} times (out of memory?); give fewer than "
+                f"stream: worker processes were killed {self._died} times (out of memory?); give "
+                f"fewer than "
                 f"{self._count}"
             )
         self._workers[number].end()
@@ -81,13 +86,9 @@ class Ahead(Generic[Task, Result]):
         for task in self._given[number]:
             self._workers[number].pipe.send(task)
 
-    def close(self) -> None:
-        """End the processes, whatever they are doing."""
-        if self._process == os.getpid():  # not in a fork, whose parent's they are
-            for worker in self._workers:
-                worker.end()
-        self._workers = []
 
-    def __del__(self) -> None:
-        if hasattr(self, "_process"):
-            self.close()
+def _end(workers: list[Worker], process: int) -> None:
+    if process == os.getpid():  # not in a fork, whose parent's they are
+        for worker in workers:
+            worker.end()
+    workers.clear()

@@ -1,4 +1,5 @@
-"""The order in which a network reads a stream: batches of different worlds, dealt so that no unit is drawn twice."""
+"""The order in which a network reads a stream: batches of different worlds, dealt so that no unit
+is drawn twice."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -14,21 +15,24 @@ if TYPE_CHECKING:
 
 
 class Batches(Iterator[list[int]]):
-    """Numbers of the samples in every batch of `size`; a torch batch sampler. `batches[n]` depends on the stream's
-    seed, `size`, `loaders` and n alone.
+    """Numbers of the samples in every batch of `size`; a torch batch sampler. `batches[n]` depends
+    on the stream's seed, `size`, `loaders` and n alone.
 
-    A *row* is the V samples, one after the other, of one world (see `Mixture.row`). The stream is cut into blocks of
-    `size` rows, in order; a block gives V batches, the v-th of the v-th sample of each of its rows, which have an order
-    that is drawn from the seed and the block's number. So no batch holds two samples of a row, each sample comes once,
-    and the same place in the V batches of a block is always the same row: rank r of `ranks` takes every `ranks`-th
-    place from r on, and draws units that no other rank draws.
+    A *row* is the V samples, one after the other, of one world (see `Mixture.row`). The stream is
+    cut into blocks of `size` rows, in order; a block gives V batches, the v-th of the v-th sample
+    of each of its rows, which have an order that is drawn from the seed and the block's number. So
+    no batch holds two samples of a row, each sample comes once, and the same place in the V batches
+    of a block is always the same row: rank r of `ranks` takes every `ranks`-th place from r on, and
+    draws units that no other rank draws.
 
-    With `loaders` blocks at a time, batch n is of block n mod `loaders` among these. Torch deals batches to its loader
-    processes in just this way, so as many of them draw units that no other draws; `loaders` may also be a multiple of
-    their number.
+    With `loaders` blocks at a time, batch n is of block n mod `loaders` among these. Torch deals
+    batches to its loader processes in just this way, so as many of them draw units that no other
+    draws; `loaders` may also be a multiple of their number.
     """
 
-    def __init__(self, stream: "Stream", size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1):
+    def __init__(
+        self, stream: "Stream", size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1
+    ):
         for name, value, least, most in (
             ("size", size, 1, MOST_BATCH),
             ("ranks", ranks, 1, MOST_WORKERS),
@@ -37,18 +41,27 @@ class Batches(Iterator[list[int]]):
         ):
             if type(value) is not int or not least <= value <= most:
                 raise DatasetError(
-                    f"batches of a stream: {name} = {short(value)}: expected a whole number from {least} to {most}"
+                    f"batches of a stream: {name} = {short(value)}: expected a whole number from "
+                    f"{least} to {most}"
                 )
         if size % ranks:
             raise DatasetError(
-                f"batches of a stream: size = {size} does not divide among {ranks} ranks; use a multiple"
+                f"batches of a stream: size = {size} does not divide among {ranks} ranks; use a "
+                f"multiple"
             )
-        self._stream, self._size, self._rank, self._ranks, self._loaders = stream, size, rank, ranks, loaders
+        self._stream, self._size, self._rank, self._ranks, self._loaders = (
+            stream,
+            size,
+            rank,
+            ranks,
+            loaders,
+        )
         self._row = stream.mixture.row
         self._count = len(stream) // (self._row * size * loaders) * self._row * loaders
         if not self._count:
             raise DatasetError(
-                f"batches of a stream: {len(stream)} samples are fewer than one round of {self._row * size * loaders}; "
+                f"batches of a stream: {len(stream)} samples are fewer than one round of "
+                f"{self._row * size * loaders}; "
                 "give the stream more samples, or a smaller size"
             )
         place = {"stream": stream.digest[:16], "size": size, "loaders": loaders}
@@ -85,7 +98,8 @@ class Batches(Iterator[list[int]]):
     def state_dict(self) -> dict[str, Any]:
         """How many batches came, in a few bytes that JSON takes; the same for all ranks.
 
-        Torch's loader asks for batches ahead of what it hands out: count those yourself where you use one.
+        Torch's loader asks for batches ahead of what it hands out: count those yourself where you
+        use one.
         """
         return self._place.state()
 

@@ -1,4 +1,5 @@
-"""Units of a stream on disk: a file each, written whole, checked when it is read, and made again if it is damaged."""
+"""Units of a stream on disk: a file each, written whole, checked when it is read, and made again if
+it is damaged."""
 
 import functools
 import hashlib
@@ -19,8 +20,9 @@ IN_FOLDER = 1000
 class Cache:
     """The units of one component.
 
-    A file holds `HEAD`, a SHA-256 of what follows and of whose unit it is, and the records, each after its length. So a
-    file that is cut off, changed, or another unit's under this name counts as absent.
+    A file holds `HEAD`, a SHA-256 of what follows and of whose unit it is, and the records, each
+    after its length. So a file that is cut off, changed, or another unit's under this name counts
+    as absent.
     """
 
     folder: Path
@@ -40,7 +42,9 @@ class Cache:
             return self._parse(read_bounded(path, self.most_bytes), number)
         except (FileNotFoundError, ValueError):
             pass
-        except DatasetError:  # too large, or no file at all: what writing says of it tells what to do
+        except (
+            DatasetError
+        ):  # too large, or no file at all: what writing says of it tells what to do
             pass
         records = make()
         make_parent(path)

@@ -1,4 +1,5 @@
-"""What a stream draws from: a recipe and where its worlds come from, found from a name, a file or a folder."""
+"""What a stream draws from: a recipe and where its worlds come from, found from a name, a file or a
+folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,8 @@ LEAST_SCENES = 3
 class Component:
     """All that one dataset's samples depend on, but for their number; small, and can be pickled.
 
-    Raises DatasetError for another split, an engine that is not to be had, and a split without worlds.
+    Raises DatasetError for another split, an engine that is not to be had, and a split without
+    worlds.
     """
 
     label: str
@@ -36,11 +38,14 @@ class Component:
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
-            raise DatasetError(f"stream: has no split {short(self.split)}; expected one of {', '.join(SPLITS)}")
+            raise DatasetError(
+                f"stream: has no split {short(self.split)}; expected one of {', '.join(SPLITS)}"
+            )
         find_engine(self.engine)
         if isinstance(self.source, SceneWorlds) and not self.source.scenes[self.split]:
             raise SceneError(
-                f"{self.label}: no world of it is in the {self.split} split; give a folder of {LEAST_SCENES} worlds or "
+                f"{self.label}: no world of it is in the {self.split} split; give a folder of "
+                f"{LEAST_SCENES} worlds or "
                 "more"
             )
 
@@ -53,11 +58,18 @@ class Component:
         """Unit `unit` as `generate` draws it, but for `tudf`. Raises GenerationError."""
         engine = find_engine(self.engine)
         return draw_unit(
-            self.source, self.recipe, seed=self.seed, split=self.split, unit=unit, derived=False, engine=engine
+            self.source,
+            self.recipe,
+            seed=self.seed,
+            split=self.split,
+            unit=unit,
+            derived=False,
+            engine=engine,
         )
 
     def described(self, *, software: bool) -> dict[str, Any]:
-        """What decides the samples, as plain JSON values: a manifest's parameters without counts, and with the split.
+        """What decides the samples, as plain JSON values: a manifest's parameters without counts,
+        and with the split.
 
         `software` adds the versions of what they are computed with.
         """
@@ -71,7 +83,9 @@ class Component:
             engine=self.engine,
         )
         left_out = {"counts", "fields", "shard_samples"} | (set() if software else {"software"})
-        return {"split": self.split} | {name: value for name, value in given.items() if name not in left_out}
+        return {"split": self.split} | {
+            name: value for name, value in given.items() if name not in left_out
+        }
 
     def fingerprint(self, *, software: bool) -> str:
         """A digest of `described`."""
@@ -79,8 +93,9 @@ class Component:
 
 
 def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
-    """The component that `what` names: a kind, as ``module:Class`` if it is a user's own; a recipe, or its TOML file;
-    an MJCF file, or a folder of them, dealt to the splits as `generate` deals it; a Component stays as it is.
+    """The component that `what` names: a kind, as ``module:Class`` if it is a user's own; a recipe,
+    or its TOML file; an MJCF file, or a folder of them, dealt to the splits as `generate` deals it;
+    a Component stays as it is.
 
     Raises RecipeError, SceneError and DatasetError.
     """
@@ -90,16 +105,26 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         label, recipe = what.kind, what
     elif not isinstance(what, str | Path):
         raise RecipeError(
-            f"stream of {short(what)}: expected a kind's name, a recipe or its file, an MJCF file or a folder of them"
+            f"stream of {short(what)}: expected a kind's name, a recipe or its file, an MJCF file "
+            f"or a folder of them"
         )
     else:
         label, path = str(what), Path(what)
-        named = isinstance(what, str) and (what in KINDS.known or (":" in what and not path.exists()))
+        named = isinstance(what, str) and (
+            what in KINDS.known or (":" in what and not path.exists())
+        )
         if not named and path.suffix == ".toml":
             recipe = read_recipe(path)
         elif not named and (isinstance(what, Path) or path.is_dir() or path.suffix == ".xml"):
             source = _scenes(path, seed)
-            return Component(label=label, recipe=preset("scene"), source=source, seed=seed, split=split, engine=engine)
+            return Component(
+                label=label,
+                recipe=preset("scene"),
+                source=source,
+                seed=seed,
+                split=split,
+                engine=engine,
+            )
         else:
             recipe = preset(label)
     if recipe.world is None:
@@ -107,7 +132,14 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
             f'stream of {label}: kind "scene" draws no worlds; give the MJCF file or folder, or a '
             "scenegen.streaming.component.Component of the recipe and its worlds"
         )
-    return Component(label=label, recipe=recipe, source=DrawnWorlds(recipe), seed=seed, split=split, engine=engine)
+    return Component(
+        label=label,
+        recipe=recipe,
+        source=DrawnWorlds(recipe),
+        seed=seed,
+        split=split,
+        engine=engine,
+    )
 
 
 def _scenes(path: Path, seed: int) -> SceneWorlds:
@@ -116,7 +148,8 @@ def _scenes(path: Path, seed: int) -> SceneWorlds:
     if path.is_dir():
         if len(list(path.glob("*.xml"))) < LEAST_SCENES:
             raise SceneError(
-                f"{path}: fewer than {LEAST_SCENES} worlds, and a stream deals some to each split; add worlds, or "
+                f"{path}: fewer than {LEAST_SCENES} worlds, and a stream deals some to each "
+                f"split; add worlds, or "
                 "give one file, which is all for train"
             )
     else:

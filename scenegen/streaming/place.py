@@ -20,16 +20,20 @@ class Place:
     def load(self, state: Any) -> None:
         """Go on from a `state`. Raises DatasetError for one of anything else."""
         if not isinstance(state, Mapping):
-            raise DatasetError(f"state of a stream: {short(state)}: expected what state_dict() gave")
+            raise DatasetError(
+                f"state of a stream: {short(state)}: expected what state_dict() gave"
+            )
         for name, ours in self._of.items():
             if state.get(name) != ours:
                 raise DatasetError(
-                    f"state of a stream: its {name} is {short(state.get(name))}, expected {short(ours)}: it is of "
+                    f"state of a stream: its {name} is {short(state.get(name))}, expected "
+                    f"{short(ours)}: it is of "
                     "another one"
                 )
         done = state.get(self._unit)
         if type(done) is not int or not 0 <= done <= self._most:
             raise DatasetError(
-                f"state of a stream: its {self._unit} = {short(done)}: expected a whole number from 0 to {self._most}"
+                f"state of a stream: its {self._unit} = {short(done)}: expected a whole number "
+                f"from 0 to {self._most}"
             )
         self.done = done

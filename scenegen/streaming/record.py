@@ -1,4 +1,5 @@
-"""A sample as some twenty kilobytes, in which it travels between processes and lies in caches, and as it was again."""
+"""A sample as some twenty kilobytes, in which it travels between processes and lies in caches, and
+as it was again."""
 
 from typing import Any
 
@@ -14,14 +15,19 @@ LEVEL = 1
 
 
 def record_type(grid: GridSpec, lidar: Sensor, scans: int = 1) -> np.dtype:
-    """The record of one sample of so many scans: grids as bits, everything else as it is stored on disk. Distances
-    follow from occupancy, and are ten times as large as all the rest: they are not in it."""
+    """The record of one sample of so many scans: grids as bits, everything else as it is stored on
+    disk. Distances follow from occupancy, and are ten times as large as all the rest: they are not
+    in it."""
     columns: list[tuple[Any, ...]] = []
     for name in fields_of(scans, labels=False):
         if name != "tudf":
             shape = shape_of(name, grid, lidar, scans)
             bits = FIELDS[name]["axes"] == "grid"
-            columns.append((name, "u1", -(-int(np.prod(shape)) // 8)) if bits else (name, FIELDS[name]["dtype"], shape))
+            columns.append(
+                (name, "u1", -(-int(np.prod(shape)) // 8))
+                if bits
+                else (name, FIELDS[name]["dtype"], shape)
+            )
     return np.dtype(columns)
 
 
@@ -35,7 +41,8 @@ def pack(sample: Sample, kind: np.dtype) -> bytes:
 
 
 def unpack(packed: bytes, kind: np.dtype, grid: GridSpec, lidar: Sensor) -> Sample:
-    """The sample of a record; arrays of its own, which may be written to. Raises ValueError for bytes that are none."""
+    """The sample of a record; arrays of its own, which may be written to. Raises ValueError for
+    bytes that are none."""
     try:
         content = isal.isal_zlib.decompressobj().decompress(packed, kind.itemsize + 1)
     except isal.isal_zlib.error as error:

@@ -1,4 +1,5 @@
-"""A dataset without a disk and without an end: sample i is drawn when it is asked for, or ahead of that."""
+"""A dataset without a disk and without an end: sample i is drawn when it is asked for, or ahead of
+that."""
 
 import hashlib
 import json
@@ -24,7 +25,8 @@ from scenegen.streaming.place import Place
 from scenegen.streaming.record import pack, record_type, unpack
 
 KEPT_BYTES = 256 << 20
-"""Packed units that a process keeps in memory, those asked for last; with default maps, these are some 2500."""
+"""Packed units that a process keeps in memory, those asked for last; with default maps, these are
+some 2500."""
 AHEAD = 4
 """Units for each worker process that are made before they are asked for."""
 
@@ -35,15 +37,24 @@ Unit = tuple[bytes, ...]
 class Stream(Sequence[Sample]):
     """Samples by number. `stream[i]` depends on what is drawn, the seed, the split and i alone.
 
-    The first n samples of a stream of one part are those of the dataset with its seed and split, bit for bit; those of
-    a mixture's part are, by themselves, those of that part's dataset. Distances (`tudf`) are derived when accessed.
+    The first n samples of a stream of one part are those of the dataset with its seed and split,
+    bit for bit; those of a mixture's part are, by themselves, those of that part's dataset.
+    Distances (`tudf`) are derived when accessed.
 
-    Plain `torch.utils.data` conventions hold: `len`, `[i]`, `__getitems__`, and any process, forked or spawned, that
-    it is handed to draws for itself. In one process, one thread at a time may use it.
+    Plain `torch.utils.data` conventions hold: `len`, `[i]`, `__getitems__`, and any process, forked
+    or spawned, that it is handed to draws for itself. In one process, one thread at a time may use
+    it.
     """
 
     def __init__(
-        self, mixture: Mixture, *, seed: int, split: str, samples: int, workers: int, cache: Path | str | None
+        self,
+        mixture: Mixture,
+        *,
+        seed: int,
+        split: str,
+        samples: int,
+        workers: int,
+        cache: Path | str | None,
     ):
         self.seed, self.split = _whole("seed", seed, 0, MOST_SEED), split
         self.workers = _whole("workers", workers, 0, MOST_WORKERS)
@@ -55,14 +66,23 @@ class Stream(Sequence[Sample]):
         ]
         self.digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
         """What tells this stream from all others that give other samples, or in another order."""
-        self.grid, self.lidar = mixture.components[0].recipe.grid, mixture.components[0].recipe.lidar
+        self.grid, self.lidar = (
+            mixture.components[0].recipe.grid,
+            mixture.components[0].recipe.lidar,
+        )
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
         self.mapping = mixture.components[0].recipe.mapping
-        self.noises = tuple(dict.fromkeys(part.recipe.noise.spelled() for part in mixture.components))
+        self.noises = tuple(
+            dict.fromkeys(part.recipe.noise.spelled() for part in mixture.components)
+        )
         """That of every part, as manifests spell it."""
         self._record = record_type(self.grid, self.lidar, self.mapping.scans)
-        caches = () if cache is None else tuple(self._cache(Path(cache), part) for part in mixture.components)
+        caches = (
+            ()
+            if cache is None
+            else tuple(self._cache(Path(cache), part) for part in mixture.components)
+        )
         self._make = Maker(mixture, caches, self._record)
         self._units: dict[int, Unit] = {}
         self._coming: Iterator[int] | None = None
@@ -82,10 +102,14 @@ class Stream(Sequence[Sample]):
         return self.__getitems__([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
-        """Several samples, as torch asks for a batch: their units are made by all workers at once."""
+        """Several samples, as torch asks for a batch: their units are made by all workers at
+        once."""
         places = [self.mixture.place(self._checked(index)) for index in indices]
         self._prepare(dict.fromkeys(slot for slot, _ in places))
-        return [unpack(self._unit(slot)[view], self._record, self.grid, self.lidar) for slot, view in places]
+        return [
+            unpack(self._unit(slot)[view], self._record, self.grid, self.lidar)
+            for slot, view in places
+        ]
 
     def __iter__(self) -> "Reader":
         return Reader(self)
@@ -95,7 +119,8 @@ class Stream(Sequence[Sample]):
         return Batches(self, size, rank=rank, ranks=ranks, loaders=loaders)
 
     def part(self, index: int) -> tuple[int, int]:
-        """(which part of the mixture sample `index` is of, from 0; its number in that part's dataset)."""
+        """(which part of the mixture sample `index` is of, from 0; its number in that part's
+        dataset)."""
         slot, view = self.mixture.place(self._checked(index))
         part, unit = self.mixture.unit(slot)
         return part, unit * self.mixture.components[part].viewpoints + view
@@ -105,7 +130,8 @@ class Stream(Sequence[Sample]):
         return describe_fields(self.grid, self.lidar, scans=self.mapping.scans)
 
     def expect(self, indices: Iterable[int]) -> None:
-        """Say which samples will be asked for next, in this order: workers then make these ahead of need."""
+        """Say which samples will be asked for next, in this order: workers then make these ahead of
+        need."""
         self._coming = (self.mixture.place(index)[0] for index in indices)
 
     def close(self) -> None:
@@ -120,7 +146,9 @@ class Stream(Sequence[Sample]):
     def _cache(self, folder: Path, part: Component) -> Cache:
         """Where a part's units are kept. Raises DatasetError where that cannot be."""
         if folder.exists() and not folder.is_dir():
-            raise DatasetError(f"{folder}: is a file, expected a folder for the cache; choose another one")
+            raise DatasetError(
+                f"{folder}: is a file, expected a folder for the cache; choose another one"
+            )
         most = part.viewpoints * (2 * self._record.itemsize + 1024)
         return Cache(folder, part.fingerprint(software=True), part.split, most)
 
@@ -129,7 +157,9 @@ class Stream(Sequence[Sample]):
         try:
             number = operator.index(index)
         except TypeError:
-            raise TypeError(f"{self.name}: sample {short(index)}: expected a whole number") from None
+            raise TypeError(
+                f"{self.name}: sample {short(index)}: expected a whole number"
+            ) from None
         if not 0 <= number < len(self):
             raise IndexError(f"{self.name}: sample {short(number)}: expected 0 to {len(self) - 1}")
         return number
@@ -141,10 +171,15 @@ class Stream(Sequence[Sample]):
         self._process = os.getpid()
 
     def _prepare(self, slots: Iterable[int]) -> None:
-        """Have workers make the units of `slots` that are not there, and then those that come next."""
-        if self._process != os.getpid():  # a fork, which has neither the workers nor a claim to them
+        """Have workers make the units of `slots` that are not there, and then those that come
+        next."""
+        if (
+            self._process != os.getpid()
+        ):  # a fork, which has neither the workers nor a claim to them
             self._forget()
-        if not self.workers or multiprocessing.current_process().daemon:  # which may have no processes of its own
+        if (
+            not self.workers or multiprocessing.current_process().daemon
+        ):  # which may have no processes of its own
             return
         if self._ahead is None:
             self._ahead = Ahead(self._make, self.workers)
@@ -161,12 +196,15 @@ class Stream(Sequence[Sample]):
                 room -= 1
 
     def _following(self, asked: Sequence[int]) -> Iterator[int]:
-        """Slots that will be asked for after `asked`: those said to come, else, where all are in order, the next."""
+        """Slots that will be asked for after `asked`: those said to come, else, where all are in
+        order, the next."""
         in_order = 0 <= min(asked, default=0) - self._last <= 1
         self._last = max(asked, default=self._last)
         if self._coming is not None:
             return self._coming
-        return iter(range(self._last + 1, self.mixture.place(len(self) - 1)[0] + 1) if in_order else ())
+        return iter(
+            range(self._last + 1, self.mixture.place(len(self) - 1)[0] + 1) if in_order else ()
+        )
 
     def _unit(self, slot: int) -> Unit:
         """A unit's records, which are then those asked for last."""
@@ -190,11 +228,15 @@ class Maker:
     record: np.dtype
 
     def __call__(self, slot: int) -> Unit:
-        """The unit of a slot. Raises GenerationError, and DatasetError where the cache's disk refuses."""
+        """The unit of a slot. Raises GenerationError, and DatasetError where the cache's disk
+        refuses."""
         part, unit = self.mixture.unit(slot)
 
         def drawn() -> Unit:
-            return tuple(pack(sample, self.record) for sample in self.mixture.components[part].draw(unit).samples)
+            return tuple(
+                pack(sample, self.record)
+                for sample in self.mixture.components[part].draw(unit).samples
+            )
 
         return self.caches[part].unit(unit, drawn) if self.caches else drawn()
 
@@ -242,6 +284,12 @@ def stream_of(
 
 def _whole(name: str, value: Any, least: int, most: int) -> int:
     """`value` as a number of Python's. Raises DatasetError."""
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= most:
-        raise DatasetError(f"stream: {name} = {short(value)}: expected a whole number from {least} to {most}")
+    if (
+        not isinstance(value, int | np.integer)
+        or isinstance(value, bool)
+        or not least <= value <= most
+    ):
+        raise DatasetError(
+            f"stream: {name} = {short(value)}: expected a whole number from {least} to {most}"
+        )
     return int(value)

@@ -1,1 +1,2 @@
-"""The terminal: what is printed there, and how a command ends, stops included. It knows no command."""
+"""The terminal: what is printed there, and how a command ends, stops included. It knows no
+command."""

@@ -57,7 +57,13 @@ class Progress:
         if not self._shown:
             return
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeRemainingColumn,
+        )
 
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
@@ -68,7 +74,9 @@ class Progress:
             console=Console(stderr=True),
         )
         self._begin, self._at_begin = time.perf_counter(), self._done
-        self._task = self._bar.add_task(escaped(self._label), total=total, completed=self._done, rate="")
+        self._task = self._bar.add_task(
+            escaped(self._label), total=total, completed=self._done, rate=""
+        )
         self._bar.start()
 
     def restart(self, label: str, total: int, done: int) -> None:

@@ -21,8 +21,11 @@ def say(text: object = "") -> None:
         click.echo(escaped(line))
 
 
-def show_table(rows: Mapping[str, Any], title: str = "", marks: Mapping[str, tuple[str, str]] | None = None) -> None:
-    """A line for each of `rows`, name and value; `marks` stand before the values, text and colour by name."""
+def show_table(
+    rows: Mapping[str, Any], title: str = "", marks: Mapping[str, tuple[str, str]] | None = None
+) -> None:
+    """A line for each of `rows`, name and value; `marks` stand before the values, text and colour
+    by name."""
     if title:
         say(f"\n{escaped(title)}")
     width = max((len(escaped(name)) for name in rows), default=0)
@@ -33,12 +36,15 @@ def show_table(rows: Mapping[str, Any], title: str = "", marks: Mapping[str, tup
 
 
 def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title: str = "") -> None:
-    """A line for each of `rows`, a name and a cell under each of `heads`; one table below another where the terminal is
-    too narrow for all columns."""
+    """A line for each of `rows`, a name and a cell under each of `heads`; one table below another
+    where the terminal is too narrow for all columns."""
     if title:
         say(f"\n{title}")
     first = max(len(escaped(name)) for name in rows)
-    widths = [2 + max(map(len, (head, *cells))) for head, *cells in zip(heads, *rows.values(), strict=True)]
+    widths = [
+        2 + max(map(len, (head, *cells)))
+        for head, *cells in zip(heads, *rows.values(), strict=True)
+    ]
     wide = shutil.get_terminal_size((ENDLESS, 24)).columns
     begin = 0
     while begin < len(heads):
@@ -53,15 +59,22 @@ def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title:
 
 
 def curve(values: Sequence[float], *, most: int = 60) -> str:
-    """Numbers as a line of bars, the least the lowest; of more than `most` as many, evenly spread."""
-    shown = [values[n * (len(values) - 1) // max(most - 1, 1)] for n in range(most)] if len(values) > most else values
+    """Numbers as a line of bars, the least the lowest; of more than `most` as many, evenly
+    spread."""
+    shown = (
+        [values[n * (len(values) - 1) // max(most - 1, 1)] for n in range(most)]
+        if len(values) > most
+        else values
+    )
     least, height = min(shown), max(shown) - min(shown)
     try:
         BARS.encode(sys.stdout.encoding or "ascii")
         bars = BARS
     except UnicodeEncodeError:
         bars = PLAIN_BARS
-    return "".join(bars[round((value - least) / (height or 1) * (len(bars) - 1))] for value in shown)
+    return "".join(
+        bars[round((value - least) / (height or 1) * (len(bars) - 1))] for value in shown
+    )
 
 
 def per_split(counts: Mapping[str, int]) -> str:
@@ -79,5 +92,9 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested tables as one, names joined by dots."""
     found: dict[str, Any] = {}
     for name, value in values.items():
-        found |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+        found |= (
+            flat(value, f"{prefix}{name}.")
+            if isinstance(value, dict)
+            else {f"{prefix}{name}": value}
+        )
     return found

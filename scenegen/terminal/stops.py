@@ -1,7 +1,9 @@
-"""Stops from outside (Ctrl-C, SIGTERM, SIGHUP) at any moment: what is begun is undone, one line, and the end.
+"""Stops from outside (Ctrl-C, SIGTERM, SIGHUP) at any moment: what is begun is undone, one line,
+and the end.
 
-No exception is raised, which a library's callback could swallow or print; the process ends within the signal's handler.
-Nothing is imported here that takes long, so that a command can begin with this.
+No exception is raised, which a library's callback could swallow or print; the process ends within
+the signal's handler. Nothing is imported here that takes long, so that a command can begin with
+this.
 """
 
 import os
@@ -36,9 +38,11 @@ def answer() -> None:
 
 
 def answer_hanging() -> None:
-    """Let a second stop end this process even if it hangs in a library, where Python cannot answer the first.
+    """Let a second stop end this process even if it hangs in a library, where Python cannot answer
+    the first.
 
-    The kernel then forgets the handler when it has called it once, which is where Python only notes the signal.
+    The kernel then forgets the handler when it has called it once, which is where Python only notes
+    the signal.
     """
     import ctypes
 
@@ -54,7 +58,8 @@ def answer_hanging() -> None:
 
 @contextmanager
 def noted() -> Iterator[Callable[[], bool]]:
-    """For a loop that looks whether to stop: a first stop is noted, and makes what is given true; a second ends all."""
+    """For a loop that looks whether to stop: a first stop is noted, and makes what is given true; a
+    second ends all."""
     asked: list[int] = []
     _noted.append(asked)
     try:
@@ -64,7 +69,9 @@ def noted() -> Iterator[Callable[[], bool]]:
 
 
 def _stop(number: int, frame: object) -> None:
-    if os.getpid() != _owner:  # a child that has no handlers of its own yet, or a library's: Ctrl-C is ours to answer
+    if (
+        os.getpid() != _owner
+    ):  # a child that has no handlers of its own yet, or a library's: Ctrl-C is ours to answer
         if number != signal.SIGINT:
             os._exit(CODE)
         return

@@ -8,17 +8,29 @@ import rich_click as click
 from click.shell_completion import CompletionItem
 
 from lidarsim.parameters import Bounds
-from lidarsim.registry import Registry
+from lidarsim.registry import MOST_NAMED, Registry, suggestion
 
 
 class Named(click.ParamType):
-    """The name of something in a registry, or a user's own as module:Object, or, with `file`, a file that ends so.
+    """The name of something in a registry, or a user's own as module:Object, or, with `file`, a
+    file that ends so.
 
     `others` are endings of files that another option takes, each with that option.
     """
 
-    def __init__(self, registry: Registry, *, file: str | None = None, others: Mapping[str, str] | None = None):
-        self.registry, self.name, self.file, self.others = registry, registry.what, file, others or {}
+    def __init__(
+        self,
+        registry: Registry,
+        *,
+        file: str | None = None,
+        others: Mapping[str, str] | None = None,
+    ):
+        self.registry, self.name, self.file, self.others = (
+            registry,
+            registry.what,
+            file,
+            others or {},
+        )
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """The name, if it can be one; a user's own is imported later."""
@@ -35,6 +47,16 @@ class Named(click.ParamType):
         return [CompletionItem(name) for name in self.registry.known if name.startswith(incomplete)]
 
 
+class Choice(click.Choice[str]):
+    """One of a few words; a word that is none gets the nearest one named."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: Any) -> str:
+        """What is wrong with `value`."""
+        return (
+            f"{str(value)[:MOST_NAMED]!r} is none of them; {suggestion(str(value), self.choices)}"
+        )
+
+
 class Place(Named):
     """The name of an executor, with an address or without: ray://host:10001."""
 
@@ -45,8 +67,8 @@ class Place(Named):
 
 
 class DatasetPath(click.ParamType):
-    """A dataset: a folder, hf://user/name[@revision], or a place, s3://bucket/folder; the command fetches, and not the
-    parsing."""
+    """A dataset: a folder, hf://user/name[@revision], or a place, s3://bucket/folder; the command
+    fetches, and not the parsing."""
 
     name = "dataset"
 
@@ -80,18 +102,25 @@ class OutputFolder(click.Path):
         return folder_of(value) if self.places and isinstance(value, str) else Path(value)
 
 
-def _refuse(kind: click.ParamType, value: Any, param: Any, ctx: Any, *, places: bool = False) -> None:
+def _refuse(
+    kind: click.ParamType, value: Any, param: Any, ctx: Any, *, places: bool = False
+) -> None:
     """Fail where a name with a scheme is given to write to, and no such thing is written there."""
     from scenegen.places import PLACES, is_remote
 
     scheme = str(value).partition("://")[0]
     if is_remote(value) and not (places and scheme in PLACES.known):
-        told = " or a place, s3://bucket/folder" if places else "; only `generate` and `rescan` write to s3://"
+        told = (
+            " or a place, s3://bucket/folder"
+            if places
+            else "; only `generate` and `rescan` write to s3://"
+        )
         kind.fail(f"{scheme}://… is not written to; give a folder{told}", param, ctx)
 
 
 class OutputFile(click.Path):
-    """A file to write: a new one, or a regular one to replace; with `folders`, also a folder that is there."""
+    """A file to write: a new one, or one as scenegen wrote it; with `folders`, also a folder that
+    is there, or any file, of which the command says whether it is replaced."""
 
     def __init__(self, *, folders: bool = False) -> None:
         super().__init__(path_type=Path)
@@ -100,14 +129,14 @@ class OutputFile(click.Path):
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
         """The path, if a file may be written there."""
         from scenegen.errors import DatasetError
-        from scenegen.files import check_target
+        from scenegen.files import check_ours, check_target
 
         _refuse(self, value, param, ctx)
         path = Path(value)
         if self.folders and path.is_dir():
             return path
         try:
-            check_target(path)
+            (check_target if self.folders else check_ours)(path)
         except DatasetError as error:
             self.fail(str(error), param, ctx)
         return path
@@ -142,7 +171,10 @@ class Numbers(click.ParamType):
         parts = str(value).split(",")
         if len(parts) != self.count:
             self.fail(
-                f"{str(value)[:60]!r}: expected {self.name}, {self.count} numbers with commas between", param, ctx
+                f"{str(value)[:60]!r}: expected {self.name}, {self.count} numbers with commas "
+                f"between",
+                param,
+                ctx,
             )
         return tuple(Number().convert(part, param, ctx) for part in parts)
 
@@ -156,8 +188,12 @@ class ShardRange(click.ParamType):
         """The two numbers."""
         first, colon, stop = str(value).partition(":")
         short = len(str(value)) <= 40  # and no more digits than int() takes
-        if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
-            self.fail(f"{str(value)[:60]!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx)
+        if not (
+            colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)
+        ):
+            self.fail(
+                f"{str(value)[:60]!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx
+            )
         return int(first), int(stop)
 
 

@@ -10,14 +10,16 @@ from lidarsim.jit import kernel
 
 
 def distance_field(occupancy: NDArray[np.bool_], grid: GridSpec) -> NDArray[np.float32]:
-    """The TUDF of `occupancy` (*grid.shape): metres from each voxel's centre to the nearest occupied voxel's centre.
+    """The TUDF of `occupancy` (*grid.shape): metres from each voxel's centre to the nearest
+    occupied voxel's centre.
 
-    Exactly ``float32(min(voxel_m * sqrt(float64(k)), truncation_m))`` with k the squared distance in voxels; 0 where
-    occupied, `truncation_m` everywhere in an empty map. Only occupancy within the map counts (the paper's section
-    "Training Data Generation").
+    Exactly ``float32(min(voxel_m * sqrt(float64(k)), truncation_m))`` with k the squared distance
+    in voxels; 0 where occupied, `truncation_m` everywhere in an empty map. Only occupancy within
+    the map counts (the paper's section "Training Data Generation").
 
-    Squared distances are whole numbers, and none beyond the truncation matters, so they fit in a byte (for the
-    default grid, 100 at most) and three passes of minima, one an axis, give them exactly (Saito and Toriwaki 1994).
+    Squared distances are whole numbers, and none beyond the truncation matters, so they fit in a
+    byte (for the default grid, 100 at most) and three passes of minima, one an axis, give them
+    exactly (Saito and Toriwaki 1994).
     """
     cap, table = lookup(grid)
     # a sum of two capped squares must fit the type
@@ -26,12 +28,15 @@ def distance_field(occupancy: NDArray[np.bool_], grid: GridSpec) -> NDArray[np.f
 
 
 def lookup(grid: GridSpec) -> tuple[int, NDArray[np.float32]]:
-    """The squared distance in voxels from which on all is truncated, and the metres (cap + 1,) of squares up to it."""
+    """The squared distance in voxels from which on all is truncated, and the metres (cap + 1,) of
+    squares up to it."""
     reach = grid.truncation_m / grid.voxel_m
     cap = math.ceil(reach * reach)
     while cap > 0 and grid.voxel_m * math.sqrt(cap - 1) >= grid.truncation_m:
         cap -= 1
-    table = np.minimum(grid.voxel_m * np.sqrt(np.arange(cap + 1, dtype=np.float64)), grid.truncation_m)
+    table = np.minimum(
+        grid.voxel_m * np.sqrt(np.arange(cap + 1, dtype=np.float64)), grid.truncation_m
+    )
     table[cap] = grid.truncation_m
     return cap, table.astype(np.float32)
 
@@ -40,8 +45,9 @@ def lookup(grid: GridSpec) -> tuple[int, NDArray[np.float32]]:
 def _transform(occupancy, cap, table):
     """Squared distances up to `cap`, one axis after the other, looked up in `table` (cap + 1,).
 
-    All in the type of `cap`, so that a vector register holds many. Lines along z are kept apart by a margin of `cap`,
-    and slices surrounded by one, so that a shift along y or z is one shift of a whole x-slice.
+    All in the type of `cap`, so that a vector register holds many. Lines along z are kept apart by
+    a margin of `cap`, and slices surrounded by one, so that a shift along y or z is one shift of a
+    whole x-slice.
     """
     nx, ny, nz = occupancy.shape
     reach = 0  # offsets whose square alone stays below the cap
@@ -67,8 +73,8 @@ def _transform(occupancy, cap, table):
 
 @kernel
 def _spread(source, squares, reach, line):
-    """Set `squares` (m,) to the least of what lies up to `reach` places of `line` numbers away in `source`, which has
-    as many more at either end, plus the places' square."""
+    """Set `squares` (m,) to the least of what lies up to `reach` places of `line` numbers away in
+    `source`, which has as many more at either end, plus the places' square."""
     m = len(squares)
     here = source[reach * line :]
     for q in range(m):
@@ -89,7 +95,9 @@ def _steps_along_x(occupied, steps, most):
             i = q if direction == 0 else nx - 1 - q
             here, there = steps[i], occupied[i].view(np.uint8)
             for p in range(m):
-                run[p] = steps.dtype.type(min(steps.dtype.type(run[p] + one), most) * steps.dtype.type(one - there[p]))
+                run[p] = steps.dtype.type(
+                    min(steps.dtype.type(run[p] + one), most) * steps.dtype.type(one - there[p])
+                )
                 here[p] = min(here[p], run[p])
 
 

@@ -1,4 +1,5 @@
-"""Exact occupancy and distances of many worlds at once, in Warp: the bits of `rasterize` and `distance_field`.
+"""Exact occupancy and distances of many worlds at once, in Warp: the bits of `rasterize` and
+`distance_field`.
 
 One thread fills one column of voxels, or finds the distance of one voxel.
 """
@@ -23,15 +24,19 @@ ROOT_3 = wp.constant(wp.float64(3.0**0.5))
 SLACK = wp.constant(wp.float64(SLACK_M))
 
 
-def rasterize(worlds: Worlds, grid: GridSpec, corners: Any, *, which: ArrayLike | None = None) -> Any:
+def rasterize(
+    worlds: Worlds, grid: GridSpec, corners: Any, *, which: ArrayLike | None = None
+) -> Any:
     """Occupancy (P, *grid.shape) of P grids, a Warp array of bool on the worlds' device.
 
-    Grid p has its least corner at `corners` (P, 3), in world `which` (P,), which is world p unless said otherwise. A
-    voxel is occupied where its closed cube lies within `SLACK_M` of a solid. Raises ValueError for other shapes, and
-    for a grid that is `hollow`.
+    Grid p has its least corner at `corners` (P, 3), in world `which` (P,), which is world p unless
+    said otherwise. A voxel is occupied where its closed cube lies within `SLACK_M` of a solid.
+    Raises ValueError for other shapes, and for a grid that is `hollow`.
     """
     if grid.hollow:
-        raise ValueError("grid.hollow = True: expected False on the GPU; scenegen.truth.rasterize knows surfaces")
+        raise ValueError(
+            "grid.hollow = True: expected False on the GPU; scenegen.truth.rasterize knows surfaces"
+        )
     lows = on_device(corners, wp.vec3d, worlds.device)
     poses = len(lows)
     placed("corners", lows, (poses,), wp.vec3d, worlds.device)
@@ -47,8 +52,9 @@ def rasterize(worlds: Worlds, grid: GridSpec, corners: Any, *, which: ArrayLike 
 
 
 def distance_field(occupancy: Any, grid: GridSpec) -> Any:
-    """The TUDFs of P grids, a Warp array (P, *grid.shape) of float32 on the device of `occupancy`, of the same shape:
-    metres from each voxel's centre to the nearest occupied one's, at most `grid.truncation_m`."""
+    """The TUDFs of P grids, a Warp array (P, *grid.shape) of float32 on the device of `occupancy`,
+    of the same shape: metres from each voxel's centre to the nearest occupied one's, at most
+    `grid.truncation_m`."""
     device = occupancy.device.alias
     placed("occupancy", occupancy, (len(occupancy), *grid.shape), wp.bool, device)
     cap, table = lookup(grid)
@@ -64,18 +70,25 @@ def distance_field(occupancy: Any, grid: GridSpec) -> Any:
 @wp.func
 def _first(low: wp.float64, origin: wp.float64, voxel_m: wp.float64, count: wp.int32) -> wp.int32:
     """First voxel along an axis whose closed extent touches what begins at `low`."""
-    return wp.int32(wp.ceil(wp.min(wp.max((low - SLACK - origin) / voxel_m - ONE, ZERO), wp.float64(count))))
+    return wp.int32(
+        wp.ceil(wp.min(wp.max((low - SLACK - origin) / voxel_m - ONE, ZERO), wp.float64(count)))
+    )
 
 
 @wp.func
 def _last(high: wp.float64, origin: wp.float64, voxel_m: wp.float64, count: wp.int32) -> wp.int32:
     """Last voxel along an axis whose closed extent touches what ends at `high`."""
-    return wp.int32(wp.floor(wp.max(wp.min((high + SLACK - origin) / voxel_m, wp.float64(count) - ONE), -ONE)))
+    return wp.int32(
+        wp.floor(wp.max(wp.min((high + SLACK - origin) / voxel_m, wp.float64(count) - ONE), -ONE))
+    )
 
 
 @wp.func
-def _is_beside(low: wp.vec3d, high: wp.vec3d, o: wp.vec3d, i: wp.int32, j: wp.int32, voxel_m: wp.float64) -> wp.bool:
-    """Whether the column i, j passes a box by, with a voxel to spare: quicker than the exact answer, for most."""
+def _is_beside(
+    low: wp.vec3d, high: wp.vec3d, o: wp.vec3d, i: wp.int32, j: wp.int32, voxel_m: wp.float64
+) -> wp.bool:
+    """Whether the column i, j passes a box by, with a voxel to spare: quicker than the exact
+    answer, for most."""
     x, y = o[0] + wp.float64(i) * voxel_m, o[1] + wp.float64(j) * voxel_m
     two = voxel_m + voxel_m
     return x > high[0] + voxel_m or x < low[0] - two or y > high[1] + voxel_m or y < low[1] - two
@@ -114,7 +127,9 @@ def _fill_primitives(
     x, y = o[0] + (wp.float64(i) + HALF) * voxel_m, o[1] + (wp.float64(j) + HALF) * voxel_m
     for n in range(packed.primitive_start[which[p]], packed.primitive_start[which[p] + 1]):
         low, high = packed.lower[n], packed.upper[n]
-        if _is_beside(low, high, o, i, j, voxel_m) or not _reaches(low, high, o, i, j, voxel_m, nx, ny):
+        if _is_beside(low, high, o, i, j, voxel_m) or not _reaches(
+            low, high, o, i, j, voxel_m, nx, ny
+        ):
             continue
         begin, last = _first(low[2], o[2], voxel_m, nz), _last(high[2], o[2], voxel_m, nz)
         shape, size, axes = packed.shape[n], packed.size[n], packed.rotation[n]
@@ -140,9 +155,15 @@ def _fill_primitives(
 
 @wp.func
 def _column_touches(
-    shape: wp.int32, size: wp.vec3d, axes: wp.mat33d, dx: wp.float64, dy: wp.float64, half: wp.float64
+    shape: wp.int32,
+    size: wp.vec3d,
+    axes: wp.mat33d,
+    dx: wp.float64,
+    dy: wp.float64,
+    half: wp.float64,
 ) -> wp.bool:
-    """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches its section."""
+    """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches
+    its section."""
     if shape == CYLINDER:
         g, h = wp.max(wp.abs(dx) - half, ZERO), wp.max(wp.abs(dy) - half, ZERO)
         return g * g + h * h <= (size[0] + SLACK) * (size[0] + SLACK)
@@ -165,7 +186,8 @@ def _fill_meshes(
     occupancy: wp.array4d[wp.bool],
     winding: wp.array4d[wp.int32],
 ) -> None:
-    """Surfaces by the cubes that they touch; the inside of closed ones by winding numbers of the voxels' centres."""
+    """Surfaces by the cubes that they touch; the inside of closed ones by winding numbers of the
+    voxels' centres."""
     p, i, j = wp.tid()
     o = corners[p]
     half = HALF * voxel_m
@@ -183,7 +205,9 @@ def _fill_meshes(
                 if sign != 0 and above < wp.float64(nz):
                     winding[p, i, j, wp.int32(wp.max(above, ZERO))] += sign
             if _reaches(low, high, o, i, j, voxel_m, nx, ny):
-                for k in range(_first(low[2], o[2], voxel_m, nz), _last(high[2], o[2], voxel_m, nz) + 1):
+                for k in range(
+                    _first(low[2], o[2], voxel_m, nz), _last(high[2], o[2], voxel_m, nz) + 1
+                ):
                     if not occupancy[p, i, j, k]:
                         centre = wp.vec3d(x, y, o[2] + (wp.float64(k) + HALF) * voxel_m)
                         if triangle_touches(a, b, c, centre, half, SLACK):
@@ -199,7 +223,8 @@ def _fill_meshes(
 
 @wp.kernel
 def _along_x(occupancy: wp.array4d[wp.bool], cap: wp.int32, squares: wp.array4d[wp.int32]) -> None:
-    """Squared steps to the nearest occupied voxel along x, at most `cap` (Saito and Toriwaki 1994)."""
+    """Squared steps to the nearest occupied voxel along x, at most `cap` (Saito and Toriwaki
+    1994)."""
     p, i, j, k = wp.tid()
     step, found = wp.int32(0), wp.bool(False)
     while step * step < cap and not found:
@@ -228,7 +253,9 @@ def _along_y(source: wp.array4d[wp.int32], squares: wp.array4d[wp.int32]) -> Non
 
 
 @wp.kernel
-def _along_z(source: wp.array4d[wp.int32], table: wp.array[wp.float32], field: wp.array4d[wp.float32]) -> None:
+def _along_z(
+    source: wp.array4d[wp.int32], table: wp.array[wp.float32], field: wp.array4d[wp.float32]
+) -> None:
     """The same along z, and the distance that belongs to the square."""
     p, i, j, k = wp.tid()
     least = wp.int32(source[p, i, j, k])

@@ -1,6 +1,8 @@
-"""Whether a cube touches a shape, in Warp: `scenegen.truth.shapes` and `triangles` again, sum by sum in their order.
+"""Whether a cube touches a shape, in Warp: `scenegen.truth.shapes` and `triangles` again, sum by
+sum in their order.
 
-Cubes and frames are theirs: the centre in the shape's frame, the world's axes there as rows of `axes`, half an edge.
+Cubes and frames are theirs: the centre in the shape's frame, the world's axes there as rows of
+`axes`, half an edge.
 """
 
 import numpy as np
@@ -56,7 +58,12 @@ def _ellipsoid_distance(size: wp.vec3d, p: wp.vec3d) -> wp.float64:
 
 @wp.func
 def touches(
-    shape: wp.int32, size: wp.vec3d, axes: wp.mat33d, p: wp.vec3d, half: wp.float64, slack: wp.float64
+    shape: wp.int32,
+    size: wp.vec3d,
+    axes: wp.mat33d,
+    p: wp.vec3d,
+    half: wp.float64,
+    slack: wp.float64,
 ) -> wp.bool:
     """Whether the closed cube about p comes within `slack` metres of the filled shape."""
     reach = size[0] + slack
@@ -80,9 +87,11 @@ def _point_to_cube2(axes: wp.mat33d, p: wp.vec3d, half: wp.float64) -> wp.float6
 
 
 @wp.func
-def _segment_to_cube2(axes: wp.mat33d, p: wp.vec3d, reach: wp.float64, half: wp.float64) -> wp.float64:
-    """Squared distance from the segment |z| <= reach of the frame's z axis to the cube: a convex function along it, of
-    which the kinks around its derivative's root are found, then the root."""
+def _segment_to_cube2(
+    axes: wp.mat33d, p: wp.vec3d, reach: wp.float64, half: wp.float64
+) -> wp.float64:
+    """Squared distance from the segment |z| <= reach of the frame's z axis to the cube: a convex
+    function along it, of which the kinks around its derivative's root are found, then the root."""
     low, high = -reach, wp.float64(reach)
     slope_low = _segment_slope(axes, p, low, half)
     slope_high = _segment_slope(axes, p, high, half)
@@ -123,15 +132,22 @@ def _segment_slope(axes: wp.mat33d, p: wp.vec3d, t: wp.float64, half: wp.float64
 
 
 @wp.func
-def _box_touches(size: wp.vec3d, axes: wp.mat33d, p: wp.vec3d, half: wp.float64, slack: wp.float64) -> wp.bool:
-    """Separating axes (Gottschalk 1996): the 3 faces of each box and the 9 products of their edges."""
+def _box_touches(
+    size: wp.vec3d, axes: wp.mat33d, p: wp.vec3d, half: wp.float64, slack: wp.float64
+) -> wp.bool:
+    """Separating axes (Gottschalk 1996): the 3 faces of each box and the 9 products of their
+    edges."""
     for b in range(3):
         shadow = wp.abs(axes[0, b]) + wp.abs(axes[1, b]) + wp.abs(axes[2, b])
         if wp.abs(p[b]) > size[b] + half * shadow + slack:
             return False
     for a in range(3):
         gap = wp.abs(axes[a, 0] * p[0] + axes[a, 1] * p[1] + axes[a, 2] * p[2])
-        x, y, z = wp.abs(axes[a, 0]) * size[0], wp.abs(axes[a, 1]) * size[1], wp.abs(axes[a, 2]) * size[2]
+        x, y, z = (
+            wp.abs(axes[a, 0]) * size[0],
+            wp.abs(axes[a, 1]) * size[1],
+            wp.abs(axes[a, 2]) * size[2],
+        )
         if gap > half + x + y + z + slack:
             return False
     for a in range(3):
@@ -142,15 +158,19 @@ def _box_touches(size: wp.vec3d, axes: wp.mat33d, p: wp.vec3d, half: wp.float64,
             if length2 > PARALLEL:
                 gap = wp.abs(p[d] * axes[a, c] - p[c] * axes[a, d])
                 own = size[c] * wp.abs(axes[a, d]) + size[d] * wp.abs(axes[a, c])
-                if gap > own + half * (wp.abs(axes[e, b]) + wp.abs(axes[f, b])) + slack * wp.sqrt(length2):
+                if gap > own + half * (wp.abs(axes[e, b]) + wp.abs(axes[f, b])) + slack * wp.sqrt(
+                    length2
+                ):
                     return False
     return True
 
 
 @wp.func
-def _ellipsoid_touches(size: wp.vec3d, axes: wp.mat33d, p: wp.vec3d, half: wp.float64, slack: wp.float64) -> wp.bool:
-    """In the space where the ellipsoid is the unit ball, the nearest point of the parallelepiped that the cube becomes,
-    among its faces and edges."""
+def _ellipsoid_touches(
+    size: wp.vec3d, axes: wp.mat33d, p: wp.vec3d, half: wp.float64, slack: wp.float64
+) -> wp.bool:
+    """In the space where the ellipsoid is the unit ball, the nearest point of the parallelepiped
+    that the cube becomes, among its faces and edges."""
     if _point_to_cube2(axes, p, half) == ZERO:
         return True
     scale = wp.vec3d(ONE / size[0], ONE / size[1], ONE / size[2])
@@ -187,9 +207,11 @@ def _ellipsoid_touches(size: wp.vec3d, axes: wp.mat33d, p: wp.vec3d, half: wp.fl
 
 
 @wp.func
-def _cylinder_touches(radius: wp.float64, reach: wp.float64, axes: wp.mat33d, p: wp.vec3d, half: wp.float64) -> wp.bool:
-    """Whether the axis runs through the cube between the end planes, or an edge of that part of the cube passes the
-    axis within the radius."""
+def _cylinder_touches(
+    radius: wp.float64, reach: wp.float64, axes: wp.mat33d, p: wp.vec3d, half: wp.float64
+) -> wp.bool:
+    """Whether the axis runs through the cube between the end planes, or an edge of that part of the
+    cube passes the axis within the radius."""
     enter, leave = -reach, wp.float64(reach)
     centre = axes * p
     for a in range(3):  # the axis, as a segment, against the cube's slabs
@@ -219,7 +241,10 @@ def _cylinder_touches(radius: wp.float64, reach: wp.float64, axes: wp.mat33d, p:
     for plane in range(2):
         height = reach if plane == 1 else -reach
         for face in range(6):
-            if _face_cut_norm2(axes, p, face // 2, half if face % 2 == 1 else -half, height, half) <= limit:
+            if (
+                _face_cut_norm2(axes, p, face // 2, half if face % 2 == 1 else -half, height, half)
+                <= limit
+            ):
                 return True
     return False
 
@@ -238,10 +263,15 @@ def _segment_norm2(p: wp.vec3d, q: wp.vec3d) -> wp.float64:
 
 @wp.func
 def _face_cut_norm2(
-    axes: wp.mat33d, p: wp.vec3d, i: wp.int32, side: wp.float64, height: wp.float64, half: wp.float64
+    axes: wp.mat33d,
+    p: wp.vec3d,
+    i: wp.int32,
+    side: wp.float64,
+    height: wp.float64,
+    half: wp.float64,
 ) -> wp.float64:
-    """Squared distance from the axis to the segment in which the plane z = height cuts the face at `side` along axis
-    i; inf if it does not."""
+    """Squared distance from the axis to the segment in which the plane z = height cuts the face at
+    `side` along axis i; inf if it does not."""
     e, f = axes[(i + 1) % 3], axes[(i + 2) % 3]
     c = p + side * axes[i]
     above = c[2] - height
@@ -249,7 +279,8 @@ def _face_cut_norm2(
     norm2 = u * u + v * v
     if norm2 < FLAT:
         return INF
-    # the points above + u g + v h = 0 of the face's plane, walked along (-v, u) from the one nearest to its centre
+    # the points above + u g + v h = 0 of the face's plane, walked along (-v, u) from the one
+    # nearest to its centre
     g, h = -above * u / norm2, -above * v / norm2
     low, high = -INF, wp.float64(INF)
     if v != ZERO:
@@ -266,25 +297,32 @@ def _face_cut_norm2(
         return INF
     if low > high:
         return INF
-    return _segment_norm2(c + (g - low * v) * e + (h + low * u) * f, c + (g - high * v) * e + (h + high * u) * f)
+    return _segment_norm2(
+        c + (g - low * v) * e + (h + low * u) * f, c + (g - high * v) * e + (h + high * u) * f
+    )
 
 
 @wp.func
 def triangle_touches(
     a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, centre: wp.vec3d, half: wp.float64, slack: wp.float64
 ) -> wp.bool:
-    """Whether the closed cube about `centre` comes within `slack` metres of the triangle abc (Akenine-Moller 2001)."""
+    """Whether the closed cube about `centre` comes within `slack` metres of the triangle abc
+    (Akenine-Moller 2001)."""
     p = wp.matrix_from_rows(a - centre, b - centre, c - centre)
     low, high = wp.min(wp.min(p[0], p[1]), p[2]), wp.max(wp.max(p[0], p[1]), p[2])
     for i in range(3):
         if low[i] > half + slack or high[i] < -half - slack:
             return False
     n = wp.cross(p[1] - p[0], p[2] - p[0])
-    if wp.abs(wp.dot(n, p[0])) > half * (wp.abs(n[0]) + wp.abs(n[1]) + wp.abs(n[2])) + slack * wp.length(n):
+    if wp.abs(wp.dot(n, p[0])) > half * (
+        wp.abs(n[0]) + wp.abs(n[1]) + wp.abs(n[2])
+    ) + slack * wp.length(n):
         return False
     for e in range(3):
         edge = p[(e + 1) % 3] - p[e]
-        for i in range(3):  # the axis is unit vector i x edge: components j, k of the edge, swapped, one negated
+        for i in range(
+            3
+        ):  # the axis is unit vector i x edge: components j, k of the edge, swapped, one negated
             j, k = (i + 1) % 3, (i + 2) % 3
             q0 = p[0, k] * edge[j] - p[0, j] * edge[k]
             q1 = p[1, k] * edge[j] - p[1, j] * edge[k]
@@ -297,9 +335,11 @@ def triangle_touches(
 
 
 @wp.func
-def crossing(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, x: wp.float64, y: wp.float64) -> tuple[wp.int32, wp.float64]:
-    """How the vertical line at (x, y) crosses the triangle abc: +1 upwards out of it seen with its normal, -1 down into
-    it, 0 not at all; and the height of the crossing."""
+def crossing(
+    a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, x: wp.float64, y: wp.float64
+) -> tuple[wp.int32, wp.float64]:
+    """How the vertical line at (x, y) crosses the triangle abc: +1 upwards out of it seen with its
+    normal, -1 down into it, 0 not at all; and the height of the crossing."""
     s = _side(a, b, x, y)
     if s != _side(b, c, x, y) or s != _side(c, a, x, y):
         return 0, ZERO
@@ -313,8 +353,9 @@ def crossing(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, x: wp.float64, y: wp.float64
 
 @wp.func
 def _side(a: wp.vec3d, b: wp.vec3d, x: wp.float64, y: wp.float64) -> wp.int32:
-    """On which side of the line ab, seen from above, (x, y) lies: +1 left, -1 right, never 0. The two triangles at an
-    edge agree, for its ends are put in order first, and a point right on it counts as moved a little."""
+    """On which side of the line ab, seen from above, (x, y) lies: +1 left, -1 right, never 0. The
+    two triangles at an edge agree, for its ends are put in order first, and a point right on it
+    counts as moved a little."""
     swap = a[0] > b[0] or (a[0] == b[0] and a[1] > b[1])
     p, q = a, b
     if swap:

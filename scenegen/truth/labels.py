@@ -16,15 +16,19 @@ NONE = -1
 """The owner of a voxel that is not occupied."""
 
 
-def owners(solids: Solids, occupancy: NDArray[np.bool_], grid: GridSpec, origin: ArrayLike) -> NDArray[np.int32]:
-    """The geom (*grid.shape) that every occupied voxel belongs to, `NONE` elsewhere; `origin` (3,) is the grid's least
-    corner, world metres.
+def owners(
+    solids: Solids, occupancy: NDArray[np.bool_], grid: GridSpec, origin: ArrayLike
+) -> NDArray[np.int32]:
+    """The geom (*grid.shape) that every occupied voxel belongs to, `NONE` elsewhere; `origin` (3,)
+    is the grid's least corner, world metres.
 
-    It is the geom whose filled solid lies nearest to the voxel's centre, at 0 where it holds the centre; of several at
-    the same distance the one with the lowest number.
+    It is the geom whose filled solid lies nearest to the voxel's centre, at 0 where it holds the
+    centre; of several at the same distance the one with the lowest number.
     """
     origin, voxel_m = np.asarray(origin, dtype=np.float64), grid.voxel_m
-    reach = 0.5 * math.sqrt(3.0) * voxel_m + 2 * SLACK_M  # a cube that a solid touches has its centre no farther off
+    reach = (
+        0.5 * math.sqrt(3.0) * voxel_m + 2 * SLACK_M
+    )  # a cube that a solid touches has its centre no farther off
     nearest, owner = np.full(grid.shape, np.inf), np.full(grid.shape, NONE, np.int32)
     primitives = len(solids.shape)
     for n in range(primitives):
@@ -64,15 +68,21 @@ def _cells(
     origin: NDArray[np.float64],
     grid: GridSpec,
 ) -> tuple[slice, ...] | None:
-    """The voxels whose centres lie within `reach` of a box, and one more on each side; None where there are none."""
+    """The voxels whose centres lie within `reach` of a box, and one more on each side; None where
+    there are none."""
     low = np.clip((lower - reach - origin) / grid.voxel_m - 1.5, 0, grid.shape)
     high = np.clip((upper + reach - origin) / grid.voxel_m + 1.5, 0, grid.shape)
-    found = tuple(slice(int(a), math.ceil(b)) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+    found = tuple(
+        slice(int(a), math.ceil(b)) for a, b in zip(low.tolist(), high.tolist(), strict=True)
+    )
     return found if all(part.start < part.stop for part in found) else None
 
 
-def _claim(here: NDArray[np.float64], geom: int, nearest: NDArray[np.float64], owner: NDArray[np.int32]) -> None:
-    """Give `geom` the voxels to which it is nearer than their owner, or as near and of a lower number."""
+def _claim(
+    here: NDArray[np.float64], geom: int, nearest: NDArray[np.float64], owner: NDArray[np.int32]
+) -> None:
+    """Give `geom` the voxels to which it is nearer than their owner, or as near and of a lower
+    number."""
     won = (here < nearest) | ((here == nearest) & np.isfinite(here) & (geom < owner))
     nearest[won], owner[won] = here[won], geom
 
@@ -99,16 +109,23 @@ def _to_primitive(shape, size, position, axes, first, voxel_m, here):
 
 @kernel
 def _to_triangles(triangles, reach, origin, voxel_m, occupancy, here):
-    """Least distances of occupied voxels' centres to triangles (T, 3, 3), where they are within `reach` or so."""
+    """Least distances of occupied voxels' centres to triangles (T, 3, 3), where they are within
+    `reach` or so."""
     nx, ny, nz = occupancy.shape
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
         i0 = int(min(max((min(a[0], b[0], c[0]) - reach - origin[0]) / voxel_m - 1.5, 0.0), nx))
         j0 = int(min(max((min(a[1], b[1], c[1]) - reach - origin[1]) / voxel_m - 1.5, 0.0), ny))
         k0 = int(min(max((min(a[2], b[2], c[2]) - reach - origin[2]) / voxel_m - 1.5, 0.0), nz))
-        i1 = math.ceil(min(max((max(a[0], b[0], c[0]) + reach - origin[0]) / voxel_m + 1.5, 0.0), nx))
-        j1 = math.ceil(min(max((max(a[1], b[1], c[1]) + reach - origin[1]) / voxel_m + 1.5, 0.0), ny))
-        k1 = math.ceil(min(max((max(a[2], b[2], c[2]) + reach - origin[2]) / voxel_m + 1.5, 0.0), nz))
+        i1 = math.ceil(
+            min(max((max(a[0], b[0], c[0]) + reach - origin[0]) / voxel_m + 1.5, 0.0), nx)
+        )
+        j1 = math.ceil(
+            min(max((max(a[1], b[1], c[1]) + reach - origin[1]) / voxel_m + 1.5, 0.0), ny)
+        )
+        k1 = math.ceil(
+            min(max((max(a[2], b[2], c[2]) + reach - origin[2]) / voxel_m + 1.5, 0.0), nz)
+        )
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):

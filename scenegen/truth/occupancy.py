@@ -12,14 +12,16 @@ from scenegen.truth.shapes import distance, touches, within
 from scenegen.truth.triangles import inside_columns, triangle_touches
 
 SLACK_M = 1e-6
-"""A cube touches a solid within this distance, so that a return stored in float32 lies in an occupied voxel."""
+"""A cube touches a solid within this distance, so that a return stored in float32 lies in an
+occupied voxel."""
 
 
 def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.bool_]:
     """Occupancy (*grid.shape) of the grid whose least corner is `origin` (3,), world metres.
 
-    True where the voxel's closed cube lies within `SLACK_M` of a solid, decided by closed forms, never by sampling. On
-    a `grid.hollow`, of the surface of a solid: a cube that lies deeper than `SLACK_M` in a solid does not touch it.
+    True where the voxel's closed cube lies within `SLACK_M` of a solid, decided by closed forms,
+    never by sampling. On a `grid.hollow`, of the surface of a solid: a cube that lies deeper than
+    `SLACK_M` in a solid does not touch it.
     """
     occupancy = np.zeros(grid.shape, dtype=np.bool_)
     origin = np.asarray(origin, dtype=np.float64)
@@ -63,7 +65,9 @@ def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxe
         if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
         axes = rotation[n]
-        upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and (shape[n] == CYLINDER or shape[n] == BOX)
+        upright = (
+            axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and (shape[n] == CYLINDER or shape[n] == BOX)
+        )
         for i in range(i0, i1):
             dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
             for j in range(j0, j1):
@@ -86,13 +90,22 @@ def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxe
 
 @kernel
 def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):
-    """Mark the voxels at every primitive's surface: those of the whole primitive, less those deep inside it."""
+    """Mark the voxels at every primitive's surface: those of the whole primitive, less those deep
+    inside it."""
     whole = np.zeros_like(occupancy)
     nx, ny, nz = occupancy.shape
     for n in range(len(shape)):
         m = n + 1
         _fill_primitives(
-            shape[n:m], size[n:m], position[n:m], rotation[n:m], lower[n:m], upper[n:m], origin, voxel_m, whole
+            shape[n:m],
+            size[n:m],
+            position[n:m],
+            rotation[n:m],
+            lower[n:m],
+            upper[n:m],
+            origin,
+            voxel_m,
+            whole,
         )
         axes = rotation[n]
         i0, i1 = _span(lower[n, 0], upper[n, 0], origin[0], voxel_m, nx)
@@ -109,18 +122,25 @@ def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m,
                         x = axes[0, 0] * dx + axes[1, 0] * dy + axes[2, 0] * dz
                         y = axes[0, 1] * dx + axes[1, 1] * dy + axes[2, 1] * dz
                         z = axes[0, 2] * dx + axes[1, 2] * dy + axes[2, 2] * dz
-                        if not (occupancy[i, j, k] or within(shape[n], size[n], axes, x, y, z, 0.5 * voxel_m, SLACK_M)):
+                        if not (
+                            occupancy[i, j, k]
+                            or within(shape[n], size[n], axes, x, y, z, 0.5 * voxel_m, SLACK_M)
+                        ):
                             occupancy[i, j, k] = True
 
 
 @kernel
 def _column_touches(shape, size, axes, dx, dy, half):
-    """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches its section."""
+    """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches
+    its section."""
     if shape == CYLINDER:
         u, v = max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0)
         return u * u + v * v <= (size[0] + SLACK_M) ** 2
     c, s = abs(axes[0, 0]), abs(axes[1, 0])
-    if abs(dx) > c * size[0] + s * size[1] + half + SLACK_M or abs(dy) > s * size[0] + c * size[1] + half + SLACK_M:
+    if (
+        abs(dx) > c * size[0] + s * size[1] + half + SLACK_M
+        or abs(dy) > s * size[0] + c * size[1] + half + SLACK_M
+    ):
         return False
     u = axes[0, 0] * dx + axes[1, 0] * dy
     v = axes[0, 1] * dx + axes[1, 1] * dy
@@ -132,9 +152,9 @@ def _column_touches(shape, size, axes, dx, dy, half):
 def _fill_column(shape, size, axes, dx, dy, dz, voxel_m, column):
     """Mark the voxels of one column, whose first centre lies at (dx, dy, dz) from the shape's.
 
-    A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the distance of its centre
-    settles all but the cubes right at the surface; and since that distance cannot fall faster than one walks, far ones
-    are skipped.
+    A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the
+    distance of its centre settles all but the cubes right at the surface; and since that distance
+    cannot fall faster than one walks, far ones are skipped.
     """
     half = 0.5 * voxel_m
     outer = half * math.sqrt(3.0) + SLACK_M

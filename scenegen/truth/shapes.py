@@ -1,13 +1,15 @@
-"""Closed forms of MuJoCo's primitive shapes, in the shape's own frame: how far a point is, whether a cube touches or is
-inside.
+"""Closed forms of MuJoCo's primitive shapes, in the shape's own frame: how far a point is, whether
+a cube touches or is inside.
 
-A cube is given by its centre, by its three unit axes (the world's axes written in the shape's frame, so row a of the
-shape's rotation matrix is axis a) and by half its edge. Sizes are MuJoCo's: (radius), (radius, half length),
-half edges or semi-axes. `slack` is the distance at which a cube still counts as touching.
+A cube is given by its centre, by its three unit axes (the world's axes written in the shape's
+frame, so row a of the shape's rotation matrix is axis a) and by half its edge. Sizes are MuJoCo's:
+(radius), (radius, half length), half edges or semi-axes. `slack` is the distance at which a cube
+still counts as touching.
 
-Whether solid and cube meet is decided to rounding. At a distance, corners and edges count up to the root of three times
-`slack`, and ellipsoids up to 1.3 times, where their least radius of curvature (least semi-axis squared over the
-greatest) is at least `slack`; thinner ones err on the side of touching.
+Whether solid and cube meet is decided to rounding. At a distance, corners and edges count up to the
+root of three times `slack`, and ellipsoids up to 1.3 times, where their least radius of curvature
+(least semi-axis squared over the greatest) is at least `slack`; thinner ones err on the side of
+touching.
 """
 
 import math
@@ -20,7 +22,8 @@ from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 @kernel
 def distance(shape, size, x, y, z):
-    """Distance in metres from the point (x, y, z) to the filled shape; 0 inside. A plane fills z <= 0."""
+    """Distance in metres from the point (x, y, z) to the filled shape; 0 inside. A plane fills z <=
+    0."""
     if shape == SPHERE:
         return max(math.sqrt(x * x + y * y + z * z) - size[0], 0.0)
     if shape == CAPSULE:
@@ -39,9 +42,9 @@ def distance(shape, size, x, y, z):
 
 @kernel
 def _ellipsoid_distance(size, x, y, z):
-    """The nearest point of the surface is (a^2 x / (t + a^2), ...) with t > 0 the root of a convex, falling function
-    (Eberly, "Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid"); Newton's method from 0 climbs
-    to it from the left without overshooting."""
+    """The nearest point of the surface is (a^2 x / (t + a^2), ...) with t > 0 the root of a convex,
+    falling function (Eberly, "Distance from a point to an ellipse, an ellipsoid, or a
+    hyperellipsoid"); Newton's method from 0 climbs to it from the left without overshooting."""
     a, b, c = size[0] * size[0], size[1] * size[1], size[2] * size[2]
     p, q, r = a * x * x, b * y * y, c * z * z
     t = 0.0
@@ -73,7 +76,8 @@ def touches(shape, size, axes, x, y, z, half, slack):
 
 @kernel
 def within(shape, size, axes, x, y, z, half, slack):
-    """Whether the closed cube about (x, y, z) lies in the shape, farther than `slack` metres from its surface.
+    """Whether the closed cube about (x, y, z) lies in the shape, farther than `slack` metres from
+    its surface.
 
     The shapes are convex, and so is what lies that deep in them: the cube's corners decide.
     """
@@ -90,8 +94,8 @@ def within(shape, size, axes, x, y, z, half, slack):
 
 @kernel
 def _is_deep(shape, size, x, y, z, slack):
-    """Whether a point lies in the shape, farther than `slack` from its surface; in an ellipsoid, so far in the
-    direction of its least semi-axis, which errs on the side of the surface."""
+    """Whether a point lies in the shape, farther than `slack` from its surface; in an ellipsoid, so
+    far in the direction of its least semi-axis, which errs on the side of the surface."""
     if shape == SPHERE:
         return math.sqrt(x * x + y * y + z * z) < size[0] - slack
     if shape == CAPSULE:
@@ -121,8 +125,9 @@ def _point_to_cube2(axes, x, y, z, half):
 def _segment_to_cube2(axes, x, y, z, reach, half):
     """Squared distance from the segment |z| <= reach of the frame's z axis to the cube.
 
-    Along the segment the squared distance is convex and piecewise quadratic; its derivative is piecewise linear with a
-    kink where the segment crosses a face's plane. The kinks around the derivative's root are found, then the root.
+    Along the segment the squared distance is convex and piecewise quadratic; its derivative is
+    piecewise linear with a kink where the segment crosses a face's plane. The kinks around the
+    derivative's root are found, then the root.
     """
     low, high = -reach, reach
     slope_low = _segment_slope(axes, x, y, z, low, half)
@@ -168,14 +173,25 @@ def _at_segment(axes, x, y, z, t, half):
 
 @kernel
 def _box_touches(size, axes, x, y, z, half, slack):
-    """Separating axes (Gottschalk 1996): the 3 faces of each box and the 9 products of their edges."""
+    """Separating axes (Gottschalk 1996): the 3 faces of each box and the 9 products of their
+    edges."""
     centre = (x, y, z)
     for b in range(3):
-        if abs(centre[b]) > size[b] + half * (abs(axes[0, b]) + abs(axes[1, b]) + abs(axes[2, b])) + slack:
+        if (
+            abs(centre[b])
+            > size[b] + half * (abs(axes[0, b]) + abs(axes[1, b]) + abs(axes[2, b])) + slack
+        ):
             return False
     for a in range(3):
         gap = abs(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z)
-        if gap > half + abs(axes[a, 0]) * size[0] + abs(axes[a, 1]) * size[1] + abs(axes[a, 2]) * size[2] + slack:
+        if (
+            gap
+            > half
+            + abs(axes[a, 0]) * size[0]
+            + abs(axes[a, 1]) * size[1]
+            + abs(axes[a, 2]) * size[2]
+            + slack
+        ):
             return False
     for a in range(3):
         e, f = axes[(a + 1) % 3], axes[(a + 2) % 3]
@@ -184,7 +200,11 @@ def _box_touches(size, axes, x, y, z, half, slack):
             length2 = 1.0 - axes[a, b] * axes[a, b]
             if length2 > 1e-12:
                 gap = abs(centre[d] * axes[a, c] - centre[c] * axes[a, d])
-                reach = size[c] * abs(axes[a, d]) + size[d] * abs(axes[a, c]) + half * (abs(e[b]) + abs(f[b]))
+                reach = (
+                    size[c] * abs(axes[a, d])
+                    + size[d] * abs(axes[a, c])
+                    + half * (abs(e[b]) + abs(f[b]))
+                )
                 if gap > reach + slack * math.sqrt(length2):
                     return False
     return True
@@ -192,15 +212,20 @@ def _box_touches(size, axes, x, y, z, half, slack):
 
 @kernel
 def _ellipsoid_touches(size, axes, x, y, z, half, slack):
-    """Scaled by its semi-axes the ellipsoid is the unit ball and the cube a parallelepiped, whose point nearest to the
-    centre is found among the interiors of its faces and edges. There, the gap is at least (f - 1) / |grad f| with f
-    the scaled length (f is convex), and equals it to first order."""
+    """Scaled by its semi-axes the ellipsoid is the unit ball and the cube a parallelepiped, whose
+    point nearest to the centre is found among the interiors of its faces and edges. There, the gap
+    is at least (f - 1) / |grad f| with f the scaled length (f is convex), and equals it to first
+    order."""
     if _point_to_cube2(axes, x, y, z, half) == 0.0:
         return True
     a, b, c = 1.0 / size[0], 1.0 / size[1], 1.0 / size[2]
     m = np.empty((4, 3))  # the scaled half edges, and the scaled centre
     for i in range(3):
-        m[i, 0], m[i, 1], m[i, 2] = half * axes[i, 0] * a, half * axes[i, 1] * b, half * axes[i, 2] * c
+        m[i, 0], m[i, 1], m[i, 2] = (
+            half * axes[i, 0] * a,
+            half * axes[i, 1] * b,
+            half * axes[i, 2] * c,
+        )
     m[3, 0], m[3, 1], m[3, 2] = x * a, y * b, z * c
     least = math.inf
     nx = ny = nz = 0.0
@@ -217,7 +242,11 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
             det = jj * kk - jk * jk
             p, q = (jk * ku - kk * ju) / det, (jk * ju - jj * ku) / det
             if abs(p) <= 1.0 and abs(q) <= 1.0:
-                fx, fy, fz = u + p * m[j, 0] + q * m[k, 0], v + p * m[j, 1] + q * m[k, 1], w + p * m[j, 2] + q * m[k, 2]
+                fx, fy, fz = (
+                    u + p * m[j, 0] + q * m[k, 0],
+                    v + p * m[j, 1] + q * m[k, 1],
+                    w + p * m[j, 2] + q * m[k, 2],
+                )
                 length2 = fx * fx + fy * fy + fz * fz
                 if length2 < least:
                     least, nx, ny, nz = length2, fx, fy, fz
@@ -240,9 +269,9 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
 
 @kernel
 def _cylinder_touches(radius, reach, axes, x, y, z, half):
-    """The part of the cube between the cylinder's two end planes is convex, so it touches when its shadow along the
-    axis does: when the axis runs through it, or one of its edges (the cube's, cut at the planes, and the cuts
-    themselves) passes the axis within the radius."""
+    """The part of the cube between the cylinder's two end planes is convex, so it touches when its
+    shadow along the axis does: when the axis runs through it, or one of its edges (the cube's, cut
+    at the planes, and the cuts themselves) passes the axis within the radius."""
     enter, leave = -reach, reach
     for a in range(3):  # the axis, as a segment, against the cube's slabs
         offset = -(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z)
@@ -293,14 +322,16 @@ def _segment_norm2(px, py, qx, qy):
 
 @kernel
 def _face_cut_norm2(axes, x, y, z, i, si, height, half):
-    """Squared distance from the axis to the segment in which the plane z = height cuts one face; inf if it does not."""
+    """Squared distance from the axis to the segment in which the plane z = height cuts one face;
+    inf if it does not."""
     j, k = (i + 1) % 3, (i + 2) % 3
     cx, cy, cz = x + si * axes[i, 0], y + si * axes[i, 1], z + si * axes[i, 2] - height
     u, v = axes[j, 2], axes[k, 2]
     norm2 = u * u + v * v
     if norm2 < 1e-24:
         return math.inf
-    # the points cz + u p + v q = 0 of the face's plane, walked along (-v, u) from the one nearest to its centre
+    # the points cz + u p + v q = 0 of the face's plane, walked along (-v, u) from the one nearest
+    # to its centre
     p0, q0 = -cz * u / norm2, -cz * v / norm2
     low, high = -math.inf, math.inf
     if v != 0.0:

@@ -1,4 +1,5 @@
-"""Triangles: whether a cube touches one, how far a point is from one, and what a closed soup of them contains."""
+"""Triangles: whether a cube touches one, how far a point is from one, and what a closed soup of
+them contains."""
 
 import math
 
@@ -11,23 +12,32 @@ from lidarsim.jit import kernel
 def triangle_touches(a, b, c, x, y, z, half, slack):
     """Whether the closed cube about (x, y, z) comes within `slack` metres of the triangle abc.
 
-    Separating axes (Akenine-Moller 2001): the triangle's normal, the cube's faces, and the products of their edges.
+    Separating axes (Akenine-Moller 2001): the triangle's normal, the cube's faces, and the products
+    of their edges.
     """
     p = np.empty((3, 3))
     for i in range(3):
         centre = x if i == 0 else (y if i == 1 else z)
         p[0, i], p[1, i], p[2, i] = a[i] - centre, b[i] - centre, c[i] - centre
-        if min(p[0, i], p[1, i], p[2, i]) > half + slack or max(p[0, i], p[1, i], p[2, i]) < -half - slack:
+        if (
+            min(p[0, i], p[1, i], p[2, i]) > half + slack
+            or max(p[0, i], p[1, i], p[2, i]) < -half - slack
+        ):
             return False
     ux, uy, uz = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     vx, vy, vz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    if abs(nx * p[0, 0] + ny * p[0, 1] + nz * p[0, 2]) > half * (abs(nx) + abs(ny) + abs(nz)) + slack * length:
+    if (
+        abs(nx * p[0, 0] + ny * p[0, 1] + nz * p[0, 2])
+        > half * (abs(nx) + abs(ny) + abs(nz)) + slack * length
+    ):
         return False
     for e in range(3):
         f = (e + 1) % 3
-        for i in range(3):  # the axis is unit vector i x edge: components j, k of the edge, swapped, one negated
+        for i in range(
+            3
+        ):  # the axis is unit vector i x edge: components j, k of the edge, swapped, one negated
             j, k = (i + 1) % 3, (i + 2) % 3
             dj, dk = p[f, j] - p[e, j], p[f, k] - p[e, k]
             q0 = p[0, k] * dj - p[0, j] * dk
@@ -41,7 +51,8 @@ def triangle_touches(a, b, c, x, y, z, half, slack):
 
 @kernel
 def triangle_distance(a, b, c, x, y, z):
-    """Distance in metres from the point (x, y, z) to the triangle abc (Ericson 2005, section 5.1.5)."""
+    """Distance in metres from the point (x, y, z) to the triangle abc (Ericson 2005, section
+    5.1.5)."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     px, py, pz = x - a[0], y - a[1], z - a[2]
@@ -75,8 +86,8 @@ def triangle_distance(a, b, c, x, y, z):
 def _side(a, b, x, y):
     """On which side of the line ab, seen from above, (x, y) lies: +1 left, -1 right, never 0.
 
-    The two triangles at an edge must agree, so the ends are put in order first, and a point right on the line counts
-    as moved by (e, e^2) with an infinitely small e > 0.
+    The two triangles at an edge must agree, so the ends are put in order first, and a point right
+    on the line counts as moved by (e, e^2) with an infinitely small e > 0.
     """
     swap = a[0] > b[0] or (a[0] == b[0] and a[1] > b[1])
     p, q = (b, a) if swap else (a, b)
@@ -90,8 +101,8 @@ def _side(a, b, x, y):
 
 @kernel
 def crossing(a, b, c, x, y):
-    """How the vertical line at (x, y) crosses the triangle abc: +1 upwards out of it seen with its normal, -1 down
-    into it, 0 not at all; and the height of the crossing."""
+    """How the vertical line at (x, y) crosses the triangle abc: +1 upwards out of it seen with its
+    normal, -1 down into it, 0 not at all; and the height of the crossing."""
     s = _side(a, b, x, y)
     if s != _side(b, c, x, y) or s != _side(c, a, x, y):
         return 0, 0.0
@@ -109,7 +120,8 @@ def crossing(a, b, c, x, y):
 def inside_columns(triangles, origin, voxel_m, occupancy):
     """Mark the voxels whose centre a closed, consistently wound soup (T, 3, 3) winds around.
 
-    With the voxels on its surface marked already, what is left lies wholly inside or outside, so the centre decides.
+    With the voxels on its surface marked already, what is left lies wholly inside or outside, so
+    the centre decides.
     """
     nx, ny, nz = occupancy.shape
     i_low = _first_column(triangles[:, :, 0].min(), origin[0], voxel_m)

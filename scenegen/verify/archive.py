@@ -1,4 +1,5 @@
-"""An archive of worlds is a zip of MJCF from anywhere: it is screened before MuJoCo sees it, and stays in memory."""
+"""An archive of worlds is a zip of MJCF from anywhere: it is screened before MuJoCo sees it, and
+stays in memory."""
 
 from dataclasses import dataclass
 from io import BufferedReader
@@ -28,25 +29,39 @@ class Archive:
     assets: dict[str, bytes]
 
     def world(self, number: int) -> tuple[bytes, dict[str, bytes]]:
-        """Return a world's document and the files it refers to. Raises BrokenError where there is none."""
+        """Return a world's document and the files it refers to. Raises BrokenError where there is
+        none."""
         if number not in self.documents:
             raise BrokenError(f"has no member {number:06d}.xml")
         document = self.documents[number]
         return document, {name: self.assets[name] for name in referred(document, self.assets)}
 
 
-def read_archive(file: BufferedReader, name: str) -> Archive:
-    """Read and screen all members of the archive in `file`. Raises BrokenError, which names `name` and the fault."""
+def read_archive(file: BufferedReader, name: str, most_worlds: int) -> Archive:
+    """Read and screen all members of the archive in `file`. Raises BrokenError, which names `name`
+    and the fault."""
     with open_archive(file, name) as members:
+        if (worlds := sum(member.endswith(".xml") for member in members)) > most_worlds:
+            raise BrokenError(f"{worlds} worlds, expected one a sample at most, {most_worlds}")
         contents = {member: members.read(member) for member in members}
-        documents = {int(member[:-4]): content for member, content in contents.items() if member.endswith(".xml")}
-        assets = {member: content for member, content in contents.items() if not member.endswith(".xml")}
-        outlines = {number: screen(document, assets, f"{number:06d}.xml") for number, document in documents.items()}
+        documents = {
+            int(member[:-4]): content
+            for member, content in contents.items()
+            if member.endswith(".xml")
+        }
+        assets = {
+            member: content for member, content in contents.items() if not member.endswith(".xml")
+        }
+        outlines = {
+            number: screen(document, assets, f"{number:06d}.xml")
+            for number, document in documents.items()
+        }
     return Archive(documents, outlines, assets)
 
 
 def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Solids:
-    """Compile an archived world that has been screened to its solids. Raises BrokenError, which names `name`."""
+    """Compile an archived world that has been screened to its solids. Raises BrokenError, which
+    names `name`."""
     try:
         with quiet_mujoco():
             return solids_of(mujoco.MjModel.from_xml_string(document.decode(), assets))
@@ -63,8 +78,8 @@ def archived_world(archive: Archive, number: int) -> World:
 
 
 def auditor(document: bytes, assets: dict[str, bytes], solids: Solids, *, made_with: str) -> Engine:
-    """The engine that casts rays anew in a world whose `solids` have been compiled: never the one that the dataset was
-    `made_with`, and always one of ours."""
+    """The engine that casts rays anew in a world whose `solids` have been compiled: never the one
+    that the dataset was `made_with`, and always one of ours."""
     if made_with == MUJOCO:
         return AnalyticEngine(solids)
     with quiet_mujoco():

@@ -12,9 +12,10 @@ from scenegen.verify.stages import Sample, Shard, SignedFile, Worlds
 class Check:
     """One check of a dataset.
 
-    Its examinations are functions, one for each stage at which it looks. Each is handed what the stage is about, and
-    the check's page of the ledger: there it writes down faults, counts what it examined, and keeps what it needs at the
-    end. A BrokenError that it raises becomes a fault of this check.
+    Its examinations are functions, one for each stage at which it looks. Each is handed what the
+    stage is about, and the check's page of the ledger: there it writes down faults, counts what it
+    examined, and keeps what it needs at the end. A BrokenError that it raises becomes a fault of
+    this check.
     """
 
     name: str

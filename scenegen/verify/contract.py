@@ -28,7 +28,8 @@ class Contract(Manifest):
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Place of every shard's first sample within the split of the dataset that it was made for."""
+        """Place of every shard's first sample within the split of the dataset that it was made
+        for."""
         total = dict.fromkeys(SPLITS, 0)
         found = []
         for entry in self.shards:
@@ -37,18 +38,22 @@ class Contract(Manifest):
         return tuple(found)
 
     def of_scans(self, stored: Callable[[str], Any], *names: str) -> Iterable[tuple[Any, ...]]:
-        """The fields `names` of each scan of a sample whose fields are `stored`: its own, and those before it."""
+        """The fields `names` of each scan of a sample whose fields are `stored`: its own, and those
+        before it."""
         columns = [[stored(name)] for name in names]
         if self.mapping.scans > 1:
-            columns = [[*own, *stored(f"earlier_{name}")] for own, name in zip(columns, names, strict=True)]
+            columns = [
+                [*own, *stored(f"earlier_{name}")] for own, name in zip(columns, names, strict=True)
+            ]
         return zip(*columns, strict=True)
 
 
 def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Contract | None:
-    """The contract of the dataset in `folder`; faults go to the ledger's `manifest`, None where it cannot be read on.
+    """The contract of the dataset in `folder`; faults go to the ledger's `manifest`, None where it
+    cannot be read on.
 
-    `kind` names a user's own kind whose module may be imported. Raises DatasetError where the folder holds no dataset
-    at all, or one of another kind than that.
+    `kind` names a user's own kind whose module may be imported. Raises DatasetError where the
+    folder holds no dataset at all, or one of another kind than that.
     """
     given = manifest.read(folder)
     if kind is not None:
@@ -74,7 +79,9 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Cont
 def _check_named(kind: str, there: Any) -> None:
     """Raise DatasetError unless the user's own `kind` is the manifest's, and can be imported."""
     if kind != there:
-        raise DatasetError(f"--kind {kind}: the dataset's kind is {short(there)}; leave --kind out, or give that")
+        raise DatasetError(
+            f"--kind {kind}: the dataset's kind is {short(there)}; leave --kind out, or give that"
+        )
     try:
         find_kind(kind)
     except ValueError as error:
@@ -82,9 +89,12 @@ def _check_named(kind: str, there: Any) -> None:
 
 
 def _check_shards(contract: Contract, page: Page) -> None:
-    """Whether the shards listed are those that the counts ask for, in order, and no other lies in the folder."""
+    """Whether the shards listed are those that the counts ask for, in order, and no other lies in
+    the folder."""
     where = manifest.NAME
-    page.expect(contract.complete, f"{where}: complete is false: give the command that made it again")
+    page.expect(
+        contract.complete, f"{where}: complete is false: give the command that made it again"
+    )
     page.expect(
         (contract.digest is not None) == contract.complete,
         f"{where}: digest = {contract.digest}: expected one exactly where complete is true",
@@ -103,10 +113,18 @@ def _check_shards(contract: Contract, page: Page) -> None:
         for number, entry in enumerate(entries):
             scenes = contract.home(entry).scenes
             if scenes is not None and not scenes.get(split):
-                raise BrokenError(f"{where}: recipe.scenes names no world for {split}, which has samples")
+                raise BrokenError(
+                    f"{where}: recipe.scenes names no world for {split}, which has samples"
+                )
             _check_name(entry, number if whole else None, page)
-            full = bool(contract.sources) or number == len(entries) - 1 or entry.samples % contract.viewpoints == 0
-            page.expect(full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut")
+            full = (
+                bool(contract.sources)
+                or number == len(entries) - 1
+                or entry.samples % contract.viewpoints == 0
+            )
+            page.expect(
+                full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut"
+            )
     listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
     files = {path.name for path in contract.folder.iterdir() if path.suffix in (".h5", ".zip")}
     others = printable(", ".join(sorted(files - listed)[:3]))
@@ -114,7 +132,8 @@ def _check_shards(contract: Contract, page: Page) -> None:
 
 
 def _check_name(entry: Entry, number: int | None, page: Page) -> None:
-    """File names are plain, and number the shards. Raises BrokenError for one that leaves the folder."""
+    """File names are plain, and number the shards. Raises BrokenError for one that leaves the
+    folder."""
     match = re.fullmatch(rf"{entry.split}-(\d{{5}})", entry.file.removesuffix(".h5"))
     if not match or entry.file != f"{match[0]}.h5" or entry.worlds != f"{match[0]}.worlds.zip":
         raise BrokenError(

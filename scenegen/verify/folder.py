@@ -1,4 +1,5 @@
-"""`verify` holds a dataset folder against the contract: every shard in a process of its own, then all together."""
+"""`verify` holds a dataset folder against the contract: every shard in a process of its own, then
+all together."""
 
 from collections import deque
 from collections.abc import Callable
@@ -7,8 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from scenegen.dataset.sensor import files_of
 from scenegen.executors import Executor
 from scenegen.executors.local import Local
+from scenegen.places.cache import fetch_all, note_of
 from scenegen.verify.checks import CHECKS
 from scenegen.verify.checks.files import EXAMINED
 from scenegen.verify.contract import Contract, read_contract
@@ -21,7 +24,8 @@ from scenegen.verify.warm import warm_up
 from scenegen.workers import Limited
 
 SECONDS, SECONDS_A_SAMPLE, MOST_SECONDS = 120.0, 0.5, 24 * 3600.0
-"""A shard whose examination takes longer than this and as much for every sample, or than a day, is given up."""
+"""A shard whose examination takes longer than this and as much for every sample, or than a day, is
+given up."""
 MEMORY_BYTES = 6 << 30
 """Address space that examining one shard may take beyond what the process has."""
 
@@ -37,15 +41,17 @@ def verify(
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Report:
-    """Check the dataset in `folder`; `quick` makes the cheap checks alone. `scenegen.verify.checks` has them all.
+    """Check the dataset in `folder`; `quick` makes the cheap checks alone. `scenegen.verify.checks`
+    has them all.
 
-    `workers` processes of this machine examine a shard each, or whatever `execute` has do it, in processes of their
-    own; none can take this one down. Where others see to a part of the shards, what compares all of them is skipped.
-    `seed` chooses the samples that are cast and made anew. `kind` names a user's own kind, by which worlds may be drawn
-    again: no module is imported because a manifest names it. `on_start` is called with the number of samples once the
-    processes run, `on_done` with that of every shard done. A fault fails a check of the report, whatever it is; only a
-    folder that holds no dataset at all, or one of another `kind`, raises: DatasetError; and a shard that `execute`
-    loses for good: GenerationError.
+    `workers` processes of this machine examine a shard each, or whatever `execute` has do it, in
+    processes of their own; none can take this one down. Where others see to a part of the shards,
+    what compares all of them is skipped. `seed` chooses the samples that are cast and made anew.
+    `kind` names a user's own kind, by which worlds may be drawn again: no module is imported
+    because a manifest names it. `on_start` is called with the number of samples once the processes
+    run, `on_done` with that of every shard done. A fault fails a check of the report, whatever it
+    is; only a folder that holds no dataset at all, or one of another `kind`, raises: DatasetError;
+    and a shard that `execute` loses for good: GenerationError.
     """
     execute = execute or Local("", workers)
     ledger = Ledger()
@@ -60,11 +66,13 @@ def verify(
     order, waiting = deque(task.number for task in tasks), dict[int, Findings]()
     if tasks and not quick:
         warm_up()
-    guarded = Limited(examine, _seconds, MEMORY_BYTES, _given_up)
+    guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
     with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
         for found in results:
             waiting[found.number] = found
-            while order and order[0] in waiting:  # in the order of shards, and no more of them kept than are early
+            while (
+                order and order[0] in waiting
+            ):  # in the order of shards, and no more of them kept than are early
                 ledger.add(waiting.pop(order.popleft()).ledger)
                 ledger.page(EXAMINED.name).count(shards=1)
             on_done(found.samples)
@@ -73,15 +81,31 @@ def verify(
             if check.folder is not None and len(tasks) == len(whole):
                 check.folder(contract, page)
             elif check.folder is not None:
-                page.skipped = f"compares all {len(whole)} shards, and {len(tasks)} are examined here"
+                page.skipped = (
+                    f"compares all {len(whole)} shards, and {len(tasks)} are examined here"
+                )
             if not page.touched:
                 page.skipped = "nothing that could be examined: see what failed"
     outcomes = ledger.outcomes(check.name for check in checks)
     return Report(folder=str(folder), quick=quick, seed=seed, samples=samples, checks=outcomes)
 
 
+class _Examination(Limited[Task, Findings]):
+    """Copies on another machine what a task reads of a place, before limits are set: that a store
+    is slow or refuses is no fault of the dataset."""
+
+    def __call__(self, task: Task) -> Findings:
+        contract, entry = task.contract, task.entry
+        if note_of(contract.folder) is not None:
+            fetch_all(
+                contract.folder, [entry.file, entry.worlds, *files_of(contract.parameters["lidar"])]
+            )
+        return super().__call__(task)
+
+
 def _tasks(contract: Contract, *, quick: bool, seed: int) -> list[Task]:
-    """One a shard; none carries the list of all shards, which would make their sum grow as its square."""
+    """One a shard; none carries the list of all shards, which would make their sum grow as its
+    square."""
     homes: list[dict[str, Any]] = []
     every = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
     for home in contract.homes:
@@ -110,5 +134,7 @@ def _seconds(task: Task) -> float:
 def _given_up(task: Task, reason: str) -> Findings:
     """What is left of a shard whose process was ended."""
     found = Findings(task.number, task.entry.samples)
-    found.ledger.page(EXAMINED.name).fault(f"{task.entry.file} or {task.entry.worlds}: examining it {reason}")
+    found.ledger.page(EXAMINED.name).fault(
+        f"{task.entry.file} or {task.entry.worlds}: examining it {reason}"
+    )
     return found

@@ -8,14 +8,17 @@ from numpy.typing import NDArray
 from lidarsim import Engine, Lidar, Sensor
 
 TOLERANCE_M = 1e-6
-"""How far a stored range may be from ours, and one part in 2^23 of it besides, which is what float32 keeps."""
+"""How far a stored range may be from ours, and one part in 2^23 of it besides, which is what
+float32 keeps."""
 MOST_PAIRS = 2_000_000_000
-"""Rays times solids that are tried for one sample; of more, a random part of the rays is audited."""
+"""Rays times solids that are tried for one sample; of more, a random part of the rays is
+audited."""
 
 
 def ray_directions(lidar: Sensor, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors (*lidar.shape, 3) in the world, those of a raster written from docs/sensor.md and not from
-    `lidarsim`. A table of rays is as it was given: from it there is nothing to derive."""
+    """Unit vectors (*lidar.shape, 3) in the world, those of a raster written from docs/sensor.md
+    and not from `lidarsim`. A table of rays is as it was given: from it there is nothing to
+    derive."""
     body = _raster(lidar) if isinstance(lidar, Lidar) else lidar.directions_body
     w, u = quaternion[0], quaternion[1:]
     twice = 2.0 * np.cross(u, body)
@@ -25,19 +28,27 @@ def ray_directions(lidar: Sensor, quaternion: NDArray[np.float64]) -> NDArray[np
 def _raster(lidar: Lidar) -> NDArray[np.float64]:
     """Unit vectors (rows, columns, 3) in the body frame."""
     rows = _angles(lidar.rows, lidar.vertical_fov_deg, full_turn=False)[:, None]
-    a = _angles(lidar.columns, lidar.horizontal_fov_deg, full_turn=lidar.horizontal_fov_deg == 360.0)[None, :]
+    a = _angles(
+        lidar.columns, lidar.horizontal_fov_deg, full_turn=lidar.horizontal_fov_deg == 360.0
+    )[None, :]
     pitch = math.radians(lidar.pitch_deg)
     e, tilt = (rows, pitch) if lidar.mount == "tilt" else (rows - pitch, 0.0)
     x, y, z = np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e) + 0.0 * a
     # R_y takes x to (cos, 0, -sin)
-    return np.stack([x * math.cos(tilt) + z * math.sin(tilt), y, z * math.cos(tilt) - x * math.sin(tilt)], axis=-1)
+    return np.stack(
+        [x * math.cos(tilt) + z * math.sin(tilt), y, z * math.cos(tilt) - x * math.sin(tilt)],
+        axis=-1,
+    )
 
 
 def _angles(count: int, fov_deg: float, *, full_turn: bool) -> NDArray[np.float64]:
-    """Angles in radians, from minus half the field of view to plus half of it; a full turn leaves its end out."""
+    """Angles in radians, from minus half the field of view to plus half of it; a full turn leaves
+    its end out."""
     if count == 1:
         return np.zeros(1)
-    return np.radians(np.arange(count) * fov_deg / (count if full_turn else count - 1) - fov_deg / 2)
+    return np.radians(
+        np.arange(count) * fov_deg / (count if full_turn else count - 1) - fov_deg / 2
+    )
 
 
 def audit(
@@ -52,8 +63,9 @@ def audit(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Cast the rays of one sample anew by `engine`, whose world has so many `solids`.
 
-    Returns their numbers in C order, (n,); the ranges found, (n,) metres, inf where none; how far the stored ones are
-    from them, (n,) metres, where no return counts as one from the end of the range.
+    Returns their numbers in C order, (n,); the ranges found, (n,) metres, inf where none; how far
+    the stored ones are from them, (n,) metres, where no return counts as one from the end of the
+    range.
     """
     directions = ray_directions(lidar, quaternion).reshape(-1, 3)
     chosen = np.arange(len(directions))
@@ -65,6 +77,8 @@ def audit(
     return chosen, found, np.abs(stored - np.minimum(found, lidar.max_range_m))
 
 
-def disagrees(gap: NDArray[np.float64], found: NDArray[np.float64], max_range_m: float) -> NDArray[np.bool_]:
+def disagrees(
+    gap: NDArray[np.float64], found: NDArray[np.float64], max_range_m: float
+) -> NDArray[np.bool_]:
     """Where the difference of two ranges is more than rounding makes, or is no number."""
     return ~(gap <= TOLERANCE_M + np.minimum(found, max_range_m) / 2**23)

@@ -9,11 +9,12 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.engines import ENGINES
 from scenegen import GENERATOR
-from scenegen.dataset.manifest import differences, software
+from scenegen.dataset.manifest import differences
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError, RecipeError, SceneError
 from scenegen.recipe import Recipe
 from scenegen.rescan import scan_again
+from scenegen.software import software
 from scenegen.source import DrawnWorlds, SceneWorlds
 from scenegen.verify.archive import Archive, archived_world
 from scenegen.verify.contract import Contract
@@ -33,12 +34,19 @@ class ArchivedWorlds(SceneWorlds):
 
 
 def regenerate(
-    contract: Contract, archive: Archive, split: str, unit: int, poses: Callable[[], list[list[Pose]]]
+    contract: Contract,
+    archive: Archive,
+    split: str,
+    unit: int,
+    poses: Callable[[], list[list[Pose]]],
 ) -> Unit:
-    """One flight of a dataset whose engine and noise are ours, flown again; or, where the dataset is one that was
-    scanned again, scanned so from its stored `poses`. Raises BrokenError where nothing comes of it."""
+    """One flight of a dataset whose engine and noise are ours, flown again; or, where the dataset
+    is one that was scanned again, scanned so from its stored `poses`. Raises BrokenError where
+    nothing comes of it."""
     if lacking := _lacking(contract.engine):
-        raise BrokenError(f"{split} flight {unit} cannot be made again: the engine {contract.engine} {lacking}")
+        raise BrokenError(
+            f"{split} flight {unit} cannot be made again: the engine {contract.engine} {lacking}"
+        )
     recipe: Recipe = contract.recipe
     scenes: Any = contract.scenes
     engine = ENGINES.find(contract.engine).of
@@ -46,9 +54,24 @@ def regenerate(
         if contract.rescan is not None:
             names = contract.numbering(split).name(unit * contract.viewpoints)
             world, seed = archived_world(archive, names[0]), contract.seed
-            return scan_again(world, poses(), recipe, seed=seed, split=split, unit=unit, names=names, engine=engine)
-        source = DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, archive=archive)
-        return draw_unit(source, recipe, seed=contract.seed, split=split, unit=unit, derived=True, engine=engine)
+            return scan_again(
+                world,
+                poses(),
+                recipe,
+                seed=seed,
+                split=split,
+                unit=unit,
+                names=names,
+                engine=engine,
+            )
+        source = (
+            DrawnWorlds(recipe)
+            if scenes is None
+            else ArchivedWorlds(scenes=scenes, archive=archive)
+        )
+        return draw_unit(
+            source, recipe, seed=contract.seed, split=split, unit=unit, derived=True, engine=engine
+        )
     except (GenerationError, RecipeError, SceneError) as error:
         raise BrokenError(f"{split} flight {unit} cannot be made again: {error}") from None
 
@@ -62,7 +85,8 @@ def why_not_comparable(contract: Contract) -> str:
 
 
 def why_not_scanned(contract: Contract) -> str:
-    """Why scans made here of the archived worlds need not have the dataset's bits; empty where they must."""
+    """Why scans made here of the archived worlds need not have the dataset's bits; empty where they
+    must."""
     if not contract.noise_is_ours:
         return "made with noise that is not scenegen's own, so it is not imported"
     if contract.engine not in ENGINES.known:
@@ -77,5 +101,6 @@ def why_not_scanned(contract: Contract) -> str:
 
 
 def _lacking(engine: str) -> str:
-    """What this machine lacks to run an engine of ours, as the end of a sentence; mostly nothing."""
+    """What this machine lacks to run an engine of ours, as the end of a sentence; mostly
+    nothing."""
     return getattr(ENGINES.find(engine), "missing", str)()

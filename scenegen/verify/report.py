@@ -20,9 +20,11 @@ class Outcome:
     name: str
     ok: bool
     detail: str
-    """What was examined; or, where the check failed, its first faults: file, sample, what was expected."""
+    """What was examined; or, where the check failed, its first faults: file, sample, what was
+    expected."""
     skipped: bool
-    """Whether it could not be made here, for the reason in `detail`; a skipped check does not fail."""
+    """Whether it could not be made here, for the reason in `detail`; a skipped check does not
+    fail."""
     faults: int
     seconds: float
     """Time that the check took, in all processes together."""
@@ -52,8 +54,18 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain values."""
-        whole = {"folder": self.folder, "quick": self.quick, "seed": self.seed, "samples": self.samples}
-        return {**whole, "ok": self.ok, "failed": list(self.failed), "checks": [vars(check) for check in self.checks]}
+        whole = {
+            "folder": self.folder,
+            "quick": self.quick,
+            "seed": self.seed,
+            "samples": self.samples,
+        }
+        return {
+            **whole,
+            "ok": self.ok,
+            "failed": list(self.failed),
+            "checks": [vars(check) for check in self.checks],
+        }
 
 
 @dataclass
@@ -67,7 +79,8 @@ class Page:
     counts: Counter[str] = field(default_factory=Counter)
     notes: dict[str, float] = field(default_factory=dict)
     kept: list[Any] = field(default_factory=list)
-    """What the check leaves for its examination of the whole folder, in the order of shards and samples."""
+    """What the check leaves for its examination of the whole folder, in the order of shards and
+    samples."""
 
     @property
     def touched(self) -> bool:
@@ -126,7 +139,8 @@ class Page:
 
 
 class Ledger:
-    """A page for each check, by its name, while checks are being made. It can be pickled, and added to another."""
+    """A page for each check, by its name, while checks are being made. It can be pickled, and added
+    to another."""
 
     def __init__(self) -> None:
         self._pages: dict[str, Page] = {}
@@ -143,7 +157,8 @@ class Ledger:
 
     @contextmanager
     def checking(self, check: str) -> Iterator[Page]:
-        """Time what belongs to a check, less the checks within; what cannot be examined becomes its fault."""
+        """Time what belongs to a check, less the checks within; what cannot be examined becomes its
+        fault."""
         page, begin, before, self._inner = self.page(check), time.perf_counter(), self._inner, 0.0
         try:
             yield page
@@ -155,7 +170,8 @@ class Ledger:
             self._inner = before + whole
 
     def outcomes(self, checks: Iterable[str]) -> tuple[Outcome, ...]:
-        """What the report says of these `checks`, in this order, less those that had nothing to examine."""
+        """What the report says of these `checks`, in this order, less those that had nothing to
+        examine."""
         pages = {name: self.page(name) for name in checks}
         return tuple(
             Outcome(

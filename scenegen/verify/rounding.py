@@ -1,4 +1,5 @@
-"""Voxels of older scans that rounding decides: generator 1 took the rays' directions from its processor's sines."""
+"""Voxels of older scans that rounding decides: generator 1 took the rays' directions from its
+processor's sines."""
 
 import itertools
 from collections.abc import Mapping
@@ -13,9 +14,11 @@ NUDGE_M = 1e-13
 """More than the last bits of a direction move a point of a ray of some ten metres."""
 
 
-def as_rounded(seen: ObservedGrid, scan: Scan, grid: GridSpec, stored: Mapping[str, NDArray[Any]]) -> ObservedGrid:
-    """`seen`, which is what `scan` gives, with the `stored` value of every voxel of `observed` and `free` that changes
-    when all rays move by `NUDGE_M` along some diagonal of the grid."""
+def as_rounded(
+    seen: ObservedGrid, scan: Scan, grid: GridSpec, stored: Mapping[str, NDArray[Any]]
+) -> ObservedGrid:
+    """`seen`, which is what `scan` gives, with the `stored` value of every voxel of `observed` and
+    `free` that changes when all rays move by `NUDGE_M` along some diagonal of the grid."""
     observed, free = stored["observed"], stored.get("free", seen.free)
     if np.array_equal(observed, seen.observed) and np.array_equal(free, seen.free):
         return seen
@@ -26,5 +29,7 @@ def as_rounded(seen: ObservedGrid, scan: Scan, grid: GridSpec, stored: Mapping[s
         open_observed |= moved.observed != seen.observed
         open_free |= moved.free != seen.free
     return ObservedGrid(
-        np.where(open_observed, observed, seen.observed), np.where(open_free, free, seen.free), seen.origin
+        np.where(open_observed, observed, seen.observed),
+        np.where(open_free, free, seen.free),
+        seen.origin,
     )

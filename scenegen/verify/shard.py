@@ -1,4 +1,5 @@
-"""The walk over one shard: its archive, its file, every sample. At each stage, the checks look that declare it."""
+"""The walk over one shard: its archive, its file, every sample. At each stage, the checks look that
+declare it."""
 
 import os
 from dataclasses import dataclass, field
@@ -25,8 +26,8 @@ class Findings:
 
 @quiet_mujoco()
 def examine(task: Task) -> Findings:
-    """Make every check of one shard by itself. What is wrong with its files becomes faults in the findings' ledger, and
-    raises nothing."""
+    """Make every check of one shard by itself. What is wrong with its files becomes faults in the
+    findings' ledger, and raises nothing."""
     found = Findings(task.number, task.entry.samples)
     ledger, contract, entry = found.ledger, task.contract, task.entry
     checks = [check for check in CHECKS if check.applies(contract, quick=task.quick)]
@@ -41,7 +42,7 @@ def examine(task: Task) -> Findings:
     worlds, path = None, contract.folder / entry.worlds
     with ledger.checking(ARCHIVES.name) as page, open_file(path) as file:
         page.count(files=1)
-        worlds = Worlds(task, read_archive(file, path.name))
+        worlds = Worlds(task, read_archive(file, path.name, entry.samples))
         look("file", SignedFile(file, path.name, entry.worlds_sha256))
         look("archive", worlds)
     path = contract.folder / entry.file
@@ -50,14 +51,20 @@ def examine(task: Task) -> Findings:
             look("file", SignedFile(file, path.name, entry.sha256))
         opened = open_shard(file, path, entry.samples, contract.layout)
         if opened.stray_bytes:
-            raise BrokenError(f"{opened.name}: {opened.stray_bytes} of its bytes belong to no sample")
-        opened.check_origin(split=entry.split, first_world=entry.first_world, worlds_sha256=entry.worlds_sha256)
+            raise BrokenError(
+                f"{opened.name}: {opened.stray_bytes} of its bytes belong to no sample"
+            )
+        opened.check_origin(
+            split=entry.split, first_world=entry.first_world, worlds_sha256=entry.worlds_sha256
+        )
         page.count(files=1)
         shard = Shard(task, worlds, opened, opened.rejected())
         look("shard", shard)
         stored = [name for name in contract.fields if not (task.quick and FIELDS[name]["derived"])]
         for row in range(entry.samples):
-            with ledger.checking(LAYOUT.name) as page:  # a sample that cannot be unpacked does not end the walk
+            with ledger.checking(
+                LAYOUT.name
+            ) as page:  # a sample that cannot be unpacked does not end the walk
                 page.count(samples=1)
                 fields = {name: opened.value(name, row, read_only=task.quick) for name in stored}
                 look("sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes()))

@@ -30,7 +30,8 @@ class Task:
     """All that examining one shard depends on."""
 
     contract: Contract
-    """What is promised of the dataset that the shard was made for; its other shards are not in it."""
+    """What is promised of the dataset that the shard was made for; its other shards are not in
+    it."""
     entry: Entry
     """The shard, as the manifest lists it."""
     number: int
@@ -49,7 +50,11 @@ class Task:
     @property
     def stop(self) -> int:
         """One more than the place of its last sample."""
-        return self.entry.stop if isinstance(self.entry, GatheredEntry) else self.start + self.entry.samples
+        return (
+            self.entry.stop
+            if isinstance(self.entry, GatheredEntry)
+            else self.start + self.entry.samples
+        )
 
     @property
     def cut(self) -> bool:
@@ -84,7 +89,8 @@ class Worlds:
     _worlds: dict[int, World] = field(default_factory=dict)
 
     def compile(self, number: int) -> Solids:
-        """Compile a world to its solids, which checks of samples are handed later. Raises BrokenError."""
+        """Compile a world to its solids, which checks of samples are handed later. Raises
+        BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         self.solids[number] = compile_solids(*self.archive.world(number), name)
         return self.solids[number]
@@ -104,11 +110,15 @@ class Worlds:
         return self._worlds[number]
 
     def made(self, number: int) -> tuple[World, Engine]:
-        """A world that was compiled, and the dataset's own engine of it, which is one of ours. Raises BrokenError."""
+        """A world that was compiled, and the dataset's own engine of it, which is one of ours.
+        Raises BrokenError."""
         if number not in self._made:
             self._made.clear()
             world = self.world(number)
-            self._made[number] = world, ENGINES.find(self.task.contract.engine).of(world.model, world.data)
+            self._made[number] = (
+                world,
+                ENGINES.find(self.task.contract.engine).of(world.model, world.data),
+            )
         return self._made[number]
 
 
@@ -126,7 +136,9 @@ class Shard:
     @functools.cached_property
     def rng(self) -> np.random.Generator:
         """What is chosen at random in this shard comes from here, in the order of its samples."""
-        return np.random.default_rng(np.random.SeedSequence(self.task.seed, spawn_key=(self.task.number,)))
+        return np.random.default_rng(
+            np.random.SeedSequence(self.task.seed, spawn_key=(self.task.number,))
+        )
 
     @functools.cached_property
     def places(self) -> Sequence[int]:
@@ -135,10 +147,13 @@ class Shard:
         if not task.cut:
             return range(task.start, task.stop)
         numbering = task.contract.numbering(task.entry.split)
-        found: list[int] = numbering.place(self.file.column("world"), self.file.column("viewpoint")).tolist()
+        found: list[int] = numbering.place(
+            self.file.column("world"), self.file.column("viewpoint")
+        ).tolist()
         if (min(found), max(found)) != (task.start, task.stop - 1):
             raise BrokenError(
-                f"{task.entry.file}: its samples stood from {min(found)} to {max(found)} in their split, the manifest "
+                f"{task.entry.file}: its samples stood from {min(found)} to {max(found)} in their "
+                f"split, the manifest "
                 f"says {task.start} to {task.stop - 1}"
             )
         return found
@@ -187,9 +202,12 @@ class Sample:
 
     @functools.cached_property
     def scans(self) -> list[Scan]:
-        """The stored ranges and poses: its own scan, and those before it. Raises BrokenError where a pose is none."""
+        """The stored ranges and poses: its own scan, and those before it. Raises BrokenError where
+        a pose is none."""
         found = []
-        for ranges, *pose in self.contract.of_scans(self.fields.__getitem__, "ranges", "position", "quaternion"):
+        for ranges, *pose in self.contract.of_scans(
+            self.fields.__getitem__, "ranges", "position", "quaternion"
+        ):
             # a range that is no number is a fault of `laws`; here it counts as no return
             clean = np.where(np.isfinite(ranges), ranges, np.float32(np.inf))
             try:
@@ -200,7 +218,12 @@ class Sample:
 
     @functools.cached_property
     def seen(self) -> ObservedGrid:
-        """What follows from the stored ranges and poses. Raises BrokenError where a pose is none."""
+        """What follows from the stored ranges and poses. Raises BrokenError where a pose is
+        none."""
         grid = self.contract.grid
         seen = fuse(self.scans[::-1], grid, self.fields["origin"], self.contract.mapping)
-        return as_rounded(seen, self.scans[0], grid, self.fields) if self.contract.generator == 1 else seen
+        return (
+            as_rounded(seen, self.scans[0], grid, self.fields)
+            if self.contract.generator == 1
+            else seen
+        )

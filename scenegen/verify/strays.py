@@ -19,14 +19,16 @@ def count_strays(
     origin: NDArray[np.float64],
     bound_m: float,
 ) -> int:
-    """How many of the returns `points` (M, 3), in the world, lie in the map and farther than `bound_m` from every
-    occupied voxel, and from the map's faces, beyond which a solid may be."""
+    """How many of the returns `points` (M, 3), in the world, lie in the map and farther than
+    `bound_m` from every occupied voxel, and from the map's faces, beyond which a solid may be."""
     inside, most, voxel = points - origin, bound_m + SLACK_M, grid.voxel_m
     extent = np.array(grid.shape) * voxel
     left = inside[((inside >= most) & (inside <= extent - most)).all(axis=1)]
     shape = np.array(grid.shape)
     shells = range(math.ceil(min(most / voxel, max(grid.shape))) + 1)
-    for offset in itertools.chain.from_iterable(map(_shell, shells)):  # nearest first: few points are left soon
+    for offset in itertools.chain.from_iterable(
+        map(_shell, shells)
+    ):  # nearest first: few points are left soon
         if not len(left):
             break
         cells = np.floor(left / voxel).astype(np.int64) + offset

@@ -1,4 +1,5 @@
-"""The search for near-twins, samples of different splits that show nearly the same map, among very many pairs."""
+"""The search for near-twins, samples of different splits that show nearly the same map, among very
+many pairs."""
 
 import math
 
@@ -8,21 +9,24 @@ from numpy.typing import NDArray
 from lidarsim.jit import kernel
 
 OCCUPIED_IOU = 0.9
-"""Two samples are near-twins only if the intersection over union of their occupied voxels is at least this."""
+"""Two samples are near-twins only if the intersection over union of their occupied voxels is at
+least this."""
 OBSERVED_IOU = 0.5
-"""Two samples are near-twins only if the intersection over union of their observed voxels is at least this. The
-occupied voxels alone do not decide: two worlds with next to nothing on a flat floor have the same, but from another
-height and heading, rays hit other parts of that floor."""
+"""Two samples are near-twins only if the intersection over union of their observed voxels is at
+least this. The occupied voxels alone do not decide: two worlds with next to nothing on a flat floor
+have the same, but from another height and heading, rays hit other parts of that floor."""
 STANDING_IOU, FLOOR_SHARE = 0.5, 0.95
-"""Two samples are near-twins only if the intersection over union of what stands on their floor is at least the first
-number. A layer is floor where both maps fill at least the second number of it. Two floors that are nearly empty may by
-chance be observed alike, too; what stands on them then tells them apart."""
+"""Two samples are near-twins only if the intersection over union of what stands on their floor is
+at least the first number. A layer is floor where both maps fill at least the second number of it.
+Two floors that are nearly empty may by chance be observed alike, too; what stands on them then
+tells them apart."""
 MOST_PAIRS = 8_000_000
 """The search keeps this many pairs of maps in memory at most."""
 MOST_COMPARED = 5_000
 """This many pairs are compared voxel by voxel at most."""
 MOST_TWINS = 200_000
-"""This many samples are searched at most, evenly spread: each takes 2.4 KB of memory until all are seen."""
+"""This many samples are searched at most, evenly spread: each takes 2.4 KB of memory until all are
+seen."""
 _BITS = 13
 
 
@@ -48,7 +52,8 @@ def _count(occupied, blocks):
 
 
 def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
-    """Scatter the observed voxels over 8192 bits by their number, (128,) words; two voxels may share a bit."""
+    """Scatter the observed voxels over 8192 bits by their number, (128,) words; two voxels may
+    share a bit."""
     number = np.flatnonzero(observed).astype(np.uint32)
     bits = np.zeros(1 << _BITS, dtype=np.bool_)
     bits[(number * np.uint32(2654435761)) >> np.uint32(32 - _BITS)] = True
@@ -56,14 +61,19 @@ def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
 
 
 def candidates(
-    signatures: NDArray[np.uint32], folds: NDArray[np.uint64], observed: NDArray[np.int64], splits: NDArray[np.int64]
+    signatures: NDArray[np.uint32],
+    folds: NDArray[np.uint64],
+    observed: NDArray[np.int64],
+    splits: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], bool]:
-    """Find the pairs (P, 2) of the n samples that may be near-twins, and whether these are all: then none is missed.
+    """Find the pairs (P, 2) of the n samples that may be near-twins, and whether these are all:
+    then none is missed.
 
-    `signatures` (n, 320) and `folds` (n, 128) are of every sample, `observed` (n,) counts its observed voxels, `splits`
-    (n,) numbers its split. Voxels in which two maps differ are at least as many as the sum of the differences of
-    their blocks, so most pairs are ruled out by a few numbers; sorted by how much is occupied, only neighbours are
-    looked at. Of what is left, the bits that two samples' observed voxels share tell almost all apart.
+    `signatures` (n, 320) and `folds` (n, 128) are of every sample, `observed` (n,) counts its
+    observed voxels, `splits` (n,) numbers its split. Voxels in which two maps differ are at least
+    as many as the sum of the differences of their blocks, so most pairs are ruled out by a few
+    numbers; sorted by how much is occupied, only neighbours are looked at. Of what is left, the
+    bits that two samples' observed voxels share tell almost all apart.
     """
     counts = signatures.sum(axis=1, dtype=np.int64)
     order = np.argsort(counts, kind="stable")
@@ -78,11 +88,15 @@ def candidates(
         pairs,
     )
     kept = order[pairs[: min(found, MOST_PAIRS)]]
-    lost = observed - np.bitwise_count(folds).sum(axis=1, dtype=np.int64)  # voxels whose bit another one has, too
+    lost = observed - np.bitwise_count(folds).sum(
+        axis=1, dtype=np.int64
+    )  # voxels whose bit another one has, too
     alike = np.zeros(len(kept), dtype=np.bool_)
     for begin in range(0, len(kept), 10_000):
         a, b = kept[begin : begin + 10_000].T
-        shared = np.bitwise_count(folds[a] & folds[b]).sum(axis=1, dtype=np.int64) + np.minimum(lost[a], lost[b])
+        shared = np.bitwise_count(folds[a] & folds[b]).sum(axis=1, dtype=np.int64) + np.minimum(
+            lost[a], lost[b]
+        )
         # with s = |A| + |B| and IoU = |A and B| / (s - |A and B|), at least this many are in both
         least = OBSERVED_IOU / (1.0 + OBSERVED_IOU) * (observed[a] + observed[b])
         alike[begin : begin + 10_000] = shared >= least - 1e-6
@@ -92,7 +106,8 @@ def candidates(
 
 @kernel
 def _pairs(counts, splits, coarse, fine, share, pairs):
-    """Fill `pairs` with candidates and return how many there are; one more than fit where there are more."""
+    """Fill `pairs` with candidates and return how many there are; one more than fit where there are
+    more."""
     found = 0
     for i in range(len(counts)):
         if counts[i] == 0:
@@ -102,7 +117,8 @@ def _pairs(counts, splits, coarse, fine, share, pairs):
                 break
             if splits[i] == splits[j]:
                 continue
-            # with d voxels that differ and s = |A| + |B|, the union is (s + d) / 2, so IoU >= 1 - share means this
+            # with d voxels that differ and s = |A| + |B|, the union is (s + d) / 2, so IoU >= 1 -
+            # share means this
             most = math.floor(share * (counts[i] + counts[j]) / (2.0 - share) + 1e-9)
             if _beyond(coarse[i], coarse[j], most) > most:
                 continue
@@ -117,7 +133,8 @@ def _pairs(counts, splits, coarse, fine, share, pairs):
 
 @kernel
 def _beyond(a, b, most):
-    """Return the sum of absolute differences, or some number above `most` as soon as the sum is sure to be above it."""
+    """Return the sum of absolute differences, or some number above `most` as soon as the sum is
+    sure to be above it."""
     total = 0
     for begin in range(0, len(a), 20):
         for n in range(begin, begin + 20):
@@ -133,7 +150,8 @@ def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
 
 
 def standing_overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    """Return `overlap` of two maps without the layers that are floor in both; 1 where nothing else is there."""
+    """Return `overlap` of two maps without the layers that are floor in both; 1 where nothing else
+    is there."""
     floor = np.minimum(a.mean(axis=(0, 1)), b.mean(axis=(0, 1))) >= FLOOR_SHARE
     a, b = a[:, :, ~floor], b[:, :, ~floor]
     return overlap(a, b) if a.any() or b.any() else 1.0

@@ -14,11 +14,14 @@ from scenegen.verify.twins import candidates, fold, signature
 
 @functools.cache
 def warm_up() -> None:
-    """Run every kernel that verification needs, on next to nothing: tens of milliseconds once they are compiled."""
+    """Run every kernel that verification needs, on next to nothing: tens of milliseconds once they
+    are compiled."""
     field = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/>'
     geoms = '<geom type="box" size="1 1 1"/><geom type="hfield" hfield="h"/>'
     solids = compile_solids(
-        f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>".encode(), {}, "warm-up"
+        f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>".encode(),
+        {},
+        "warm-up",
     )
     grid, lidar = GridSpec(shape=(24, 24, 16)), Lidar(rows=4, columns=8)
     tables = {

@@ -1,1 +1,2 @@
-"""What was made, to look at: a page that needs no network, pictures without a screen, and other programs' formats."""
+"""What was made, to look at: a page that needs no network, pictures without a screen, and other
+programs' formats."""

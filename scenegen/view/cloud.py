@@ -12,14 +12,25 @@ from scenegen.errors import DatasetError
 from scenegen.view.colours import HEIGHTS, colour
 from scenegen.view.look import Look
 from scenegen.view.oblique import VIEW, box_edges
-from scenegen.view.still import MAP, RED, add_bar, add_legend, ball, blank, draw_sample, frame_box, line
+from scenegen.view.still import (
+    MAP,
+    RED,
+    add_bar,
+    add_legend,
+    ball,
+    blank,
+    draw_sample,
+    frame_box,
+    line,
+)
 
 MOST_DRAWN = 500_000
 """The most points of a picture: more are drawn as every second, third …"""
 
 
 def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
-    """The returns among `points` (N, 3), metres, with the sensor at the origin and the usual map's box around it.
+    """The returns among `points` (N, 3), metres, with the sensor at the origin and the usual map's
+    box around it.
 
     Raises DatasetError where nothing returned.
     """
@@ -34,17 +45,31 @@ def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
     frame_box(panel, low, high)
     points = points[np.argsort(points @ VIEW.eye)]
     shades = colour((points[:, 2] - low[2]) / (high[2] - low[2]), HEIGHTS)
-    panel.scatter(*VIEW.project(points).T, s=max(0.3, min(4.0, 2e4 / len(points))), c=shades, linewidths=0, zorder=3)
+    panel.scatter(
+        *VIEW.project(points).T,
+        s=max(0.3, min(4.0, 2e4 / len(points))),
+        c=shades,
+        linewidths=0,
+        zorder=3,
+    )
     edges = VIEW.project(np.concatenate(box_edges(-half, half)))
     panel.add_collection(LineCollection(edges, colors=MAP, linewidths=1.2, zorder=6))
     sensor: Any = VIEW.project(np.zeros(3))
     panel.scatter(*sensor, s=50, color=RED, edgecolors="white", linewidths=0.8, zorder=7)
     add_bar(figure, (0.9, 0.2, 0.016, 0.6), HEIGHTS, (low[2], high[2]), "height / m")
     size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
-    add_legend(figure, [ball("sensor"), line(f"a map of {size} m around it", MAP, 1.2), line("the box of all points")])
+    add_legend(
+        figure,
+        [
+            ball("sensor"),
+            line(f"a map of {size} m around it", MAP, 1.2),
+            line("the box of all points"),
+        ],
+    )
     return figure
 
 
 def draw_completion(look: Look, *, title: str) -> Figure:
-    """What of a scan came into its map, and what was predicted from it, over levels of the predicted distances."""
+    """What of a scan came into its map, and what was predicted from it, over levels of the
+    predicted distances."""
     return draw_sample(look, title=title, panels=("observed", "predicted"))

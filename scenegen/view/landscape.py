@@ -1,4 +1,5 @@
-"""Pictures of worlds: our own rays are the camera, so what is drawn is what the sensor would meet."""
+"""Pictures of worlds: our own rays are the camera, so what is drawn is what the sensor would
+meet."""
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -31,11 +32,13 @@ def draw_world(
     places: NDArray[np.float64] | None = None,
     box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> Figure:
-    """What stands in the box in which the sensor flies, and below it, seen from above and aside, in metres.
+    """What stands in the box in which the sensor flies, and below it, seen from above and aside, in
+    metres.
 
-    Walls and roofs before the box are cut away, solids at its faces are dark grey, planes light grey, and all else has
-    the colour of its height. A `flight` (n, 3) is drawn as a red line with balls at its viewpoints; `places` (n, 3)
-    as balls alone; a map's `box`, least and greatest corner, in blue.
+    Walls and roofs before the box are cut away, solids at its faces are dark grey, planes light
+    grey, and all else has the colour of its height. A `flight` (n, 3) is drawn as a red line with
+    balls at its viewpoints; `places` (n, 3) as balls alone; a map's `box`, least and greatest
+    corner, in blue.
     """
     low, high = world.flight_bounds.copy()
     bounded = world.solids.lower[np.isfinite(world.solids.lower).all(axis=1)]
@@ -49,7 +52,9 @@ def draw_world(
         panel.plot(*VIEW.project(flight).T, color=RED, linewidth=1, zorder=6)
     balls = flight if flight is not None else places
     if balls is not None:
-        panel.scatter(*VIEW.project(balls).T, s=24, color=RED, edgecolors="white", linewidths=0.6, zorder=7)
+        panel.scatter(
+            *VIEW.project(balls).T, s=24, color=RED, edgecolors="white", linewidths=0.6, zorder=7
+        )
     if box is not None:
         edges = VIEW.project(np.concatenate(box_edges(*box)))
         panel.add_collection(LineCollection(edges, colors=MAP, linewidths=1.4, zorder=6))
@@ -63,12 +68,17 @@ def draw_world(
 def see(
     world: World, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[float, float, float, float]]:
-    """Colours (rows, columns, 3) of parallel rays that begin where they enter the box from `low` to `high`, white where
-    they miss it; and where the picture lies on the paper: left, right, down, up."""
-    corners = np.array([[(low, high)[(n >> axis) & 1][axis] for axis in range(3)] for n in range(8)])
+    """Colours (rows, columns, 3) of parallel rays that begin where they enter the box from `low` to
+    `high`, white where they miss it; and where the picture lies on the paper: left, right, down,
+    up."""
+    corners = np.array(
+        [[(low, high)[(n >> axis) & 1][axis] for axis in range(3)] for n in range(8)]
+    )
     (left, down), (right, up) = VIEW.project(corners).min(axis=0), VIEW.project(corners).max(axis=0)
     step = max(right - left, up - down) / PIXELS
-    across, upward = np.meshgrid(np.arange(left, right, step) + step / 2, np.arange(down, up, step) + step / 2)
+    across, upward = np.meshgrid(
+        np.arange(left, right, step) + step / 2, np.arange(down, up, step) + step / 2
+    )
     flat = across.reshape(-1, 1) * VIEW.right + upward.reshape(-1, 1) * VIEW.up
     faces = np.stack([(low - flat) / VIEW.eye, (high - flat) / VIEW.eye])  # of the planes, eyewards
     begin, end = faces.max(axis=0).min(axis=1), faces.min(axis=0).max(axis=1)
@@ -80,7 +90,9 @@ def see(
     engine = AnalyticEngine.of(world.model, world.data)
     reach = float((begin - end)[met].max()) + 1.0
     hits = engine.hits(
-        flat[met] + begin[met, None] * VIEW.eye, np.broadcast_to(-VIEW.eye, (len(met), 1, 3)).copy(), reach
+        flat[met] + begin[met, None] * VIEW.eye,
+        np.broadcast_to(-VIEW.eye, (len(met), 1, 3)).copy(),
+        reach,
     )
     seen = hits.geoms[:, 0] >= 0
     points, normals, geoms = (found[seen, 0] for found in (hits.points, hits.normals, hits.geoms))

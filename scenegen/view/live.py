@@ -1,8 +1,8 @@
 """The page of whole datasets, served on this machine: samples are read as one steps through them.
 
-``GET /`` is the page; ``GET /sample/<dataset>/<split>/<index>`` a sample, JSON as `scenegen.view.page.packed` has it,
-of the dataset of that number; ``GET /world/…`` the world that it is of, where its shard's archive holds it. There is
-nothing else, and nothing can be changed.
+``GET /`` is the page; ``GET /sample/<dataset>/<split>/<index>`` a sample, JSON as
+`scenegen.view.page.packed` has it, of the dataset of that number; ``GET /world/…`` the world that
+it is of, where its shard's archive holds it. There is nothing else, and nothing can be changed.
 """
 
 import ipaddress
@@ -39,9 +39,10 @@ SAFE = {
 class Live(ThreadingHTTPServer):
     """The server of some datasets.
 
-    `host` is an IP address or `localhost`; port 0 is any that is free. `guesses` predicts samples as they are shown, by
-    the methods called `methods`. The page begins with sample `index` of a `split` of the first dataset. Raises
-    ScenegenError where the address cannot be had, DatasetError for a grid that no browser takes.
+    `host` is an IP address or `localhost`; port 0 is any that is free. `guesses` predicts samples
+    as they are shown, by the methods called `methods`. The page begins with sample `index` of a
+    `split` of the first dataset. Raises ScenegenError where the address cannot be had, DatasetError
+    for a grid that no browser takes.
     """
 
     daemon_threads = True
@@ -65,7 +66,9 @@ class Live(ThreadingHTTPServer):
         counts: list[tuple[str, dict[str, int]]] = []
         for dataset, splits in zip(datasets, self.splits, strict=True):
             title = printable(f"{dataset.folder.name}: {dataset.manifest.kind}")
-            counts.append((title, {name: len(samples) for name, samples in splits.items() if len(samples)}))
+            counts.append(
+                (title, {name: len(samples) for name, samples in splits.items() if len(samples)})
+            )
         self.page = live_page(counts, split=split, index=index, methods=methods).encode()
         place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
         self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
@@ -75,10 +78,17 @@ class Live(ThreadingHTTPServer):
             super().__init__((str(place), port), _Handler)
         except (OSError, OverflowError) as error:
             raise ScenegenError(
-                f"{host}, port {port}: cannot be served on ({getattr(error, 'strerror', None) or error}); give another "
+                f"{host}, port {port}: cannot be served on "
+                f"({getattr(error, 'strerror', None) or error}); give another "
                 "--port, or 0 for any"
             ) from None
-        shown = socket.gethostname() if place.is_unspecified else f"[{place}]" if place.version == 6 else str(place)
+        shown = (
+            socket.gethostname()
+            if place.is_unspecified
+            else f"[{place}]"
+            if place.version == 6
+            else str(place)
+        )
         self.address = f"http://{shown}:{self.server_address[1]}/"
         """What to open in a browser."""
 
@@ -94,8 +104,8 @@ class Live(ThreadingHTTPServer):
     def allows(self, host: str) -> bool:
         """Whether a request may call this server `host`: by an address, or by its own name.
 
-        A stranger's page can have its own name lead here (DNS rebinding), and then read what is served; the browser
-        still says by which name it came.
+        A stranger's page can have its own name lead here (DNS rebinding), and then read what is
+        served; the browser still says by which name it came.
         """
         try:
             name = urlsplit(f"//{host}").hostname or ""
@@ -106,7 +116,8 @@ class Live(ThreadingHTTPServer):
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
     def sample(self, number: int, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
-        """A sample of dataset `number` for the page; or, under `error`, a line that says why there is none."""
+        """A sample of dataset `number` for the page; or, under `error`, a line that says why there
+        is none."""
         if number >= len(self.splits):
             return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
         samples = self.splits[number][split]
@@ -119,9 +130,12 @@ class Live(ThreadingHTTPServer):
         return HTTPStatus.OK, {**packed(look), "notes": notes}
 
     def world(self, number: int, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
-        """The surfaces of the world of a sample of dataset `number`, as `scenegen.view.page.packed_world` has them; or,
-        under `error`, a line that says why there are none."""
-        from scenegen.dataset.archived import compile_archived  # MuJoCo and trimesh are needed for worlds alone
+        """The surfaces of the world of a sample of dataset `number`, as
+        `scenegen.view.page.packed_world` has them; or, under `error`, a line that says why there
+        are none."""
+        from scenegen.dataset.archived import (
+            compile_archived,
+        )  # MuJoCo and trimesh are needed for worlds alone
         from scenegen.view.exchange.glb import surfaces
 
         if number >= len(self.splits):
@@ -133,7 +147,9 @@ class Live(ThreadingHTTPServer):
                 world = compile_archived(samples.dataset, split, int(sample.world))
                 return HTTPStatus.OK, packed_world(surfaces(world), sample.origin)
             except (DatasetError, IndexError, ValueError) as error:
-                return HTTPStatus.NOT_FOUND, {"error": f"the world is not shown: {printable(error)}"}
+                return HTTPStatus.NOT_FOUND, {
+                    "error": f"the world is not shown: {printable(error)}"
+                }
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -148,7 +164,11 @@ class _Handler(BaseHTTPRequestHandler):
         """Give the page, or a sample."""
         hosts = self.headers.get_all("Host") or []
         if len(hosts) != 1 or not self.server.allows(hosts[0]):
-            self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"this name is not the viewer's; open its address\n")
+            self._answer(
+                HTTPStatus.FORBIDDEN,
+                "text/plain",
+                b"this name is not the viewer's; open its address\n",
+            )
         elif self.path == "/":
             self._answer(HTTPStatus.OK, "text/html", self.server.page)
         elif found := ASKED.fullmatch(self.path):
@@ -163,7 +183,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, status: HTTPStatus, kind: str, content: bytes) -> None:
         self.send_response(status)
-        for name, value in {**SAFE, "Content-Type": f"{kind}; charset=utf-8", "Content-Length": len(content)}.items():
+        for name, value in {
+            **SAFE,
+            "Content-Type": f"{kind}; charset=utf-8",
+            "Content-Length": len(content),
+        }.items():
             self.send_header(name, str(value))
         self.end_headers()
         self.wfile.write(content)

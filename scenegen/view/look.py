@@ -49,7 +49,8 @@ class Guess:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Look:
-    """A sample to be shown: what could be read of it. Lengths are metres, positions in the world."""
+    """A sample to be shown: what could be read of it. Lengths are metres, positions in the
+    world."""
 
     name: str
     grid: GridSpec
@@ -60,7 +61,8 @@ class Look:
     quaternion: NDArray[np.float64]
     """The body's attitude (4,), w, x, y, z."""
     masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
-    """Voxels to be shown by name, each of the grid's shape: observed, free, occupancy; a caller's own beside them."""
+    """Voxels to be shown by name, each of the grid's shape: observed, free, occupancy; a caller's
+    own beside them."""
     tudf: NDArray[np.float32] | None = None
     """Distances, of the grid's shape."""
     points: NDArray[np.float64] | None = None
@@ -80,7 +82,9 @@ class Look:
         """Statistics in words, by name."""
         found = {name: f"{100 * mask.mean():.2f} %" for name, mask in self.masks.items()}
         if {"observed", "free"} <= self.masks.keys():
-            found["unknown"] = f"{100 * (~(self.masks['observed'] | self.masks['free'])).mean():.2f} %"
+            found["unknown"] = (
+                f"{100 * (~(self.masks['observed'] | self.masks['free'])).mean():.2f} %"
+            )
         if self.points is not None:
             several = f" in {self.scans} scans" if self.scans > 1 else ""
             found["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
@@ -93,15 +97,18 @@ class Look:
             if (truth := self.masks.get("occupancy")) is not None:
                 missed, invented = (truth & ~guess.occupied).sum(), (guess.occupied & ~truth).sum()
                 union = max((truth | guess.occupied).sum(), 1)
-                found[guess.name] = f"IoU {1 - (missed + invented) / union:.3f}, {missed} missed, {invented} invented"
+                found[guess.name] = (
+                    f"IoU {1 - (missed + invented) / union:.3f}, {missed} missed, {invented} "
+                    f"invented"
+                )
             if guess.route is not None:
                 found[f"{guess.name}: path"] = guess.route.told
         return found
 
     def heading_deg(self) -> float:
-        """Yaw of the body, degrees, counter-clockwise from x."""
+        """Yaw of the body, degrees, counter-clockwise from x; rounded, see `angles_deg`."""
         w, x, y, z = self.quaternion
-        return float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
+        return round(float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))), 9)
 
 
 def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
@@ -143,7 +150,8 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
 
 
 Guesses = Callable[[Sample, Split], Sequence[Guess]]
-"""What is predicted of a sample of a split. Raises ScenegenError for a sample of which nothing is."""
+"""What is predicted of a sample of a split. Raises ScenegenError for a sample of which nothing
+is."""
 
 
 class UnreadableError(DatasetError):
@@ -153,7 +161,8 @@ class UnreadableError(DatasetError):
 def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Look:
     """Sample `index` of a split as far as it can be read, with what `guesses` predicts of it.
 
-    Raises DatasetError for a number that the split has not, UnreadableError where nothing can be shown.
+    Raises DatasetError for a number that the split has not, UnreadableError where nothing can be
+    shown.
     """
     dataset, name = samples.dataset, f"{samples.name} {index}"
     try:
@@ -174,7 +183,8 @@ def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Loo
 def looks(
     dataset: Dataset, split: str, indices: Iterable[int], guesses: Guesses | None = None
 ) -> tuple[list[Look], list[str]]:
-    """Samples of a split, with what `guesses` predicts of them, and a line for each thing that could not be read.
+    """Samples of a split, with what `guesses` predicts of them, and a line for each thing that
+    could not be read.
 
     Raises DatasetError for a number that the split has not, and where no sample can be read at all.
     """
@@ -194,10 +204,15 @@ def incomplete(dataset: Dataset, split: str) -> list[str]:
     """A line for a dataset that is incomplete; none for another."""
     if dataset.manifest.complete:
         return []
-    return [f"the dataset is incomplete: {len(dataset.split(split))} samples of its {split} split are there"]
+    return [
+        f"the dataset is incomplete: {len(dataset.split(split))} samples of its {split} split are "
+        f"there"
+    ]
 
 
 def spread(dataset: Dataset, split: str, most: int) -> list[int]:
     """Numbers of at most `most` samples of a split, evenly spread."""
     count = len(dataset.split(split))
-    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist() if count else []
+    return (
+        np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist() if count else []
+    )

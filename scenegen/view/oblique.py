@@ -1,4 +1,5 @@
-"""A parallel view from above and aside: where points of the world come to lie on paper, and voxels as visible faces."""
+"""A parallel view from above and aside: where points of the world come to lie on paper, and voxels
+as visible faces."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ SHADES = (0.74, 0.86, 1.0)
 
 @dataclass(frozen=True)
 class View:
-    """Where the eye stands, above; angles are radians, the elevation between 0 and a quarter turn."""
+    """Where the eye stands, above; angles are radians, the elevation between 0 and a quarter
+    turn."""
 
     azimuth: float = math.radians(-60)
     """Counter-clockwise from x: between x and −y."""
@@ -27,7 +29,12 @@ class View:
         """Unit vector towards the eye (3,)."""
         level = math.cos(self.elevation)
         return np.array(
-            [level * math.cos(self.azimuth), level * math.sin(self.azimuth), math.sin(self.elevation)], dtype=np.float64
+            [
+                level * math.cos(self.azimuth),
+                level * math.sin(self.azimuth),
+                math.sin(self.elevation),
+            ],
+            dtype=np.float64,
         )
 
     @cached_property
@@ -41,7 +48,8 @@ class View:
         return np.cross(self.eye, self.right)
 
     def project(self, points: Any) -> NDArray[np.float64]:
-        """Points (…, 3) of the world as (…, 2) on the paper, rightward and upward; lengths across the view are kept."""
+        """Points (…, 3) of the world as (…, 2) on the paper, rightward and upward; lengths across
+        the view are kept."""
         return np.asarray(points, dtype=np.float64) @ np.stack([self.right, self.up], axis=1)
 
 
@@ -51,8 +59,9 @@ VIEW = View()
 def visible_faces(
     mask: NDArray[np.bool_], view: View = VIEW
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Faces of the voxels of `mask` (x, y, z) that look towards the eye and touch no other voxel: corners (F, 4, 3) in
-    voxels, each face's voxel (F, 3), and its brightness (F,), in an order in which later ones hide earlier ones."""
+    """Faces of the voxels of `mask` (x, y, z) that look towards the eye and touch no other voxel:
+    corners (F, 4, 3) in voxels, each face's voxel (F, 3), and its brightness (F,), in an order in
+    which later ones hide earlier ones."""
     corners, voxels, light, order = [], [], [], []
     padded = np.pad(mask, 1)
     sides = np.where(view.eye > 0, 1, -1)
@@ -74,7 +83,9 @@ def visible_faces(
     )
 
 
-def box_edges(low: Any, high: Any, view: View = VIEW) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def box_edges(
+    low: Any, high: Any, view: View = VIEW
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The edges of a box, (3, 2, 3) that it hides itself, and (9, 2, 3) before it."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     hidden, front = list[NDArray[np.float64]](), list[NDArray[np.float64]]()
@@ -85,6 +96,9 @@ def box_edges(low: Any, high: Any, view: View = VIEW) -> tuple[NDArray[np.float6
             ends[1, axis] = high[axis]
             for other, side in zip(others, corner, strict=True):
                 ends[:, other] = (low, high)[side][other]
-            away = all((side == 1) == (view.eye[other] < 0) for other, side in zip(others, corner, strict=True))
+            away = all(
+                (side == 1) == (view.eye[other] < 0)
+                for other, side in zip(others, corner, strict=True)
+            )
             (hidden if away else front).append(ends)
     return np.array(hidden), np.array(front)

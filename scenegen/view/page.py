@@ -1,4 +1,5 @@
-"""The page to look at samples with: a file that holds all that it shows, or what shows a server's samples."""
+"""The page to look at samples with: a file that holds all that it shows, or what shows a server's
+samples."""
 
 import base64
 import gzip
@@ -15,7 +16,16 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from scenegen.errors import DatasetError
-from scenegen.view.colours import DISTANCES, GOAL, HEIGHTS, INVENTED, MISSED, SENSOR, START, path_colours
+from scenegen.view.colours import (
+    DISTANCES,
+    GOAL,
+    HEIGHTS,
+    INVENTED,
+    MISSED,
+    SENSOR,
+    START,
+    path_colours,
+)
 from scenegen.view.look import MASKS, Guess, Look
 
 MOST_VOXELS = 1 << 22
@@ -23,7 +33,13 @@ MOST_VOXELS = 1 << 22
 MOST_BYTES = 48 << 20
 """The most bytes of a page's samples; mail and telephones take no more."""
 COLOURS = {
-    **{"heights": HEIGHTS, "distances": DISTANCES, "sensor": SENSOR, "missed": MISSED, "invented": INVENTED},
+    **{
+        "heights": HEIGHTS,
+        "distances": DISTANCES,
+        "sensor": SENSOR,
+        "missed": MISSED,
+        "invented": INVENTED,
+    },
     **{"start": START, "goal": GOAL},
 }
 """What the page's script colours by."""
@@ -33,9 +49,10 @@ HERE = files("scenegen.view")
 def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str:
     """The page of `looks`, none of whose names and texts is ever taken for HTML or for a script.
 
-    Masks are bits, first voxel highest, in C order; distances are bytes, 255 for the truncation; points are int16 from
-    the sensor, 32767 for the farthest, and the first `own` of them are of the sample's own scan; all of it gzip in
-    base64. Raises DatasetError for grids that no browser takes.
+    Masks are bits, first voxel highest, in C order; distances are bytes, 255 for the truncation;
+    points are int16 from the sensor, 32767 for the farthest, and the first `own` of them are of the
+    sample's own scan; all of it gzip in base64. Raises DatasetError for grids that no browser
+    takes.
     """
     samples: list[dict[str, Any]] = []
     notes, size = list(notes), 0
@@ -44,7 +61,9 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
         sample = packed(look)
         size += len(json.dumps(sample))
         if size > MOST_BYTES:
-            notes.append(f"{len(looks) - len(samples)} samples are left out: the page would be too large")
+            notes.append(
+                f"{len(looks) - len(samples)} samples are left out: the page would be too large"
+            )
             break
         samples.append(sample)
     methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
@@ -53,13 +72,17 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
 
 
 def live_page(
-    datasets: Sequence[tuple[str, Mapping[str, int]]], *, split: str, index: int, methods: Sequence[str] = ()
+    datasets: Sequence[tuple[str, Mapping[str, int]]],
+    *,
+    split: str,
+    index: int,
+    methods: Sequence[str] = (),
 ) -> str:
-    """The page of samples that are fetched from its own server one by one, ``sample/<dataset>/<split>/<index>`` as
-    `packed` has them; datasets are numbered.
+    """The page of samples that are fetched from its own server one by one,
+    ``sample/<dataset>/<split>/<index>`` as `packed` has them; datasets are numbered.
 
-    `datasets` says what each is called and how many samples it has of which splits, `split` and `index` which of the
-    first is shown first, `methods` who predicts.
+    `datasets` says what each is called and how many samples it has of which splits, `split` and
+    `index` which of the first is shown first, `methods` who predicts.
     """
     title = datasets[0][0]
     listed = [{"name": name, "splits": dict(splits)} for name, splits in datasets]
@@ -72,7 +95,9 @@ def _filled(about: Mapping[str, Any], methods: Sequence[str], policy: str = "") 
     """The page with what its script reads, and what its policy allows besides."""
     colours = list(zip(methods, path_colours(methods), strict=True))
     data = json.dumps({"colours": COLOURS, "methods": colours, **about})
-    data = data.replace("<", "\\u003c")  # JSON all the same, and no tag can end the element that holds it
+    data = data.replace(
+        "<", "\\u003c"
+    )  # JSON all the same, and no tag can end the element that holds it
     parts = {
         "TITLE": html.escape(about["title"]),
         "POLICY": policy,
@@ -83,14 +108,18 @@ def _filled(about: Mapping[str, Any], methods: Sequence[str], policy: str = "") 
         "SCRIPT": _text("page.js"),
         "DATA": data,
     }
-    pieces = _text("page.html").split("%%")  # text, a part's name, text, … so that no part is looked at for names
+    pieces = _text("page.html").split(
+        "%%"
+    )  # text, a part's name, text, … so that no part is looked at for names
     return "".join(parts[piece] if n % 2 else piece for n, piece in enumerate(pieces))
 
 
 def check_grid(grid: GridSpec) -> None:
     """Raise DatasetError for a grid that no browser takes."""
     if (voxels := math.prod(grid.shape)) > MOST_VOXELS:
-        raise DatasetError(f"maps of {voxels} voxels; a page shows {MOST_VOXELS} at most; use scenegen render")
+        raise DatasetError(
+            f"maps of {voxels} voxels; a page shows {MOST_VOXELS} at most; use scenegen render"
+        )
 
 
 def packed(look: Look) -> dict[str, Any]:
@@ -101,7 +130,10 @@ def packed(look: Look) -> dict[str, Any]:
     if look.points is not None:
         from_sensor = look.points - look.position
         reach = float(np.abs(from_sensor).max(initial=1e-6))
-        more |= {"points": _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes()), "reach": reach}
+        more |= {
+            "points": _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes()),
+            "reach": reach,
+        }
         more["own"] = look.own
     return {
         "name": look.name,
@@ -120,9 +152,12 @@ def packed(look: Look) -> dict[str, Any]:
 
 
 def packed_world(surfaces: Sequence[Any], origin: NDArray[np.float64]) -> dict[str, Any]:
-    """A world's surfaces, meshes with (n, 3, 3) `triangles` in metres, as the page's script reads them: the corners of
-    all triangles, one after the other, in the frame of the map at `origin` (3,)."""
-    corners = np.concatenate([mesh.triangles for mesh in surfaces] or [np.empty((0, 3, 3))]) - origin
+    """A world's surfaces, meshes with (n, 3, 3) `triangles` in metres, as the page's script reads
+    them: the corners of all triangles, one after the other, in the frame of the map at `origin`
+    (3,)."""
+    corners = (
+        np.concatenate([mesh.triangles for mesh in surfaces] or [np.empty((0, 3, 3))]) - origin
+    )
     return {"triangles": _gzip64(corners.astype("<f4").tobytes())}
 
 
@@ -134,7 +169,10 @@ def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
         "tudf": _distances(guess.tudf, look.grid),
     }
     if (route := guess.route) is not None:
-        ends = {"start": (route.start - look.origin).tolist(), "goal": (route.goal - look.origin).tolist()}
+        ends = {
+            "start": (route.start - look.origin).tolist(),
+            "goal": (route.goal - look.origin).tolist(),
+        }
         points = [] if route.points is None else np.round(route.points - look.origin, 4).tolist()
         hit = None if route.hit is None else (route.hit - look.origin).tolist()
         found["route"] = {**ends, "points": points, "hit": hit}

@@ -1,4 +1,5 @@
-"""A dataset's statistics as one HTML page without scripts: tables, histograms, and a few samples."""
+"""A dataset's statistics as one HTML page without scripts: tables, histograms, and a few
+samples."""
 
 import base64
 import html
@@ -42,7 +43,8 @@ svg, img { width: 100%; height: auto; }
 
 
 def statistics_page(dataset: Dataset, found: Mapping[str, Any], notes: Sequence[str]) -> str:
-    """The page of what `scenegen.inspect.inspect` gives with `values`. No text of the dataset is taken for HTML."""
+    """The page of what `scenegen.inspect.inspect` gives with `values`. No text of the dataset is
+    taken for HTML."""
     title = f"{dataset.folder.name}: {found['kind']}"
     grid = dataset.grid
     about = {
@@ -55,10 +57,15 @@ def statistics_page(dataset: Dataset, found: Mapping[str, Any], notes: Sequence[
     }
     parts = [f"<title>{_text(title)}</title></head><body><h1>{_text(title)}</h1>"]
     parts += [f"<p class='note'>{_text(line)}</p>" for line in notes]
-    parts.append("<dl>" + "".join(f"<dt>{name}</dt><dd>{_text(value)}</dd>" for name, value in about.items()) + "</dl>")
+    parts.append(
+        "<dl>"
+        + "".join(f"<dt>{name}</dt><dd>{_text(value)}</dd>" for name, value in about.items())
+        + "</dl>"
+    )
     for name, split in found["splits"].items():
         parts.append(
-            f"<h2>{_text(name)}</h2><p>{split['samples']} samples of {split['worlds']} worlds; {split['sampled']} "
+            f"<h2>{_text(name)}</h2><p>{split['samples']} samples of {split['worlds']} worlds; "
+            f"{split['sampled']} "
             "were measured.</p><div class='charts'>"
         )
         parts += [
@@ -101,9 +108,8 @@ def _picture(dataset: Dataset, split: str) -> str:
         image = to_bytes(draw_sheet(shown, title=""), ".webp")
     except DatasetError:
         return ""
-    return (
-        f"<img alt='{SHOWN} samples of {_text(split)}' src='data:image/webp;base64,{base64.b64encode(image).decode()}'>"
-    )
+    content = base64.b64encode(image).decode()
+    return f"<img alt='{SHOWN} samples of {_text(split)}' src='data:image/webp;base64,{content}'>"
 
 
 def _text(value: object) -> str:

@@ -19,9 +19,19 @@ def test_the_documented_maps_train(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (text,) = re.findall(r"```python\n(# recorded.py.*?)```", page, re.DOTALL)
     for name in ("train", "val"):
         occupancy = rng.random((4, 16, 16, 16)) < 0.1
-        np.savez(f"{name}.npz", observed=occupancy & (rng.random(occupancy.shape) < 0.5), occupancy=occupancy)
+        np.savez(
+            f"{name}.npz",
+            observed=occupancy & (rng.random(occupancy.shape) < 0.5),
+            occupancy=occupancy,
+        )
     small = 'TrainConfig(maps=8, network=NetworkConfig(width=4), precision="float32")'
-    text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))").replace("TrainConfig(maps=5000)", small)
+    text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))").replace(
+        "TrainConfig(maps=5000)", small
+    )
     exec("from scenegen.model.config import NetworkConfig\n" + text, {})
     network, grid, about = load_network(tmp_path / "runs" / "yard" / "best.safetensors")
-    assert (network.config.width, grid, about["settings"]["kinds"]) == (4, GridSpec(shape=(16, 16, 16)), ["yard"])
+    assert (network.config.width, grid, about["settings"]["kinds"]) == (
+        4,
+        GridSpec(shape=(16, 16, 16)),
+        ["yard"],
+    )

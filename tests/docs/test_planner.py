@@ -13,7 +13,9 @@ from tests.model.conftest import make_dataset
 PAGE = Path(__file__).parents[2] / "docs" / "bench.md"
 
 
-def test_the_example_judges_as_the_bench_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_judges_as_the_bench_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (text,) = re.findall(r"## Your own planner.*?```python\n(.*?)```", PAGE.read_text(), re.S)
     make_dataset(tmp_path / "data" / "pillar")
     monkeypatch.chdir(tmp_path)
@@ -23,12 +25,17 @@ def test_the_example_judges_as_the_bench_does(tmp_path: Path, monkeypatch: pytes
     assert len(goals) > 3
     start, truth = ran["sample"].position - ran["sample"].origin, ran["truth"]
     lines = [start + (goal - start) * (np.arange(2001)[:, None] / 2000) for goal in goals]
-    clear = [not ran["sample"].occupancy[tuple((line / ran["grid"].voxel_m).astype(int).T)].any() for line in lines]
+    clear = [
+        not ran["sample"].occupancy[tuple((line / ran["grid"].voxel_m).astype(int).T)].any()
+        for line in lines
+    ]
     maps = ran["occupied"], ran["tudf"], *truth[:2]
     assert (
         ran["successes"]
         == {
-            "mine": pytest.approx(sum(clear), abs=1),  # a line may touch a voxel between two of the judge's points
+            "mine": pytest.approx(
+                sum(clear), abs=1
+            ),  # a line may touch a voxel between two of the judge's points
             "bench": sum(run_trial(*maps, goal, *truth[2:]).success for goal in goals),
         }
     )

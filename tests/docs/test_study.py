@@ -3,11 +3,14 @@
 import json
 import re
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.reproduce.claims import PATIENCE, decided, seeded, spread, waited
 from scenegen.model.reproduce.figures import claims, learning
 from scenegen.model.reproduce.report import to_markdown
 
@@ -37,7 +40,12 @@ def test_the_page_is_made_of_the_figures(study: Any) -> None:
 
 
 def test_every_figure_in_the_text_is_one_of_the_study(study: Any) -> None:
-    text = (DOCS / "study.md").read_text(encoding="utf-8").partition("## What it found")[2].partition("\n## ")[0]
+    text = (
+        (DOCS / "study.md")
+        .read_text(encoding="utf-8")
+        .partition("## What it found")[2]
+        .partition("\n## ")[0]
+    )
     said = {f"{abs(float(figure)):.3f}" for figure in FIGURE.findall(text)}
     assert said
     there = {f"{abs(number):.3f}" for number in numbers(study)}
@@ -45,18 +53,42 @@ def test_every_figure_in_the_text_is_one_of_the_study(study: Any) -> None:
 
 
 def test_every_claim_has_what_its_verdict_rests_on(study: Any) -> None:
-    """What is decided has two seeds of each method, all pairs on one side; each network says how it was made."""
+    """What is decided has two seeds of each method; what is refuted, networks that trained long
+    enough; and each network says how it was made."""
+    long = {name for name, run in study["runs"].items() if waited(run) >= PATIENCE}
     for claim in study["claims"] + study["beside"]:
-        sides = {one["difference"] > 0 for one in claim["pairs"]}
-        assert (claim["verdict"] != "undecided") == (len(sides) == 1 and (claim["holm"] or 1) <= 0.05)
+        assert (claim["verdict"] != "undecided") == (claim["holm"] <= 0.05)
         if claim["verdict"] != "undecided":
             assert len(claim["pairs"]) >= 4
-            assert sides == {claim["verdict"] == "confirmed"}
+            assert (claim["difference"] > 0) == (claim["verdict"] == "confirmed")
+            assert not claim["low"] <= 0 <= claim["high"]
+        if claim["verdict"] == "refuted":
+            assert {f"{claim['best']}-s{pair['best_seed']}" for pair in claim["pairs"]} <= long
     for run in study["runs"].values():
         assert run["hours"] > 0
         assert run["command"]
         assert run["device"]
         assert re.fullmatch(r"[0-9a-f]{64}", run["sha256"])
+
+
+def test_verdicts_follow_from_the_figures_of_the_file(study: Any) -> None:
+    """From the means of all networks and the claims' errors over worlds."""
+    spreads = {}
+    for kind, metric in product(study["report"]["datasets"], METRICS | PLAN_METRICS):
+        rows = study["report"]["reconstruction" if metric in METRICS else "planning"][kind]
+        better = (METRICS | PLAN_METRICS)[metric].better
+        figures = {
+            name: row[metric]["mean"] for name, row in rows.items() if seeded(name)[1] is not None
+        }
+        spreads[kind, metric] = spread(
+            {n: abs(v) if better == "nearer to 0" else v for n, v in figures.items()}
+        )
+    for part in ("claims", "beside", "paths"):
+        again = decided(study[part], spreads, ())
+        assert [one["verdict"] for one in again] == [one["verdict"] for one in study[part]]
+        assert [one["low"] for one in again] == pytest.approx(
+            [one["low"] for one in study[part]], abs=1e-4
+        )
 
 
 def test_the_figures_can_be_drawn_again(study: Any) -> None:

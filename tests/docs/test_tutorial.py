@@ -1,4 +1,5 @@
-"""The tutorial: its command lines parse, its pictures are there, its notebook is the script's; slow: all of it runs."""
+"""The tutorial: its command lines parse, its pictures are there, its notebook is the script's;
+slow: all of it runs."""
 
 import importlib.util
 import json
@@ -31,7 +32,9 @@ def test_every_command_line_parses(words: list[str]) -> None:
 
 def test_the_page_goes_through_the_stages_in_order() -> None:
     names = [words[1] for words in tutorial.commands(PAGE)]
-    places = [names.index(stage, 0 if stage != "render" else names.index("complete")) for stage in STAGES]
+    places = [
+        names.index(stage, 0 if stage != "render" else names.index("complete")) for stage in STAGES
+    ]
     assert places == sorted(places)
 
 
@@ -55,12 +58,20 @@ def test_the_notebook_is_what_the_script_makes_of_the_page() -> None:
     assert len(held.encode()) < MOST_BYTES
     cells = json.loads(held)["cells"]
     code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    assert [shlex.split(line[1:]) for line in code.splitlines() if line.startswith("!")] == tutorial.commands(PAGE)
+    assert [
+        shlex.split(line[1:]) for line in code.splitlines() if line.startswith("!")
+    ] == tutorial.commands(PAGE)
     assert len({cell["id"] for cell in cells}) == len(cells)
 
 
-def test_blocks_run_in_order_in_the_folder_and_their_outputs_stand_in_the_page(tmp_path: Path) -> None:
-    blocks = {"sh": "echo 3 > n", "python": "n = int(open('n').read())\n\nprint(2 * n)", "text": "?"}
+def test_blocks_run_in_order_in_the_folder_and_their_outputs_stand_in_the_page(
+    tmp_path: Path,
+) -> None:
+    blocks = {
+        "sh": "echo 3 > n",
+        "python": "n = int(open('n').read())\n\nprint(2 * n)",
+        "text": "?",
+    }
     page = "".join(f"```{kind}\n{text}\n```\n" for kind, text in blocks.items())
     assert tutorial.run(page, tmp_path) == page.replace("?", "6")
 

@@ -1,14 +1,18 @@
 """Independent references for the simulated lidar: layout, ray casting, voxel grids.
 
-Nothing here is imported from, or copied from, the package under test, and nothing here walks a ray from
-voxel to voxel. Each reference is the definition written down a second time in the most direct form that is
-affordable:
+Nothing here is imported from, or copied from, the package under test, and nothing here walks a ray
+from voxel to voxel. Each reference is the definition written down a second time in the most direct
+form that is affordable:
 
-* ray directions: products of scipy rotations (the package's own angle conventions are restated here);
-* ray casting: every solid is convex, so a line meets it in one interval of distances; the interval is found
+* ray directions: products of scipy rotations (the package's own angle conventions are restated
+  here);
+* ray casting: every solid is convex, so a line meets it in one interval of distances; the interval
+  is found
   by closest approach (ball, infinite cylinder) and slabs (box, flat ends) in the solid's own frame;
-* voxels: each voxel is a box and each ray a segment, and the segment's overlap with the box is the length of
-  an intersection of three slabs - for every voxel and every ray, in float64 with a margin (`swept`) or in
+* voxels: each voxel is a box and each ray a segment, and the segment's overlap with the box is the
+  length of
+  an intersection of three slabs - for every voxel and every ray, in float64 with a margin (`swept`)
+  or in
   rational arithmetic on the exact values of the float64 inputs (`exact_overlaps`).
 """
 
@@ -28,10 +32,12 @@ Bools = NDArray[np.bool_]
 Voxel = tuple[int, int, int]
 
 TOUCH_M = 1e-9
-"""Overlaps shorter than this, and rays nearer than this to a grid plane, may be answered either way."""
+"""Overlaps shorter than this, and rays nearer than this to a grid plane, may be answered either
+way."""
 
 
-# --------------------------------------------------------------------------------------------- layout
+# ---------------------------------------------------------------------------------------------
+# layout
 
 
 def rotation(quaternion_wxyz: ArrayLike) -> Rotation:
@@ -47,16 +53,20 @@ def random_quaternion(rng: np.random.Generator) -> Floats:
 
 
 def level_quaternion(yaw_rad: float) -> Floats:
-    """The attitude of a level body that looks along `yaw_rad` (w, x, y, z): half-angle formula about z."""
+    """The attitude of a level body that looks along `yaw_rad` (w, x, y, z): half-angle formula
+    about z."""
     return np.array([np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2)])
 
 
 def sensor_direction(elevation_deg: float, azimuth_deg: float) -> Floats:
-    """A ray of the sensor frame, built from x forward by two turns: up by the elevation, left by the azimuth.
+    """A ray of the sensor frame, built from x forward by two turns: up by the elevation, left by
+    the azimuth.
 
     A right-handed turn about y takes x down, so looking up by e is a turn of -e about y.
     """
-    return Rotation.from_euler("yz", [-elevation_deg, azimuth_deg], degrees=True).apply([1.0, 0.0, 0.0])
+    return Rotation.from_euler("yz", [-elevation_deg, azimuth_deg], degrees=True).apply(
+        [1.0, 0.0, 0.0]
+    )
 
 
 def lidar_directions(
@@ -70,9 +80,9 @@ def lidar_directions(
 ) -> Floats:
     """World directions of a full-circle lidar, ray by ray, from the specification's angles.
 
-    Row r has elevation -fov/2 + r * fov / (rows - 1) and column c has azimuth -180 + c * 360 / columns. A
-    tilted sensor is turned nose down by `pitch_deg` about y; a band sensor is level and has every elevation
-    lowered by `pitch_deg`.
+    Row r has elevation -fov/2 + r * fov / (rows - 1) and column c has azimuth -180 + c * 360 /
+    columns. A tilted sensor is turned nose down by `pitch_deg` about y; a band sensor is level and
+    has every elevation lowered by `pitch_deg`.
     """
     body = rotation(quaternion)
     mounting = Rotation.from_euler("y", pitch_deg if mount == "tilt" else 0.0, degrees=True)
@@ -84,12 +94,14 @@ def lidar_directions(
     return body.apply(mounting.apply(out.reshape(-1, 3))).reshape(out.shape)
 
 
-# ----------------------------------------------------------------------------------------- ray casting
+# ----------------------------------------------------------------------------------------- ray
+# casting
 
 
 @dataclass(frozen=True)
 class Geom:
-    """A MuJoCo primitive geom: its kind and sizes as in MJCF, and its pose in its parent's frame."""
+    """A MuJoCo primitive geom: its kind and sizes as in MJCF, and its pose in its parent's
+    frame."""
 
     kind: str
     size: tuple[float, ...]
@@ -131,8 +143,9 @@ def world_xml(geoms: Sequence[Geom] = (), bodies: Sequence[Body] = (), assets: s
     return f"<mujoco><asset>{assets}</asset><worldbody>{inside}</worldbody></mujoco>"
 
 
-def _slab(start: Floats, along: Floats, half: float) -> tuple[Floats, Floats]:
-    """Distances at which a line's coordinate enters and leaves [-half, half]; (inf, -inf) for never."""
+def _slab(start: Floats, along: Floats, half: float | Floats) -> tuple[Floats, Floats]:
+    """Distances at which a line's coordinate enters and leaves [-half, half]; (inf, -inf) for
+    never."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (-half - start) / along, (half - start) / along
     near, far = np.minimum(a, b), np.maximum(a, b)
@@ -143,11 +156,12 @@ def _slab(start: Floats, along: Floats, half: float) -> tuple[Floats, Floats]:
     return near, far
 
 
-def _ball(start: Floats, along: Floats, radius: float) -> tuple[Floats, Floats]:
+def _ball(start: Floats, along: Floats, radius: float | Floats) -> tuple[Floats, Floats]:
     """Distances at which lines enter and leave a ball (in 3-D) or a disc (in 2-D) about the origin.
 
-    By closest approach: the foot of the centre on the line, and half the chord through it. `along` need not
-    be of unit length, distances are in its units; where it is zero the line is a point, in or out for ever.
+    By closest approach: the foot of the centre on the line, and half the chord through it. `along`
+    need not be of unit length, distances are in its units; where it is zero the line is a point, in
+    or out for ever.
     """
     square = np.sum(along * along, axis=-1)
     still = square == 0
@@ -160,12 +174,19 @@ def _ball(start: Floats, along: Floats, radius: float) -> tuple[Floats, Floats]:
     return np.where(hit, foot - half, np.inf), np.where(hit, foot + half, -np.inf)
 
 
-def _interval(kind: str, size: Sequence[float], start: Floats, along: Floats) -> tuple[Floats, Floats]:
-    """Distances at which lines of a solid's own frame enter and leave it; (inf, -inf) where they miss."""
+def interval(
+    kind: str, size: Sequence[float | Floats], start: Floats, along: Floats
+) -> tuple[Floats, Floats]:
+    """Distances at which lines of a solid's own frame enter and leave it; (inf, -inf) where they
+    miss.
+
+    Sizes are MuJoCo's, or arrays with one for each line.
+    """
     if kind == "sphere":
         return _ball(start, along, size[0])
     if kind == "ellipsoid":  # a unit ball in the space divided by the half axes
-        return _ball(start / np.asarray(size), along / np.asarray(size), 1.0)
+        axes = np.stack(np.broadcast_arrays(*size), axis=-1)
+        return _ball(start / axes, along / axes, 1.0)
     if kind == "box":  # three slabs
         pieces = [_slab(start[..., a], along[..., a], size[a]) for a in range(3)]
     elif kind == "cylinder":  # a round wall without end, and one slab
@@ -173,10 +194,13 @@ def _interval(kind: str, size: Sequence[float], start: Floats, along: Floats) ->
             _ball(start[..., :2], along[..., :2], size[0]),
             _slab(start[..., 2], along[..., 2], size[1]),
         ]
-    elif kind == "capsule":  # convex: from the first to the last distance in the cylinder or either ball
-        near, far = _interval("cylinder", size, start, along)
+    elif (
+        kind == "capsule"
+    ):  # convex: from the first to the last distance in the cylinder or either ball
+        near, far = interval("cylinder", size, start, along)
         for end in (-size[1], size[1]):
-            ball_near, ball_far = _ball(start - np.array([0.0, 0.0, end]), along, size[0])
+            above = np.stack(np.broadcast_arrays(0.0, 0.0, end), axis=-1)
+            ball_near, ball_far = _ball(start - above, along, size[0])
             near, far = np.minimum(near, ball_near), np.maximum(far, ball_far)
         return near, far
     else:
@@ -188,9 +212,11 @@ def _interval(kind: str, size: Sequence[float], start: Floats, along: Floats) ->
 
 
 def _first_hit(geom: Geom, start: Floats, along: Floats) -> Floats:
-    """Distance to the surface in the geom's own frame: where the ray enters or, from inside, where it leaves.
+    """Distance to the surface in the geom's own frame: where the ray enters or, from inside, where
+    it leaves.
 
-    A plane is MuJoCo's: seen from its +z side only, and within its half sizes where these are not zero.
+    A plane is MuJoCo's: seen from its +z side only, and within its half sizes where these are not
+    zero.
     """
     if geom.kind == "plane":
         facing = along[..., 2] < 0
@@ -200,7 +226,7 @@ def _first_hit(geom: Geom, start: Floats, along: Floats) -> Floats:
             if geom.size[axis] > 0:
                 reach = np.where(np.abs(at[..., axis]) <= geom.size[axis], reach, np.inf)
         return np.where(reach >= 0, reach, np.inf)
-    near, far = _interval(geom.kind, geom.size, start, along)
+    near, far = interval(geom.kind, geom.size, start, along)
     return np.where(near >= 0, near, np.where(far >= 0, far, np.inf))
 
 
@@ -235,17 +261,23 @@ def ranges(
     return nearest.reshape(np.shape(directions)[:-1])
 
 
-def random_geom(rng: np.random.Generator, kinds: Sequence[str], spread: float, largest: float = 2.5) -> Geom:
-    """A random primitive: log-uniform sizes, a place in a cube of half side `spread`, any attitude."""
+def random_geom(
+    rng: np.random.Generator, kinds: Sequence[str], spread: float, largest: float = 2.5
+) -> Geom:
+    """A random primitive: log-uniform sizes, a place in a cube of half side `spread`, any
+    attitude."""
     kind = str(rng.choice(list(kinds)))
     count = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2, "ellipsoid": 3, "plane": 3}[kind]
     size = np.exp(rng.uniform(np.log(0.1), np.log(largest), size=count))
     if kind == "plane":  # half without end, half finite
         size = np.array([0.0, 0.0, 1.0]) if rng.random() < 0.5 else np.append(3 * size[:2], 1.0)
-    return Geom(kind, tuple(size), tuple(rng.uniform(-spread, spread, 3)), tuple(random_quaternion(rng)))
+    return Geom(
+        kind, tuple(size), tuple(rng.uniform(-spread, spread, 3)), tuple(random_quaternion(rng))
+    )
 
 
-# ---------------------------------------------------------------------------------------------- voxels
+# ----------------------------------------------------------------------------------------------
+# voxels
 
 
 def observed(
@@ -256,7 +288,8 @@ def observed(
     directions: Floats,
     ranges32: NDArray[np.float32],
 ) -> Bools:
-    """Voxels holding a return: the specification's floor formula, return by return, in Python floats."""
+    """Voxels holding a return: the specification's floor formula, return by return, in Python
+    floats."""
     out = np.zeros(shape, dtype=bool)
     start, low = [float(x) for x in np.asarray(position)], [float(x) for x in np.asarray(origin)]
     flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
@@ -264,14 +297,17 @@ def observed(
         if reach == float("inf"):
             continue
         point = [s + reach * d for s, d in zip(start, ray, strict=True)]
-        index = tuple(int(np.floor((p - o) / float(voxel_m))) for p, o in zip(point, low, strict=True))
+        index = tuple(
+            int(np.floor((p - o) / float(voxel_m))) for p, o in zip(point, low, strict=True)
+        )
         if all(0 <= i < n for i, n in zip(index, shape, strict=True)):
             out[index] = True
     return out
 
 
 def lengths(ranges32: NDArray[np.float32], max_range_m: float) -> Floats:
-    """How far each ray is known to run: to its return, or to the maximum range where nothing returned."""
+    """How far each ray is known to run: to its return, or to the maximum range where nothing
+    returned."""
     reach = np.asarray(ranges32).astype(np.float64)
     return np.where(np.isinf(reach), float(max_range_m), reach)
 
@@ -285,13 +321,14 @@ def swept(
     reach: Floats,
     margin_m: float,
 ) -> Bools:
-    """Voxels that some segment meets with positive length, each voxel grown by `margin_m` on every side.
+    """Voxels that some segment meets with positive length, each voxel grown by `margin_m` on every
+    side.
 
-    A slab test of every voxel against every ray in float64. A voxel is the product of three slabs, so the
-    (x, y) columns that a ray misses are set aside before z is looked at; that skips empty overlaps only. With
-    a margin of plus or minus 1e-9 m, a million times the rounding of these numbers, the two answers enclose
-    the truth: what is met when shrunk must be met, what is not met when grown must not. A shrunk voxel must
-    also be met for longer than 1e-9 m.
+    A slab test of every voxel against every ray in float64. A voxel is the product of three slabs,
+    so the (x, y) columns that a ray misses are set aside before z is looked at; that skips empty
+    overlaps only. With a margin of plus or minus 1e-9 m, a million times the rounding of these
+    numbers, the two answers enclose the truth: what is met when shrunk must be met, what is not met
+    when grown must not. A shrunk voxel must also be met for longer than 1e-9 m.
     """
     out = np.zeros(shape, dtype=bool)
     start, low = np.asarray(position, dtype=np.float64), np.asarray(origin, dtype=np.float64)
@@ -317,7 +354,9 @@ def swept(
         column_in = np.maximum.outer(x_in, y_in)
         column_out = np.minimum.outer(x_out, y_out)
         i, j = np.nonzero(column_out - column_in > threshold)
-        overlap = np.minimum(column_out[i, j, None], z_out) - np.maximum(column_in[i, j, None], z_in)
+        overlap = np.minimum(column_out[i, j, None], z_out) - np.maximum(
+            column_in[i, j, None], z_in
+        )
         out[i, j] |= overlap > threshold
     return out
 
@@ -336,7 +375,8 @@ def free_bounds(
     seen = observed(origin, voxel_m, shape, position, directions, ranges32)
     reach = lengths(ranges32, max_range_m)
     must, may = (
-        swept(origin, voxel_m, shape, position, directions, reach, sign * margin_m) & ~seen for sign in (-1, 1)
+        swept(origin, voxel_m, shape, position, directions, reach, sign * margin_m) & ~seen
+        for sign in (-1, 1)
     )
     return must, may
 
@@ -349,15 +389,18 @@ def exact_overlaps(
     direction: ArrayLike,
     reach: float,
 ) -> dict[Voxel, Fraction]:
-    """Every voxel that one segment meets with positive length, and that length, in rational arithmetic.
+    """Every voxel that one segment meets with positive length, and that length, in rational
+    arithmetic.
 
-    The float64 inputs are taken at their exact values and the grid's planes lie at origin + k * voxel
-    exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in units of the
-    direction's length.
+    The float64 inputs are taken at their exact values and the grid's planes lie at origin + k *
+    voxel exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in
+    units of the direction's length.
     """
     size, end = Fraction(float(voxel_m)), Fraction(float(reach))
     axes: list[list[tuple[int, Fraction, Fraction]]] = []
-    for count, p, d, o in zip(shape, *(np.asarray(a).tolist() for a in (position, direction, origin)), strict=True):
+    for count, p, d, o in zip(
+        shape, *(np.asarray(a).tolist() for a in (position, direction, origin)), strict=True
+    ):
         point, along, low = Fraction(p), Fraction(d), Fraction(o)
         spans = []
         for index in range(count):
@@ -392,7 +435,8 @@ def exact_swept(
     reach: Floats,
     at_least: float = 0.0,
 ) -> Bools:
-    """Voxels that some segment meets with positive length of at least `at_least`, in rational arithmetic."""
+    """Voxels that some segment meets with positive length of at least `at_least`, in rational
+    arithmetic."""
     out = np.zeros(shape, dtype=bool)
     least = Fraction(at_least)
     flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
@@ -412,7 +456,8 @@ def sampled(
     reach: Floats,
     step_m: float,
 ) -> Bools:
-    """The WRONG answer of points sampled along each ray, kept to show that the comparison rejects it."""
+    """The WRONG answer of points sampled along each ray, kept to show that the comparison rejects
+    it."""
     out = np.zeros(shape, dtype=bool)
     flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
     for ray, end in zip(flat, np.asarray(reach).ravel(), strict=True):

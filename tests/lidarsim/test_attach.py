@@ -33,28 +33,43 @@ def model() -> mujoco.MjModel:
 def by_mujoco(
     model: mujoco.MjModel, data: mujoco.MjData, pose: Pose, without: int = -1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ranges, geoms and normals of `LIDAR` by `mj_multiRay`, attitudes as matrices by MuJoCo, too."""
+    """Ranges, geoms and normals of `LIDAR` by `mj_multiRay`, attitudes as matrices by MuJoCo,
+    too."""
     turn, count = np.empty(9), LIDAR.rows * LIDAR.columns
     mujoco.mju_quat2Mat(turn, pose.quaternion)
     rays = LIDAR.directions_body.reshape(-1, 3) @ turn.reshape(3, 3).T
     geoms, ranges, normals = np.empty(count, np.int32), np.empty(count), np.empty((count, 3))
     reach = LIDAR.max_range_m
     mujoco.mj_multiRay(
-        model, data, pose.position, rays.ravel(), None, True, without, geoms, ranges, normals.reshape(-1), count, reach
+        model,
+        data,
+        pose.position,
+        rays.ravel(),
+        None,
+        True,
+        without,
+        geoms,
+        ranges,
+        normals.reshape(-1),
+        count,
+        reach,
     )
     missed = (geoms < 0) | (ranges > reach)
     ranges[missed], geoms[missed], normals[missed] = np.inf, -1, np.nan
     return tuple(each.reshape(*LIDAR.shape, *each.shape[1:]) for each in (ranges, geoms, normals))
 
 
-def test_a_falling_robot_sees_what_mj_multi_ray_sees_of_the_same_data(model: mujoco.MjModel) -> None:
+def test_a_falling_robot_sees_what_mj_multi_ray_sees_of_the_same_data(
+    model: mujoco.MjModel,
+) -> None:
     data, offset = mujoco.MjData(model), Pose.level((0.1, 0.05, 0.15), 0.4)
     mounted = attach(model, "robot", LIDAR, offset=offset)
     body, heights, met = model.body("robot").id, [], set[int]()
     for _ in range(12):
         mujoco.mj_step(model, data, 40)
         pose = Pose(
-            data.xpos[body] + data.xmat[body].reshape(3, 3) @ offset.position, mounted.poses(data)[0].quaternion
+            data.xpos[body] + data.xmat[body].reshape(3, 3) @ offset.position,
+            mounted.poses(data)[0].quaternion,
         )
         ranges, geoms, normals = by_mujoco(model, data, pose, without=body)
         hits, (also, named) = mounted.hits(data), mounted.cast(data)
@@ -76,7 +91,10 @@ def test_sensors_on_several_bodies_give_what_each_gives_alone(model: mujoco.MjMo
     data, names = mujoco.MjData(model), ["robot", "ball", "drum"]
     offsets = [Pose.level((0, 0, 0.1 * n), 0.5 * n) for n in range(3)]
     together = attach(model, names, LIDAR, offset=offsets)
-    alone = [attach(model, name, LIDAR, offset=offset) for name, offset in zip(names, offsets, strict=True)]
+    alone = [
+        attach(model, name, LIDAR, offset=offset)
+        for name, offset in zip(names, offsets, strict=True)
+    ]
     for _ in range(3):
         mujoco.mj_step(model, data, 60)
         for scan, one in zip(together.scans(data), alone, strict=True):
@@ -86,8 +104,12 @@ def test_sensors_on_several_bodies_give_what_each_gives_alone(model: mujoco.MjMo
     assert len(attach(model, "ball", LIDAR, offset=offsets).scans(data)) == 3
 
 
-@pytest.mark.parametrize(("unseen", "missing"), [("nothing", set()), ("body", {"hull"}), ("tree", {"hull", "arm"})])
-def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(model: mujoco.MjModel, unseen: str, missing: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("unseen", "missing"), [("nothing", set()), ("body", {"hull"}), ("tree", {"hull", "arm"})]
+)
+def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(
+    model: mujoco.MjModel, unseen: str, missing: set[str]
+) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     offset = Pose.level((0.0, 0.0, 0.3))
@@ -96,14 +118,18 @@ def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(model: mujoco.MjModel, u
     assert own == {"hull", "arm"} - missing
 
 
-def test_a_world_that_moved_is_refitted_to_what_an_engine_made_anew_would_see(model: mujoco.MjModel) -> None:
+def test_a_world_that_moved_is_refitted_to_what_an_engine_made_anew_would_see(
+    model: mujoco.MjModel,
+) -> None:
     data = mujoco.MjData(model)
     mounted, rng = (
         attach(model, "robot", LIDAR, unseen="nothing", offset=Pose.level((0, 0, 1.0))),
         np.random.default_rng(0),
     )
     for _ in range(5):
-        data.qpos[:] = rng.normal(size=model.nq)  # attitudes, too: MuJoCo makes them unit quaternions
+        data.qpos[:] = rng.normal(
+            size=model.nq
+        )  # attitudes, too: MuJoCo makes them unit quaternions
         mujoco.mj_forward(model, data)
         (pose,) = mounted.poses(data)
         rays = np.array([mounted._rays([pose])[1][0]])
@@ -135,18 +161,30 @@ def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(
 ) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    mounted = attach(model, "robot", LIDAR, offset=[Pose.level((0.0, 0.0, h)) for h in (0.15, 0.4)], unseen=unseen)
+    mounted = attach(
+        model,
+        "robot",
+        LIDAR,
+        offset=[Pose.level((0.0, 0.0, h)) for h in (0.15, 0.4)],
+        unseen=unseen,
+    )
     rng = np.random.default_rng
-    for scan, seen in zip(mounted.scans(data), mounted.observe(data, Noise(), rng=rng(0)), strict=True):
+    for scan, seen in zip(
+        mounted.scans(data), mounted.observe(data, Noise(), rng=rng(0)), strict=True
+    ):
         np.testing.assert_array_equal(seen.ranges[0], scan.ranges)
     hits = mounted.hits(data)
     light = mounted.observe(data, Noise.parse("motion:0:corrected=true,intensity"), rng=rng(0))
-    for n, one in enumerate(light):  # a motion of nothing casts anew, and intensity asks for surfaces
+    for n, one in enumerate(
+        light
+    ):  # a motion of nothing casts anew, and intensity asks for surfaces
         np.testing.assert_allclose(one.ranges[0], hits.ranges[n], rtol=0, atol=1e-5)
         assert one.intensity is not None
         normal = np.nan_to_num(hits.normals[n])
         cosine = np.abs((normal * mounted.scans(data)[n].directions).sum(axis=-1))
-        np.testing.assert_allclose(one.intensity[0], np.where(hits.geoms[n] >= 0, 0.5 * cosine, 0.0), atol=1e-5)
+        np.testing.assert_allclose(
+            one.intensity[0], np.where(hits.geoms[n] >= 0, 0.5 * cosine, 0.0), atol=1e-5
+        )
     first, second = mounted.observe(data, Noise.parse("dropout:0.5"), rng=rng(0))
     both = np.isfinite(hits.ranges).all(axis=0)
     assert (np.isfinite(first.ranges[0]) != np.isfinite(second.ranges[0]))[both].any()
@@ -155,7 +193,9 @@ def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(
 def test_the_documented_example_runs() -> None:
     text = (Path(__file__).parents[2] / "docs" / "sensor.md").read_text(encoding="utf-8")
     (example,) = (
-        block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "import Lidar, Pose, attach" in block
+        block
+        for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+        if "import Lidar, Pose, attach" in block
     )
     names: dict[str, Any] = {}
     exec(example, names)

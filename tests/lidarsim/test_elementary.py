@@ -1,4 +1,5 @@
-"""Laws of the elementary functions: nearest to the true values, to which Python's decimal numbers are the reference."""
+"""Laws of the elementary functions: nearest to the true values, to which Python's decimal numbers
+are the reference."""
 
 import math
 from decimal import Decimal, localcontext
@@ -8,7 +9,9 @@ import pytest
 
 from lidarsim.elementary import exp, log, sin_cos
 
-PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798")
+PI = Decimal(
+    "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798"
+)
 RNG = np.random.default_rng(0)
 ANGLES = np.concatenate(
     [
@@ -18,8 +21,12 @@ ANGLES = np.concatenate(
         [1e-300, 5e-8],
     ]
 )
-EXPONENTS = np.concatenate([RNG.uniform(-700.0, 709.0, 300), RNG.uniform(-1.0, 1.0, 100), [-1e-20, 0.0, 1e-300]])
-NUMBERS = np.concatenate([10.0 ** RNG.uniform(-307, 308, 300), RNG.uniform(0.5, 2.0, 300), [5e-324, 1e-310]])
+EXPONENTS = np.concatenate(
+    [RNG.uniform(-700.0, 709.0, 300), RNG.uniform(-1.0, 1.0, 100), [-1e-20, 0.0, 1e-300]]
+)
+NUMBERS = np.concatenate(
+    [10.0 ** RNG.uniform(-307, 308, 300), RNG.uniform(0.5, 2.0, 300), [5e-324, 1e-310]]
+)
 
 
 def sine(angle: Decimal) -> Decimal:
@@ -60,7 +67,11 @@ def test_exponentials_and_logarithms_are_the_nearest_numbers() -> None:
 
 def test_they_are_the_librarys_to_an_ulp_for_many_numbers() -> None:
     x = RNG.uniform(-100.0, 100.0, 20_000)
-    for ours, theirs in ((sin_cos(x)[0], np.sin(x)), (sin_cos(x)[1], np.cos(x)), (exp(x), np.exp(x))):
+    for ours, theirs in (
+        (sin_cos(x)[0], np.sin(x)),
+        (sin_cos(x)[1], np.cos(x)),
+        (exp(x), np.exp(x)),
+    ):
         assert (np.abs(ours - theirs) <= 2 * np.spacing(np.abs(theirs))).all()
     x = np.abs(x)
     assert (np.abs(log(x) - np.log(x)) <= 2 * np.spacing(np.abs(np.log(x)))).all()
@@ -71,11 +82,17 @@ def test_exact_values_symmetries_and_limits() -> None:
     (s, c), (t, d) = sin_cos(x), sin_cos(-x)
     np.testing.assert_array_equal((s, c), (-t, d))
     np.testing.assert_allclose(s * s + c * c, 1.0, rtol=0, atol=5e-16)
-    np.testing.assert_array_equal(log(2.0 ** np.arange(-50.0, 50.0)), -log(2.0 ** -np.arange(-50.0, 50.0)))
+    np.testing.assert_array_equal(
+        log(2.0 ** np.arange(-50.0, 50.0)), -log(2.0 ** -np.arange(-50.0, 50.0))
+    )
     assert [float(part) for part in sin_cos(0.0)] == [0.0, 1.0]
     assert (float(exp(0.0)), float(log(1.0))) == (1.0, 0.0)
-    np.testing.assert_array_equal(exp([-np.inf, np.inf, np.nan, 800.0, -800.0]), [0.0, np.inf, np.nan, np.inf, 0.0])
-    np.testing.assert_array_equal(log([0.0, np.inf, -1.0, np.nan]), [-np.inf, np.inf, np.nan, np.nan])
+    np.testing.assert_array_equal(
+        exp([-np.inf, np.inf, np.nan, 800.0, -800.0]), [0.0, np.inf, np.nan, np.inf, 0.0]
+    )
+    np.testing.assert_array_equal(
+        log([0.0, np.inf, -1.0, np.nan]), [-np.inf, np.inf, np.nan, np.nan]
+    )
     np.testing.assert_array_equal(sin_cos([np.inf, -np.inf, np.nan]), np.full((2, 3), np.nan))
 
 

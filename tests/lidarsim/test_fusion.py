@@ -13,13 +13,16 @@ ORIGIN = np.array([-1.2, -1.0, -0.9])
 
 
 def random_scans(seed: int, count: int) -> list[Scan]:
-    """Scans of random rays from places near the grid's middle; a third of the rays returns nothing."""
+    """Scans of random rays from places near the grid's middle; a third of the rays returns
+    nothing."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):
         rays = rng.normal(size=(40, 3))
         table = np.column_stack([rays / np.linalg.norm(rays, axis=1, keepdims=True), np.zeros(40)])
-        ranges = np.where(rng.random(40) < 0.33, np.inf, rng.uniform(0.1, 1.5, 40)).astype(np.float32)
+        ranges = np.where(rng.random(40) < 0.33, np.inf, rng.uniform(0.1, 1.5, 40)).astype(
+            np.float32
+        )
         pose = Pose.level(rng.uniform(-0.5, 0.5, 3), rng.uniform(-3, 3))
         found.append(Scan(ranges, pose, BeamTable(rays=table, max_range_m=2.0)))
     return found
@@ -45,7 +48,10 @@ def test_both_rules_are_those_of_a_slow_reference(rule: Fusion) -> None:
         got = fuse(scans, GRID, ORIGIN, rule)
         seen = [voxelize(scan, GRID, ORIGIN) for scan in scans]
         for voxel in np.ndindex(*GRID.shape):
-            hits, misses = [bool(one.observed[voxel]) for one in seen], [bool(one.free[voxel]) for one in seen]
+            hits, misses = (
+                [bool(one.observed[voxel]) for one in seen],
+                [bool(one.free[voxel]) for one in seen],
+            )
             if rule.fusion == "visibility":
                 observed = any(hits)
             else:
@@ -53,12 +59,16 @@ def test_both_rules_are_those_of_a_slow_reference(rule: Fusion) -> None:
                 for hit, miss in zip(hits, misses, strict=True):
                     level = min(level + odds["hit"], odds["most"]) if hit else level
                     level = max(level + odds["miss"], odds["least"]) if miss else level
-                assert abs(level - odds["occupied"]) > 1e-9 or not any(hits + misses), "a tie: nobody can tell"
+                assert abs(level - odds["occupied"]) > 1e-9 or not any(hits + misses), (
+                    "a tie: nobody can tell"
+                )
                 observed = any(hits) and level > odds["occupied"]
             assert got.observed[voxel] == observed
             assert got.free[voxel] == (any(hits + misses) and not observed)
             both += any(hits) and any(misses)
-    assert both > 50, "hardly a voxel is hit by one scan and crossed by another: the test shows nothing"
+    assert both > 50, (
+        "hardly a voxel is hit by one scan and crossed by another: the test shows nothing"
+    )
 
 
 @pytest.mark.parametrize("rule", RULES[:2])

@@ -1,4 +1,5 @@
-"""The grid: indices and centres are each other's inverse, and a face belongs to the voxel above it."""
+"""The grid: indices and centres are each other's inverse, and a face belongs to the voxel above
+it."""
 
 import itertools
 
@@ -20,15 +21,21 @@ ORIGINS = [np.zeros(3), np.array([-7.3, 2.9, 0.05]), np.array([1e3, -1e3, 12.34]
 def test_the_index_of_a_centre_is_its_voxel(grid: GridSpec, origin: np.ndarray) -> None:
     centres = grid.centres(origin)
     assert centres.shape == (*grid.shape, 3)
-    np.testing.assert_array_equal(grid.index(centres, origin), np.moveaxis(np.indices(grid.shape), 0, -1))
+    np.testing.assert_array_equal(
+        grid.index(centres, origin), np.moveaxis(np.indices(grid.shape), 0, -1)
+    )
 
 
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("origin", ORIGINS)
-def test_a_centre_is_as_far_from_both_faces_along_each_axis(grid: GridSpec, origin: np.ndarray) -> None:
+def test_a_centre_is_as_far_from_both_faces_along_each_axis(
+    grid: GridSpec, origin: np.ndarray
+) -> None:
     centres = grid.centres(origin)
     np.testing.assert_allclose(centres[0, 0, 0] - origin, grid.voxel_m / 2, rtol=1e-9)
-    np.testing.assert_allclose(origin + grid.extent_m - centres[-1, -1, -1], grid.voxel_m / 2, rtol=1e-9)
+    np.testing.assert_allclose(
+        origin + grid.extent_m - centres[-1, -1, -1], grid.voxel_m / 2, rtol=1e-9
+    )
     for axis in range(3):
         steps = np.diff(centres, axis=axis)
         np.testing.assert_allclose(steps[..., axis], grid.voxel_m, rtol=1e-9)
@@ -56,12 +63,18 @@ def test_a_face_belongs_to_the_voxel_above_it() -> None:
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_the_extent_is_the_shape_in_metres_and_the_grid_lies_around_its_position(grid: GridSpec) -> None:
+def test_the_extent_is_the_shape_in_metres_and_the_grid_lies_around_its_position(
+    grid: GridSpec,
+) -> None:
     np.testing.assert_array_equal(grid.extent_m, [n * grid.voxel_m for n in grid.shape])
     for position in ORIGINS:
         origin = grid.origin_at(position)
-        np.testing.assert_allclose(grid.centres(origin).mean(axis=(0, 1, 2)), position, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(position - origin, origin + grid.extent_m - position, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            grid.centres(origin).mean(axis=(0, 1, 2)), position, rtol=0, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            position - origin, origin + grid.extent_m - position, rtol=0, atol=1e-9
+        )
     assert grid.origin_at((0, 0, 0)).dtype == np.float64
 
 

@@ -1,4 +1,5 @@
-"""Kernels give what their Python functions give, and no kernel outlives a change of what it was compiled from."""
+"""Kernels give what their Python functions give, and no kernel outlives a change of what it was
+compiled from."""
 
 import importlib
 import os
@@ -41,7 +42,8 @@ PLAIN = '"""No kernels here."""\nWORDS = ("one",)\n'
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A package with a kernel that calls one in another file, a cache of its own, and nothing left of it afterwards."""
+    """A package with a kernel that calls one in another file, a cache of its own, and nothing left
+    of it afterwards."""
     folder = tmp_path / "kernelled"
     folder.mkdir()
     for name, text in {"__init__": "", "callee": CALLEE, "caller": CALLER, "plain": PLAIN}.items():
@@ -96,7 +98,9 @@ def test_the_folder_changes_with_files_that_hold_kernels_and_with_no_others(pack
     assert folder_now() == before
 
 
-def test_the_folder_follows_lidarsims_kernels_too(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_follows_lidarsims_kernels_too(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Those of any package may call them."""
     copy = shutil.copytree(Path(jit.__file__).parent, package.parent / "lidarsim")
     monkeypatch.setattr(jit, "__file__", str(copy / "jit.py"))
@@ -129,7 +133,9 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(package: Path)
     assert fresh("caller").summed(values) == 30.0
 
 
-def test_the_cache_lies_where_the_environment_says(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_lies_where_the_environment_says(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     at = package.parent
     places = {"SCENEGEN_CACHE": at / "own", "XDG_CACHE_HOME": at / "xdg"}
     for name, place in places.items():
@@ -182,7 +188,10 @@ def test_the_cache_is_made_for_its_user_alone(package: Path) -> None:
     finally:
         os.umask(before)
     folder = folder_now()
-    levels = [folder, *(level for level in folder.parents if level.is_relative_to(package.parent / "cache"))]
+    levels = [
+        folder,
+        *(level for level in folder.parents if level.is_relative_to(package.parent / "cache")),
+    ]
     assert len(levels) == 4
     assert {level.stat().st_mode & 0o777 for level in levels} == {0o700}
 
@@ -194,7 +203,9 @@ def test_a_root_that_all_may_write_to_but_nobody_may_move_in_serves(package: Pat
     assert jit.cache_trouble("kernelled") == ""
 
 
-def test_kernels_work_where_nothing_can_be_kept(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_work_where_nothing_can_be_kept(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (package.parent / "file").write_text("in the way")
     monkeypatch.setenv("SCENEGEN_CACHE", str(package.parent / "file" / "cache"))
     assert fresh("callee").scaled(3.0) == 6.0
@@ -215,7 +226,11 @@ def arguments_of(function: Callable) -> Iterator[tuple]:
             quaternion = rng.normal(size=4)
             yield quaternion / np.linalg.norm(quaternion), rng.normal(size=(5, 3)), np.empty((5, 3))
         elif function is shapes.distance:
-            yield int((2, 3, 4, 5, 6, 0)[n % 6]), rng.uniform(0.2, 1.0, 3), *rng.uniform(-1.5, 1.5, 3)
+            yield (
+                int((2, 3, 4, 5, 6, 0)[n % 6]),
+                rng.uniform(0.2, 1.0, 3),
+                *rng.uniform(-1.5, 1.5, 3),
+            )
         elif function is triangles.crossing:
             yield *rng.normal(size=(3, 3)), *rng.normal(0.0, 0.5, 2)
         else:
@@ -230,7 +245,9 @@ def arguments_of(function: Callable) -> Iterator[tuple]:
 def test_a_kernel_gives_what_its_python_function_gives(function: Callable) -> None:
     given = set()
     for arguments in arguments_of(function):
-        first, second = ([np.copy(a) if isinstance(a, np.ndarray) else a for a in arguments] for _ in range(2))
+        first, second = (
+            [np.copy(a) if isinstance(a, np.ndarray) else a for a in arguments] for _ in range(2)
+        )
         compiled, plain = function(*first), function.py_func(*second)
         if compiled is None:  # writes into its last argument
             compiled, plain = first[-1], second[-1]

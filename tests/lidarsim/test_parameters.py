@@ -1,4 +1,5 @@
-"""The one way to check a parameter: what is taken becomes the annotated type, what is not is named with its bounds."""
+"""The one way to check a parameter: what is taken becomes the annotated type, what is not is named
+with its bounds."""
 
 from __future__ import annotations
 
@@ -80,7 +81,11 @@ REFUSED = [
     ("rows", None, "rows = None: expected a whole number"),
     ("rows", HUGE, "rows = a value of type int: expected a whole number"),
     ("rows", math.nan, "rows = nan: expected a whole number"),
-    ("rows", datetime.date(1979, 5, 27), "rows = datetime.date(1979, 5, 27): expected a whole number"),
+    (
+        "rows",
+        datetime.date(1979, 5, 27),
+        "rows = datetime.date(1979, 5, 27): expected a whole number",
+    ),
     ("range_m", 0.0, "range_m = 0.0: expected a finite number above 0"),
     ("range_m", math.inf, "range_m = inf: expected a finite number above 0"),
     ("range_m", 10**400, "range_m = 1000"),
@@ -93,7 +98,11 @@ REFUSED = [
     ("shape", {8: 8, 9: 9, 4: 4}, "expected three whole numbers"),
     ("shape", [8, [8], 4], "shape = [8, [8], 4]: expected three whole numbers"),
     ("shape", [8] * 10_000, "shape = [8, 8, "),
-    ("span_m", (2.0, 1.0), "span_m = [2.0, 1.0]: expected [low, high] with low <= high, finite numbers from 0 to 9"),
+    (
+        "span_m",
+        (2.0, 1.0),
+        "span_m = [2.0, 1.0]: expected [low, high] with low <= high, finite numbers from 0 to 9",
+    ),
     ("span_m", (1.0, math.nan), "span_m = [1.0, nan]: expected [low, high]"),
     ("edges_m", (1.0, 0.0), "edges_m = [1.0, 0.0]: expected a list, each a finite number above 0"),
     ("even", 2.5, "even = 2.5: expected a whole number"),
@@ -108,7 +117,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "line"), REFUSED, ids=lambda value: str(value)[:30] if value != HUGE else "huge"
+    ("name", "value", "line"),
+    REFUSED,
+    ids=lambda value: str(value)[:30] if value != HUGE else "huge",
 )
 def test_what_does_not_fit_is_named_with_its_bounds(name: str, value: Any, line: str) -> None:
     with pytest.raises(ValueError) as error:
@@ -156,7 +167,8 @@ def test_fields_without_bounds_have_those_of_their_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "degrees"), [(6.283, 360), (6.28, 360), (math.pi / 2, 90), (-0.5236, -30), (0.785, 45)]
+    ("value", "degrees"),
+    [(6.283, 360), (6.28, 360), (math.pi / 2, 90), (-0.5236, -30), (0.785, 45)],
 )
 def test_angles_in_radians_are_told_from_degrees(value: float, degrees: int) -> None:
     @dataclass(frozen=True, kw_only=True)
@@ -167,6 +179,8 @@ def test_angles_in_radians_are_told_from_degrees(value: float, degrees: int) -> 
         def __post_init__(self) -> None:
             check(self)
 
-    with pytest.raises(ValueError, match=rf"^tilt_deg = \S+: is {degrees} degrees in radians; expected degrees$"):
+    with pytest.raises(
+        ValueError, match=rf"^tilt_deg = \S+: is {degrees} degrees in radians; expected degrees$"
+    ):
         Held(tilt_deg=value)
     assert Held(tilt_deg=math.copysign(15.0, value), length_m=value).length_m == value

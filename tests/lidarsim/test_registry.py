@@ -8,7 +8,9 @@ import pytest
 
 from lidarsim.registry import Registry
 
-ENGINES = Registry("engine", {"plain": "lidarsim.scan:cast"}, needs={"__call__": "so that it can be called"})
+ENGINES = Registry(
+    "engine", {"plain": "lidarsim.scan:cast"}, needs={"__call__": "so that it can be called"}
+)
 
 
 @pytest.fixture
@@ -49,12 +51,21 @@ def test_no_file_of_the_users_takes_the_place_of_a_librarys(here: Path) -> None:
         ("plian", "unknown engine 'plian'; did you mean 'plain'?"),
         ("lidar\n", "unknown engine 'lidar\\n'; known: plain (or one's own, as module:Object)"),
         ("os.system('ls'):x", "unknown engine"),
-        ("absent:Engine", "engine absent:Engine: there is no module absent, neither installed nor in"),
+        (
+            "absent:Engine",
+            "engine absent:Engine: there is no module absent, neither installed nor in",
+        ),
         ("absent.deep:Engine", "engine absent.deep:Engine: there is no module absent.deep"),
         ("own:Missing", "own.py has no Missing; it has here, Empty"),
         ("own:here", "engine own:here: lacks `__call__`, so that it can be called"),
-        ("broken:Engine", "engine broken:Engine: importing it fails (line 2 of broken.py): ZeroDivisionError("),
-        ("needy:Engine", "engine needy:Engine: importing it fails (line 1 of needy.py): ModuleNotFoundError("),
+        (
+            "broken:Engine",
+            "engine broken:Engine: importing it fails (line 2 of broken.py): ZeroDivisionError(",
+        ),
+        (
+            "needy:Engine",
+            "engine needy:Engine: importing it fails (line 1 of needy.py): ModuleNotFoundError(",
+        ),
     ],
 )
 def test_what_is_missing_is_told_in_one_line(here: Path, name: str, told: str) -> None:
@@ -69,7 +80,8 @@ def test_what_is_missing_is_told_in_one_line(here: Path, name: str, told: str) -
 
 def test_a_field_without_a_default_counts_as_there(here: Path) -> None:
     (here / "own.py").write_text(
-        "from dataclasses import dataclass\n@dataclass\nclass Sensor:\n    shape: tuple\nclass Other: pass"
+        "from dataclasses import dataclass\n@dataclass\nclass Sensor:\n    shape: tuple\nclass "
+        "Other: pass"
     )
     sensors = Registry("sensor", {}, needs={"shape": "a tuple of counts"})
     assert sensors.find("own:Sensor")

@@ -1,8 +1,8 @@
 """Laws of the voxel grids: observed by the floor formula, free by overlap of segments with boxes.
 
-The truth comes from `reference`: a slab test of every voxel against every ray, in float64 with a margin
-(voxels that must and voxels that may be free) and in rational arithmetic. Where these tests accept either
-answer, they do so only within 1e-9 m of a grid plane.
+The truth comes from `reference`: a slab test of every voxel against every ray, in float64 with a
+margin (voxels that must and voxels that may be free) and in rational arithmetic. Where these tests
+accept either answer, they do so only within 1e-9 m of a grid plane.
 """
 
 from __future__ import annotations
@@ -14,25 +14,44 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lidarsim import BeamTable, GridSpec, Lidar, MujocoEngine, ObservedGrid, Pose, Scan, cast, voxelize
+from lidarsim import (
+    BeamTable,
+    GridSpec,
+    Lidar,
+    MujocoEngine,
+    ObservedGrid,
+    Pose,
+    Scan,
+    cast,
+    voxelize,
+)
 from tests.lidarsim import reference
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 SMALL = GridSpec(shape=(6, 5, 4), voxel_m=0.3)
 DYADIC = GridSpec(shape=(8, 8, 8), voxel_m=0.25)
-"""A grid whose planes are exact in float64 about the origin: no rounding can excuse a wrong side."""
+"""A grid whose planes are exact in float64 about the origin: no rounding can excuse a wrong
+side."""
 
 
-def scan_of(rays: object, ranges: object, position: object = (0.0, 0.0, 0.0), max_range_m: float = 10.0) -> Scan:
+def scan_of(
+    rays: object, ranges: object, position: object = (0.0, 0.0, 0.0), max_range_m: float = 10.0
+) -> Scan:
     """A scan with given world directions (n, 3), made unit, and ranges (n,)."""
     directions = np.asarray(rays, dtype=np.float64).reshape(-1, 1, 3)
     longest = np.abs(directions).max(axis=-1, keepdims=True)
     directions = directions / longest
     directions = directions / np.sqrt(np.sum(directions**2, axis=-1, keepdims=True))
-    reach = np.broadcast_to(np.asarray(ranges, dtype=np.float32).reshape(-1, 1), (len(directions), 1))
+    reach = np.broadcast_to(
+        np.asarray(ranges, dtype=np.float32).reshape(-1, 1), (len(directions), 1)
+    )
     rays = np.concatenate([directions, np.zeros((len(directions), 1, 1))], axis=-1)
     lidar = BeamTable(rays=rays, max_range_m=max_range_m)
-    return Scan(ranges=reach.copy(), pose=Pose(position=np.asarray(position, float), quaternion=LEVEL), lidar=lidar)
+    return Scan(
+        ranges=reach.copy(),
+        pose=Pose(position=np.asarray(position, float), quaternion=LEVEL),
+        lidar=lidar,
+    )
 
 
 def inputs(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple:
@@ -54,8 +73,12 @@ def assert_right(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple[np.ndar
     np.testing.assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
     must, may = reference.free_bounds(*given_, scan.ranges, scan.lidar.max_range_m)
     missed, extra = np.argwhere(must & ~got.free), np.argwhere(got.free & ~may)
-    assert len(missed) == 0, f"not free but crossed: {missed[:5].tolist()} and more, {len(missed)} in all"
-    assert len(extra) == 0, f"free but not crossed: {extra[:5].tolist()} and more, {len(extra)} in all"
+    assert len(missed) == 0, (
+        f"not free but crossed: {missed[:5].tolist()} and more, {len(missed)} in all"
+    )
+    assert len(extra) == 0, (
+        f"free but not crossed: {extra[:5].tolist()} and more, {len(extra)} in all"
+    )
     assert not (got.free & got.observed).any()
     return must, may
 
@@ -65,10 +88,15 @@ def random_lidar_scan(rng: np.random.Generator, lidar: Lidar, position: object =
     reach = rng.uniform(0.05, lidar.max_range_m, (lidar.rows, lidar.columns)).astype(np.float32)
     reach[rng.random(reach.shape) < 0.3] = np.inf
     place = rng.uniform(-50, 50, 3) if position is None else np.asarray(position, float)
-    return Scan(ranges=reach, pose=Pose(position=place, quaternion=reference.random_quaternion(rng)), lidar=lidar)
+    return Scan(
+        ranges=reach,
+        pose=Pose(position=place, quaternion=reference.random_quaternion(rng)),
+        lidar=lidar,
+    )
 
 
-# ------------------------------------------------------------------------------------ the whole definition
+# ------------------------------------------------------------------------------------ the whole
+# definition
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -87,9 +115,12 @@ def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(seed:
 @pytest.mark.parametrize("mount", ["tilt", "band"])
 @pytest.mark.parametrize("yaw_deg", [0.0, 45.0, 90.0, -90.0, 180.0, 30.0])
 def test_level_scans_whose_rays_run_along_grid_planes_match(yaw_deg: float, mount: str) -> None:
-    """Here many rays have components of 0 or 1e-17 and run in or along the planes through the sensor."""
+    """Here many rays have components of 0 or 1e-17 and run in or along the planes through the
+    sensor."""
     rng = np.random.default_rng(7)
-    lidar = Lidar(mount=mount, rows=4, columns=24, vertical_fov_deg=90.0 if mount == "tilt" else 60.0)
+    lidar = Lidar(
+        mount=mount, rows=4, columns=24, vertical_fov_deg=90.0 if mount == "tilt" else 60.0
+    )
     reach = rng.uniform(0.05, 10, (4, 24)).astype(np.float32)
     reach[rng.random(reach.shape) < 0.5] = np.inf
     for position in ((0.0, 0.0, 0.0), (8.0, 6.0, 1.5), (1.7, -33.3, 0.9)):
@@ -101,7 +132,10 @@ def test_level_scans_whose_rays_run_along_grid_planes_match(yaw_deg: float, moun
 @pytest.mark.parametrize("seed", range(150))
 def test_random_rays_on_small_grids_of_any_shape_match(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    grid = GridSpec(shape=tuple(rng.integers(1, 12, 3)), voxel_m=float(rng.choice([0.1, 0.2, 0.25, 0.37, 1.0, 3.0])))
+    grid = GridSpec(
+        shape=tuple(rng.integers(1, 12, 3)),
+        voxel_m=float(rng.choice([0.1, 0.2, 0.25, 0.37, 1.0, 3.0])),
+    )
     count = int(rng.integers(1, 40))
     rays = rng.normal(size=(count, 3))
     reach = np.where(rng.random(count) < 0.3, np.inf, rng.exponential(grid.extent_m.max(), count))
@@ -110,7 +144,24 @@ def test_random_rays_on_small_grids_of_any_shape_match(seed: int) -> None:
 
 
 component = st.one_of(
-    st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-17, -1e-17, 1e-12, -1e-12, 1e-9, 0.5, -2.0, 1e-300, -1e-300, 1 / 3]),
+    st.sampled_from(
+        [
+            0.0,
+            -0.0,
+            1.0,
+            -1.0,
+            1e-17,
+            -1e-17,
+            1e-12,
+            -1e-12,
+            1e-9,
+            0.5,
+            -2.0,
+            1e-300,
+            -1e-300,
+            1 / 3,
+        ]
+    ),
     st.floats(-1, 1),
 )
 ray = st.tuples(component, component, component).filter(lambda d: max(map(abs, d)) > 1e-3)
@@ -119,14 +170,18 @@ reach = st.one_of(
     st.floats(0, 4, width=32),
 )
 place = st.sampled_from([(0.0, 0.0, 0.0), (0.1, 0.2, 0.3), (-7.3, 100.7, 1.5), (0.15, 0.15, -0.15)])
-grids = st.sampled_from([SMALL, DYADIC, GridSpec(shape=(4, 4, 4)), GridSpec(shape=(3, 5, 1), voxel_m=0.2)])
+grids = st.sampled_from(
+    [SMALL, DYADIC, GridSpec(shape=(4, 4, 4)), GridSpec(shape=(3, 5, 1), voxel_m=0.2)]
+)
 
 
 @settings(max_examples=250, deadline=None, derandomize=True)
 @given(rays=st.lists(st.tuples(ray, reach), min_size=1, max_size=4), position=place, grid=grids)
-def test_special_rays_on_small_grids_match_rational_arithmetic(rays: list, position: tuple, grid: GridSpec) -> None:
-    """Parallel, all but parallel, diagonal, tiny and endless rays. The exact answer lies between the two
-    float64 references, which are thereby checked too, and so must the answer under test."""
+def test_special_rays_on_small_grids_match_rational_arithmetic(
+    rays: list, position: tuple, grid: GridSpec
+) -> None:
+    """Parallel, all but parallel, diagonal, tiny and endless rays. The exact answer lies between
+    the two float64 references, which are thereby checked too, and so must the answer under test."""
     scan = scan_of([d for d, _ in rays], [r for _, r in rays], position)
     got = voxelize(scan, grid)
     must, may = assert_right(scan, grid, got)
@@ -151,7 +206,8 @@ def test_random_rays_free_exactly_the_voxels_that_rational_arithmetic_finds(seed
     np.testing.assert_array_equal(got.free, exact & ~got.observed)
 
 
-# ------------------------------------------------------------------- the comparison can tell right from wrong
+# ------------------------------------------------------------------- the comparison can tell right
+# from wrong
 
 
 @pytest.mark.parametrize("step_m", [0.2, 0.1, 0.02])
@@ -169,7 +225,9 @@ def test_points_sampled_along_rays_would_be_found_out(step_m: float) -> None:
     assert not (wrong & ~may).any()  # its only fault is what it misses
 
 
-@pytest.mark.parametrize("fault", ["short", "long", "no clearing beyond the map", "observed left in", "all neighbours"])
+@pytest.mark.parametrize(
+    "fault", ["short", "long", "no clearing beyond the map", "observed left in", "all neighbours"]
+)
 def test_other_wrong_walks_would_be_found_out(fault: str) -> None:
     rng = np.random.default_rng(1)
     scan, grid = (
@@ -195,7 +253,8 @@ def test_other_wrong_walks_would_be_found_out(fault: str) -> None:
     assert disagreements(wrong, must, may) > 20
 
 
-# ------------------------------------------------------------------------------------------- single rays
+# ------------------------------------------------------------------------------------------- single
+# rays
 
 
 def free_set(scan: Scan, grid: GridSpec) -> set[tuple[int, ...]]:
@@ -207,7 +266,8 @@ def free_set(scan: Scan, grid: GridSpec) -> set[tuple[int, ...]]:
 
 @pytest.mark.parametrize("tiny", [0.0, -0.0])
 def test_a_ray_within_the_plane_between_voxels_belongs_to_the_upper_one(tiny: float) -> None:
-    """On a grid exact in float64 the sensor's planes are no matter of rounding: voxels are half-open."""
+    """On a grid exact in float64 the sensor's planes are no matter of rounding: voxels are
+    half-open."""
     ahead = free_set(scan_of([[1.0, tiny, tiny]], np.inf), DYADIC)
     assert ahead == {(i, 4, 4) for i in range(4, 8)}
     behind = free_set(scan_of([[-1.0, tiny, tiny]], np.inf), DYADIC)
@@ -249,7 +309,8 @@ def test_a_component_of_1e_17_does_not_divert_a_ray(sign: float) -> None:
 
 @pytest.mark.parametrize("signs", [(a, b, c) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
 def test_a_diagonal_ray_through_corners_frees_the_diagonal(signs: tuple[int, int, int]) -> None:
-    """It touches other voxels at corners only; these are accepted either way, the diagonal itself is not."""
+    """It touches other voxels at corners only; these are accepted either way, the diagonal itself
+    is not."""
     inside = {tuple((4 + n if s > 0 else 3 - n) for s in signs) for n in range(4)}
     got = free_set(scan_of([signs], np.inf), DYADIC)
     assert inside <= got
@@ -257,12 +318,15 @@ def test_a_diagonal_ray_through_corners_frees_the_diagonal(signs: tuple[int, int
 
 @pytest.mark.parametrize("seed", range(10))
 def test_rays_through_edges_and_corners_of_voxels_match(seed: int) -> None:
-    """Every ray leaves the sensor for a lattice point of the grid: it meets edges and corners all the way."""
+    """Every ray leaves the sensor for a lattice point of the grid: it meets edges and corners all
+    the way."""
     rng = np.random.default_rng(seed)
     for grid in (DYADIC, GridSpec(shape=(8, 8, 8)), GridSpec(shape=(7, 8, 9), voxel_m=0.1)):
         steps = rng.integers(-3, 4, size=(12, 3))
         steps = steps[np.any(steps != 0, axis=1)]
-        reach = np.where(rng.random(len(steps)) < 0.5, np.inf, np.linalg.norm(steps, axis=1) * grid.voxel_m)
+        reach = np.where(
+            rng.random(len(steps)) < 0.5, np.inf, np.linalg.norm(steps, axis=1) * grid.voxel_m
+        )
         scan = scan_of(steps, reach, rng.choice([0.0, 1.5, -0.7], 3))
         assert_right(scan, grid, voxelize(scan, grid))
 
@@ -302,7 +366,8 @@ def test_a_return_beyond_the_map_is_dropped_and_its_ray_still_frees_to_the_borde
 
 @pytest.mark.parametrize("axis", range(3))
 def test_returns_just_outside_the_map_are_dropped_and_just_inside_are_kept(axis: int) -> None:
-    """Floor, not truncation: below the lower border is voxel -1, not 0. The upper border itself is out."""
+    """Floor, not truncation: below the lower border is voxel -1, not 0. The upper border itself is
+    out."""
     for sign, reach, expected in [
         (-1, 1.0, 0),  # on the lower border: inside
         (-1, 1.0 + 2**-20, None),
@@ -325,7 +390,8 @@ def test_returns_just_outside_the_map_are_dropped_and_just_inside_are_kept(axis:
 
 @pytest.mark.parametrize("reach", [0.0, 1e-45, 1e-30, 1e-12, 1e-7, 1e-3])
 def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing_beyond(reach: float) -> None:
-    """Along a ray into the upper voxels the return is in the sensor's own voxel, which is not free then."""
+    """Along a ray into the upper voxels the return is in the sensor's own voxel, which is not free
+    then."""
     for grid, index in ((DYADIC, (4, 4, 4)), (GridSpec(shape=(9, 9, 9)), (4, 4, 4))):
         scan = scan_of([[0.6, 0.5, 0.4]], reach)
         got = voxelize(scan, grid)
@@ -335,7 +401,8 @@ def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing_beyond(reach: 
 
 
 def test_a_voxel_with_a_return_is_not_free_however_many_rays_cross_it() -> None:
-    """The return's ray comes last, then first, among rays that pass through its voxel without return."""
+    """The return's ray comes last, then first, among rays that pass through its voxel without
+    return."""
     rays = [[1.0, 0.1 + 0.01 * n, 0.1] for n in range(5)]
     ends = [np.inf, np.inf, np.inf, np.inf, 0.6]
     for order in (slice(None), slice(None, None, -1)):
@@ -345,12 +412,14 @@ def test_a_voxel_with_a_return_is_not_free_however_many_rays_cross_it() -> None:
         assert got.free[7, 4, 4]
 
 
-# ------------------------------------------------------------------------------------------- observed
+# -------------------------------------------------------------------------------------------
+# observed
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed: int) -> None:
-    """Returns at multiples of the voxel along axes and diagonals: the last bit decides, by the formula."""
+    """Returns at multiples of the voxel along axes and diagonals: the last bit decides, by the
+    formula."""
     rng = np.random.default_rng(seed)
     grid = GridSpec(shape=(20, 20, 20), voxel_m=float(rng.choice([0.1, 0.2, 0.3, 0.25])))
     rays = np.concatenate([np.eye(3), -np.eye(3), rng.choice([-1.0, 1.0, 0.5], (60, 3))])
@@ -363,13 +432,19 @@ def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed: int)
     index = np.floor((scan.points() - got.origin) / grid.voxel_m).astype(int)
     index = index[np.all((index >= 0) & (index < 20), axis=1)]
     assert len(index) > 50
-    assert {tuple(i) for i in np.argwhere(got.observed).tolist()} == {tuple(i) for i in index.tolist()}
+    assert {tuple(i) for i in np.argwhere(got.observed).tolist()} == {
+        tuple(i) for i in index.tolist()
+    }
 
 
 def test_a_scan_without_returns_observes_nothing_and_frees_its_rays() -> None:
     rng = np.random.default_rng(3)
     reach = np.full((16, 120), np.inf, dtype=np.float32)
-    scan = Scan(ranges=reach, pose=Pose(np.array([1.0, 2.0, 3.0]), reference.random_quaternion(rng)), lidar=Lidar())
+    scan = Scan(
+        ranges=reach,
+        pose=Pose(np.array([1.0, 2.0, 3.0]), reference.random_quaternion(rng)),
+        lidar=Lidar(),
+    )
     got = voxelize(scan, GridSpec())
     assert not got.observed.any()
     must, _ = assert_right(scan, GridSpec(), got)
@@ -387,7 +462,8 @@ def test_voxelize_leaves_the_scan_alone_and_repeats_itself() -> None:
     assert first.free is not second.free
 
 
-# ------------------------------------------------------------------------------- an origin of one's own
+# ------------------------------------------------------------------------------- an origin of one's
+# own
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -409,7 +485,9 @@ def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside(seed: int)
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_ray_within_the_maps_lower_border_is_inside_and_within_the_upper_one_outside(axis: int) -> None:
+def test_a_ray_within_the_maps_lower_border_is_inside_and_within_the_upper_one_outside(
+    axis: int,
+) -> None:
     """The map is half-open as its voxels are; the planes of this grid are exact in float64."""
     along = (axis + 1) % 3
     for shift, inside in ((1.0, True), (-1.0, False)):
@@ -427,14 +505,16 @@ def test_a_ray_within_the_maps_lower_border_is_inside_and_within_the_upper_one_o
         assert free == (expected if inside else set())
 
 
-# ---------------------------------------------------------------------------------------- turning the scene
+# ---------------------------------------------------------------------------------------- turning
+# the scene
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_quarter_turn_of_scene_and_sensor_turns_the_grids(seed: int) -> None:
-    """The whole way from MJCF to grids, twice. A turn by +90 degrees about the vertical takes x to y and y
-    to -x, and so voxel (i, j, k) to (n - 1 - j, i, k). Left out: voxels within 1e-6 m of whose boundary a ray
-    runs or a return lies (two float32 ranges of one ray may differ in the last bit, 1e-6 m at 10 m)."""
+    """The whole way from MJCF to grids, twice. A turn by +90 degrees about the vertical takes x to
+    y and y to -x, and so voxel (i, j, k) to (n - 1 - j, i, k). Left out: voxels within 1e-6 m of
+    whose boundary a ray runs or a return lies (two float32 ranges of one ray may differ in the last
+    bit, 1e-6 m at 10 m)."""
     rng = np.random.default_rng(seed)
     kinds = ("sphere", "box", "cylinder", "capsule", "ellipsoid")
     geoms = [reference.random_geom(rng, kinds, 7) for _ in range(25)]
@@ -442,10 +522,15 @@ def test_a_quarter_turn_of_scene_and_sensor_turns_the_grids(seed: int) -> None:
 
     def turned(geom: reference.Geom) -> reference.Geom:
         attitude = (quarter * reference.rotation(geom.quaternion)).as_quat()[[3, 0, 1, 2]]
-        return reference.Geom(geom.kind, geom.size, tuple(quarter.apply(geom.position)), tuple(attitude))
+        return reference.Geom(
+            geom.kind, geom.size, tuple(quarter.apply(geom.position)), tuple(attitude)
+        )
 
     position, yaw, grid = rng.uniform(-2, 2, 3), 0.3 + seed, GridSpec()
-    worlds = (geoms, position, yaw), ([turned(g) for g in geoms], quarter.apply(position), yaw + np.pi / 2)
+    worlds = (
+        (geoms, position, yaw),
+        ([turned(g) for g in geoms], quarter.apply(position), yaw + np.pi / 2),
+    )
     scans, grids = [], []
     for world, place, heading in worlds:
         caster = MujocoEngine.of(mujoco.MjModel.from_xml_string(reference.world_xml(world)))

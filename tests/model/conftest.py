@@ -18,11 +18,18 @@ def one_thread() -> None:
 
 
 def make_dataset(
-    folder: Path, kind: str = "pillar", *, compact: bool = False, counts: dict = COUNTS, **tables: dict
+    folder: Path,
+    kind: str = "pillar",
+    *,
+    compact: bool = False,
+    counts: dict = COUNTS,
+    **tables: dict,
 ) -> Path:
     """A dataset of a few small maps."""
     recipe = small_recipe(kind, **tables)
-    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=5)
+    plan = plan_dataset(
+        folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=5
+    )
     build(plan, workers=1, force=False)
     return folder
 
@@ -31,7 +38,10 @@ def make_dataset(
 def folders(once: Once) -> list[Path]:
     """One dataset of each kind; the second leaves out what can be derived."""
     pillar = once("pillar", make_dataset)
-    return [pillar, once("geometric", lambda folder: make_dataset(folder, "geometric", compact=True))]
+    return [
+        pillar,
+        once("geometric", lambda folder: make_dataset(folder, "geometric", compact=True)),
+    ]
 
 
 @pytest.fixture

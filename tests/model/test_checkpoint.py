@@ -1,4 +1,5 @@
-"""Networks survive the disk, and files that hold none are refused without running anything in them."""
+"""Networks survive the disk, and files that hold none are refused without running anything in
+them."""
 
 import json
 import math
@@ -11,7 +12,13 @@ import torch
 
 from lidarsim import GridSpec
 from scenegen.limits import MOST_HEADER_BYTES
-from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_network, save_tensors
+from scenegen.model.checkpoint import (
+    CheckpointError,
+    load_network,
+    load_tensors,
+    save_network,
+    save_tensors,
+)
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
 
@@ -59,7 +66,9 @@ def test_a_pickle_is_refused_and_not_run(tmp_path: Path, zipped: bool) -> None:
     assert not (tmp_path / "sprung").exists()
 
 
-def test_files_that_hold_no_network_are_refused(saved: tuple[Path, Network], tmp_path: Path) -> None:
+def test_files_that_hold_no_network_are_refused(
+    saved: tuple[Path, Network], tmp_path: Path
+) -> None:
     path, _ = saved
     whole = path.read_bytes()
     cases = {
@@ -81,15 +90,18 @@ def test_files_that_hold_no_network_are_refused(saved: tuple[Path, Network], tmp
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"format": "other"}, "not a network of scenegen"),
-        ({"version": 99}, "network format 99"),
+        ({"format": "other"}, "not a network"),
+        ({"version": 99}, "this scenegen reads scenegen-network 1"),
         ({"network": {"variant": "occ", "width": 4}}, "do not fit"),
         ({"network": {"variant": "dual", "width": 8}}, "do not fit"),
         ({"network": {"depth": 3}}, "do not fit"),
         ({"network": {"variant": "dual", "width": 1024}}, "width = 1024: expected a whole number"),
         ({"network": {"variant": "dual", "width": 4.5}}, "width = 4.5: expected a whole number"),
         ({"network": {"variant": "dual", "width": "4"}}, "width = '4': expected a whole number"),
-        ({"grid": {"shape": [4096, 4096, 4096], "voxel_m": 0.1, "truncation_m": 1}}, "voxels at most"),
+        (
+            {"grid": {"shape": [4096, 4096, 4096], "voxel_m": 0.1, "truncation_m": 1}},
+            "voxels at most",
+        ),
         ({"grid": {"shape": [1e400, 8, 8], "voxel_m": 0.1, "truncation_m": 1}}, "do not fit"),
         ({"grid": {"shape": [16, 16, 8], "voxel_m": -1, "truncation_m": 1}}, "do not fit"),
         ({"grid": None}, "do not fit"),
@@ -118,9 +130,14 @@ def test_weights_that_are_no_numbers_are_refused_by_name(
 
 def test_weights_of_another_type_are_refused(saved: tuple[Path, Network], tmp_path: Path) -> None:
     tensors, header = load_tensors(saved[0])
-    for dtype, said in ((torch.int64, "is torch.int64, expected torch.float32"), (torch.float64, "torch.float64")):
+    for dtype, said in (
+        (torch.int64, "is torch.int64, expected torch.float32"),
+        (torch.float64, "torch.float64"),
+    ):
         save_tensors(
-            tmp_path / "bad.safetensors", tensors | {"attention.out.bias": torch.zeros(16, dtype=dtype)}, header
+            tmp_path / "bad.safetensors",
+            tensors | {"attention.out.bias": torch.zeros(16, dtype=dtype)},
+            header,
         )
         with pytest.raises(CheckpointError, match=said):
             load_network(tmp_path / "bad.safetensors")

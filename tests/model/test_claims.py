@@ -1,171 +1,296 @@
-"""Verdicts: what the paper's bold cells claim, and what a bench's results say of it."""
+"""Verdicts: what the paper's bold cells claim, and what a study's records say of it."""
 
 import json
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
+from scenegen.errors import DatasetError
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.reproduce.claims import Claim, Contrast, Draws, answers, claims, contrasts, judged
-from scenegen.model.reproduce.runs import RUNS
+from scenegen.model.evaluation.statistics import Estimate
+from scenegen.model.reproduce.claims import (
+    PATIENCE,
+    Claim,
+    answers,
+    claims,
+    compared,
+    contrasts,
+    decided,
+    gain,
+    judge,
+    losses,
+    seeded,
+    spread,
+    waited,
+)
+from scenegen.model.reproduce.records import Measured, Records
+from tests.command_line import run as command
 
 WORLDS = np.repeat(np.arange(40), 5)
+CLAIM = Claim(kind="pillar", metric="iou", best="proposed", other="occ")
 
 
-@pytest.fixture(autouse=True)
-def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scenegen.model.reproduce.claims.DRAWS", 1000)
+def measured(
+    values: dict[str, Any], metric: str = "iou", kind: str = "pillar", worlds: Any = WORLDS
+) -> Measured:
+    """Rows whose `metric` on every map, or trial, is as given, and whose others are 0."""
+    count = len(worlds)
+    maps, trials = (np.zeros((len(of), len(values), count)) for of in (METRICS, PLAN_METRICS))
+    names, held = (METRICS, maps) if metric in METRICS else (PLAN_METRICS, trials)
+    held[list(names).index(metric)] = np.array(list(values.values()))
+    rows = tuple(name.replace("_", "-") for name in values)
+    return Measured(
+        where="", kind=kind, rows=rows, worlds=worlds, trial_worlds=worlds, maps=maps, trials=trials
+    )
 
 
-def row(values: np.ndarray, metric: str = "iou") -> Any:
-    """A method whose `metric` on every map is as given, and whose others are 0."""
-    found = np.zeros((len(values), 1, len(METRICS)))
-    found[:, 0, list(METRICS).index(metric)] = values
-    return type("Row", (), {"reconstruction": found, "trials": ()})()
-
-
-def result(kind: str = "pillar", **rows: Any) -> Any:
-    named = {name.replace("_", "-"): one for name, one in rows.items()}
-    return type("Result", (), {"kind": kind, "worlds": WORLDS, "trial_worlds": WORLDS, "methods": named})()
+def told(epochs: float, best: float = 1.0) -> dict[str, Any]:
+    """What is told of a run of so many epochs that was best after `best` of them."""
+    rows = [{"maps": 100 * best, "val_loss": 0.1}, {"maps": 100 * epochs, "val_loss": 0.2}]
+    return {"samples": 100, "curve": rows, "against": None}
 
 
 def test_claims_are_the_bold_cells_against_each_other_row() -> None:
     found = claims()
     assert len(found) == len(set(found)) == 2 * 2 * (10 + 4)
     ties = [claim.best for claim in found if (claim.kind, claim.metric) == ("geometric", "mae")]
-    assert sorted(ties) == ["proposed", "tudf"]  # .162 twice: each before `occ`, neither before the other
+    assert sorted(ties) == [
+        "proposed",
+        "tudf",
+    ]  # .162 twice: each before `occ`, neither before the other
     assert Claim(kind="geometric", metric="success", best="proposed", other="occ") in found
     assert Claim(kind="pillar", metric="length", best="occ", other="proposed") in found
-    assert Claim(kind="pillar", metric="bias", best="tudf", other="occ") in found  # .016 is nearer to 0
+    assert (
+        Claim(kind="pillar", metric="bias", best="tudf", other="occ") in found
+    )  # .016 is nearer to 0
     for claim in found:
         table = paper.RECONSTRUCTION if claim.metric in METRICS else paper.PLANNING
         names = {"tudf": "TUDF", "occ": "OCC", "proposed": "Proposed"}
-        best, other = (table[claim.kind][names[name]][claim.metric][0] for name in (claim.best, claim.other))
-        better = {"higher": best > other, "lower": best < other, "nearer to 0": abs(best) < abs(other)}
+        best, other = (
+            table[claim.kind][names[name]][claim.metric][0] for name in (claim.best, claim.other)
+        )
+        better = {
+            "higher": best > other,
+            "lower": best < other,
+            "nearer to 0": abs(best) < abs(other),
+        }
         assert better[(METRICS | PLAN_METRICS)[claim.metric].better]
 
 
-def gain(both: Any, metric: str, best: str = "proposed-s0", other: str = "occ-s0") -> Contrast:
-    return Draws(both, 0).gain(metric, best, other)
-
-
 @pytest.mark.parametrize(
-    ("metric", "shift", "sign"), [("iou", 0.1, 1), ("iou", -0.1, -1), ("rmse", 0.1, -1), ("rmse", -0.1, 1)]
+    ("metric", "shift", "sign"),
+    [("iou", 0.1, 1), ("iou", -0.1, -1), ("rmse", 0.1, -1), ("rmse", -0.1, 1)],
 )
-def test_a_contrast_is_positive_where_the_first_is_better(metric: str, shift: float, sign: int) -> None:
-    rng = np.random.default_rng(0)
-    base = rng.normal(0.5, 0.2, 200)
-    found = gain(result(proposed_s0=row(base + shift, metric), occ_s0=row(base, metric)), metric)
-    assert found.difference == pytest.approx(sign * 0.1)
-    assert found.low == pytest.approx(found.high)  # worlds are drawn alike for both
-    assert found.chance is not None
-    assert found.chance < 0.01
+def test_a_gain_is_positive_where_the_first_is_better(metric: str, shift: float, sign: int) -> None:
+    base = np.random.default_rng(0).normal(0.5, 0.2, 200)
+    found = gain(measured({"a": base + shift, "b": base}, metric), metric, [("a", "b")])
+    assert found.value == pytest.approx(sign * 0.1)
+    assert found.error == pytest.approx(0, abs=1e-12)  # the same worlds are left out of both
+    assert found.freedom == 39
 
 
 def test_bias_is_judged_by_its_distance_from_0() -> None:
-    both = result(tudf_s0=row(np.full(200, -0.02), "bias"), occ_s0=row(np.full(200, 0.2), "bias"))
-    assert gain(both, "bias", "tudf-s0").difference == pytest.approx(0.18)
-
-
-def test_the_interval_holds_the_truth_and_chance_is_as_often_small_as_it_says() -> None:
-    """Worlds differ by 0.1, maps of a world by little: an interval over maps would be far too narrow."""
-    rng, held, small = np.random.default_rng(1), 0, 0
-    for _ in range(100):
-        noise = rng.normal(0, 0.1, 40)[WORLDS] + rng.normal(0, 0.01, 200)
-        found = gain(result(proposed_s0=row(noise), occ_s0=row(np.zeros(200))), "iou")
-        assert found.low is not None
-        assert found.high is not None
-        assert found.chance is not None
-        held += found.low <= 0 <= found.high
-        small += found.chance <= 0.2
-    assert 87 <= held <= 99  # of 95, less what 40 worlds take from a bootstrap
-    assert 10 <= small <= 34  # of 20
+    both = measured({"a": np.full(200, -0.02), "b": np.full(200, 0.2)}, "bias")
+    assert gain(both, "bias", [("a", "b")]).value == pytest.approx(0.18)
 
 
 def test_one_world_decides_nothing() -> None:
-    both = result(proposed_s0=row(np.ones(200)), occ_s0=row(np.zeros(200)))
-    both.worlds = np.zeros(200)
-    assert gain(both, "iou") == Contrast(difference=1.0, low=None, high=None, chance=None)
+    both = measured({"a": np.ones(200), "b": np.zeros(200)}, worlds=np.zeros(200, int))
+    found = gain(both, "iou", [("a", "b")])
+    assert (found.value, found.ends, found.chance) == (1.0, (None, None), None)
 
 
-def verdict(rows: dict[str, Any], asked: str = "iou") -> str:
-    claim = Claim(kind="pillar", metric=asked, best="proposed", other="occ")
-    (found,) = judged([Draws(result(**rows), 0)], [claim], (0, 1))
-    assert len(found["pairs"]) == sum(name[0] == "o" for name in rows) * sum(name[0] == "p" for name in rows)
-    return str(found["verdict"])
-
-
-def test_a_verdict_needs_every_pair_of_two_seeds() -> None:
-    rng = np.random.default_rng(3)
-
-    def at(mean: float) -> Any:
-        return row(mean + rng.normal(0, 0.05, 200))
-
-    occ, better, worse = {"occ_s0": at(0.5), "occ_s1": at(0.51)}, at(0.6), at(0.4)
-    assert verdict(occ | {"proposed_s0": better, "proposed_s1": better}) == "confirmed"
-    assert verdict(occ | {"proposed_s0": worse, "proposed_s1": worse}) == "refuted"
-    for second in (worse, at(0.505)):
-        assert verdict(occ | {"proposed_s0": better, "proposed_s1": second}) == "undecided"
-    assert verdict(occ | {"proposed_s0": better}) == "undecided"
-    assert verdict({"occ_s0": at(0.5), "proposed_s0": better, "proposed_s1": better}) == "undecided"
-    assert verdict({}) == "undecided"
-    crossed = {"occ_s0": at(0.5), "proposed_s0": at(0.55), "occ_s1": at(0.6), "proposed_s1": at(0.65)}
-    assert verdict(crossed) == "undecided"  # each seed has it so by itself, one cross pair has not
-
-
-def test_planning_is_judged_by_trials_and_paths_by_those_that_have_one() -> None:
-    def trial(success: bool, length: float) -> Any:
-        return type("Trial", (), {"success": success, "length_m": length})()
-
-    def method(successes: np.ndarray, lengths: np.ndarray) -> Any:
-        return type("Row", (), {"trials": tuple(map(trial, successes, lengths))})()
-
+def test_paths_are_compared_where_both_have_one() -> None:
     won = np.arange(200) % 2 == 0
-    half = np.where(won, 9.0, np.nan)
-    both = result(occ_s0=method(won, half), proposed_s0=method(np.ones(200, bool), np.full(200, 10.0)))
-    assert gain(both, "length", "occ-s0", "proposed-s0").difference == pytest.approx(1.0)
-    short = result(occ_s0=method(won, half), proposed_s0=method(np.ones(200, bool), np.where(won, 8.0, 20.0)))
-    assert gain(short, "length", "occ-s0", "proposed-s0").difference == pytest.approx(5.0)
-    on_both = Draws(short, 0).gain("length", "occ-s0", "proposed-s0", common=True)
-    assert on_both.difference == pytest.approx(-1.0)  # its other paths are of trials where `occ` has none
-    assert gain(both, "success").difference == pytest.approx(0.5)
+    short = measured({"a": np.where(won, 9.0, np.nan), "b": np.where(won, 8.0, 20.0)}, "length")
+    assert gain(short, "length", [("a", "b")]).value == pytest.approx(5.0)
+    assert gain(short, "length", [("a", "b")], common=True).value == pytest.approx(-1.0)
+    none = measured({"a": np.full(200, np.nan), "b": np.ones(200)}, "length")
+    assert gain(none, "length", [("a", "b")], common=True).chance is None
 
 
-def test_verdicts_are_plain_json_and_questions_count_them() -> None:
+def test_the_variance_of_seeds_is_pooled_over_methods() -> None:
+    variance, freedom = spread(
+        {"occ-s0": 1.0, "occ-s1": 3.0, "tudf-s0": 0.0, "tudf-s1": 0.0, "tudf-s2": 3.0, "a-s0": 9}
+    )
+    assert freedom == 3
+    assert variance == pytest.approx((2.0 + 6.0) / 3)
+    assert spread({"occ-s0": 1.0})[1] == 0
+
+
+def study(
+    rng: np.random.Generator, ours: float, theirs: float, *, seeds: int = 2, training: float = 0.0
+) -> Measured:
+    """Four methods in 40 worlds, which are unlike for each network, as training seeds are by
+    `training`."""
+    rows = {}
+    for name, mean in (("proposed", ours), ("occ", theirs), ("tudf", 0.0), ("columns", 0.0)):
+        for seed in range(seeds):
+            worlds = rng.normal(0, 0.02, 40)[WORLDS]
+            rows[f"{name}_s{seed}"] = (
+                mean + rng.normal(0, training) + worlds + rng.normal(0, 0.02, 200)
+            )
+    return measured(rows)
+
+
+def found(one: Measured, long: tuple[str, ...] = ()) -> dict[str, Any]:
+    spreads = {("pillar", "iou"): spread(losses(one, "iou"))}
+    return decided([compared(CLAIM, one)], spreads, long)[0]
+
+
+def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_drawn() -> None:
+    """Seeds differ by more than worlds let means differ: without them the interval would be far too
+    narrow."""
+    rng, repeats = np.random.default_rng(1), 400
+    every = [found(study(rng, 0.05, 0.02, training=0.02)) for _ in range(repeats)]
+    held = np.mean([one["low"] <= 0.03 <= one["high"] for one in every])
+    assert 0.93 <= held <= 0.985
+    worlds_alone = np.mean(
+        [abs(one["difference"] - 0.03) <= 2 * one["worlds_error"] for one in every]
+    )
+    assert worlds_alone < 0.6
+    equal = [found(study(rng, 0.02, 0.02, training=0.02))["verdict"] for _ in range(repeats)]
+    assert np.mean([verdict != "undecided" for verdict in equal]) < 0.09
+
+
+def test_errors_of_worlds_and_seeds_add_up_as_satterthwaite_has_it() -> None:
+    one = found(study(np.random.default_rng(0), 0.5, 0.4, seeds=3, training=0.01))
+    assert len(one["pairs"]) == 9
+    assert one["difference"] == pytest.approx(
+        np.mean([pair["difference"] for pair in one["pairs"]])
+    )
+    worlds, (seeds, freedom) = one["worlds_error"] ** 2, (0.01**2 / 1.5, 8)
+    again = {**one, "worlds_freedom": 39}
+    (same,) = decided([again], {("pillar", "iou"): (0.01**2, freedom)}, ())
+    error, joined = (
+        np.sqrt(worlds + seeds),
+        (worlds + seeds) ** 2 / (worlds**2 / 39 + seeds**2 / freedom),
+    )
+    assert (same["low"], same["high"]) == pytest.approx(
+        stats.t.interval(0.95, joined, one["difference"], error)
+    )
+    assert same["holm"] == pytest.approx(2 * stats.t.sf(one["difference"] / error, joined))
+
+
+def test_only_runs_as_long_as_the_paper_s_refute() -> None:
+    rng = np.random.default_rng(3)
+    better, worse, alike = (study(rng, ours, 0.5, training=0.002) for ours in (0.6, 0.4, 0.501))
+    assert (found(better)["verdict"], found(alike)["verdict"]) == ("confirmed", "undecided")
+    runs = [f"{name}-s{seed}" for name in ("occ", "proposed") for seed in (0, 1)]
+    assert found(worse)["verdict"] == found(worse, tuple(runs[:3]))["verdict"] == "contradicted"
+    assert found(worse, tuple(runs))["verdict"] == "refuted"
+    assert waited(told(4)) == 3
+    assert waited(told(PATIENCE + 3, best=3)) == PATIENCE
+
+
+def test_one_seed_of_either_method_decides_nothing() -> None:
+    one = study(np.random.default_rng(3), 0.6, 0.5)
+    for rows in (
+        ("occ-s0", "proposed-s0", "proposed-s1"),
+        ("occ-s0", "occ-s1", "proposed-s0"),
+        ("tudf-s0",),
+    ):
+        there = [row in rows for row in one.rows]
+        fewer = measured(
+            {
+                name: values
+                for name, values, held in zip(one.rows, one.maps[6], there, strict=True)
+                if held
+            }
+        )
+        told = found(fewer)
+        assert (told["verdict"], told["low"], told["holm"]) == ("undecided", None, None)
+        assert len(told["pairs"]) == sum("occ" in row for row in rows) * sum(
+            "proposed" in row for row in rows
+        )
+
+
+def test_rows_of_other_lengths_are_no_seeds() -> None:
+    one = study(np.random.default_rng(3), 0.6, 0.5)
+    both = dict(zip(one.rows, one.maps[6], strict=True))
+    assert found(measured(both | {"occ_short": np.zeros(200), "seen": np.ones(200)})) == found(
+        measured(both)
+    )
+    assert [seeded(row) for row in ("occ-s1", "occ-short", "seen")] == [
+        ("occ", 1),
+        ("occ-short", None),
+        ("seen", None),
+    ]
+
+
+def records() -> Records:
     rng = np.random.default_rng(0)
-    rows = {
-        f"{name}_s{seed}": row(rng.normal(at, 0.05, 200))
-        for name, at in (("occ", 0.5), ("proposed", 0.6))
-        for seed in (0, 1)
-    }
-    for one in rows.values():
-        one.trials = (
-            type("Trial", (), dict.fromkeys(("success", "length_m", "min_clearance_m", "mean_clearance_m"), 1.0))(),
-        ) * 200
-    found = judged([Draws(result(kind, **rows), 0) for kind in ("pillar", "geometric")], claims(), (0, 1))
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
-    assert len(found) == len(claims())
-    held = {claim["verdict"] for claim in found if (claim["metric"], claim["other"]) == ("iou", "occ")}
-    assert held == {"confirmed"}
-    answered = answers(found)
+    several = []
+    for kind in paper.PLANNING:
+        one = study(rng, 0.6, 0.5, training=0.005)
+        maps = np.stack([one.maps[6] + 0.01 * n for n in range(len(METRICS))]).astype(np.float16)
+        trials = rng.random((len(PLAN_METRICS), len(one.rows), 200)).astype(np.float16)
+        trials[0] = trials[0] < 0.8
+        trials[1:, :, ::7] = np.nan
+        fields = {"worlds": WORLDS.astype(np.int32), "trial_worlds": WORLDS.astype(np.int32)}
+        several.append(
+            Measured(where="", kind=kind, rows=one.rows, maps=maps, trials=trials, **fields)
+        )
+    return Records(runs={row: told(4) for row in several[0].rows}, measured=tuple(several))
+
+
+def test_verdicts_of_records_are_those_of_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, file = records(), tmp_path / "records.npz"
+    first = judge(whole)
+    assert len(first["claims"]) == len(claims())
+    assert {one["verdict"] for one in first["claims"]} >= {"confirmed", "undecided"}
+    whole.write(file)
+    assert judge(Records.read(file)) == first
+    code, out, _ = command(capsys, "reproduce", "--from", file, "--json")
+    assert (code, json.loads(out)) == (0, json.loads(json.dumps(first, allow_nan=False)))
+    code, out, _ = command(capsys, "reproduce", "--from", file)
+    assert code == 0
+    assert "confirmed" in out
+
+
+def test_what_is_no_records_is_refused_in_a_line(tmp_path: Path) -> None:
+    whole, file = records(), tmp_path / "records.npz"
+    whole.write(file)
+    content = file.read_bytes()
+    for damage in (b"", b"text", content[:-200], content[:300]):
+        file.write_bytes(damage)
+        with pytest.raises(DatasetError, match="no records of a study") as caught:
+            Records.read(file)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(DatasetError, match=r"other\.npz"):
+        Records.read(tmp_path / "other.npz")
+
+
+def test_questions_count_their_claims() -> None:
+    found = judge(records())["claims"]
     counted = Counter(one["question"] for one in found)
-    for question, said in answered.items():
+    for question, said in answers(found).items():
         assert sum(said["claims"].values()) == counted[question] > 0
-        assert said["verdict"] == "undecided"
     agreeing = [claim | {"verdict": "refuted"} for claim in found]
     assert {one["verdict"] for one in answers(agreeing).values()} == {"refuted"}
 
 
 def test_runs_that_no_claim_is_about_are_compared_with_the_one_they_name() -> None:
-    rng = np.random.default_rng(0)
-    base = rng.normal(0.5, 0.2, 200)
-    rows = {"occ-short": row(base), "occ-wide": row(base + 0.05)}
-    both = type("Result", (), {"kind": "pillar", "worlds": WORLDS, "trial_worlds": WORLDS, "methods": rows})()
-    runs = [run for run in RUNS if run.name in ("occ-short", "occ-wide", "dual")]
-    found = {one["metric"]: one for one in contrasts(Draws(both, 0), runs) if one["metric"] != "success"}
+    base = np.random.default_rng(0).normal(0.5, 0.2, 200)
+    runs = {name: told(1) | {"against": "occ-short"} for name in ("occ-wide", "dual")} | {
+        "occ-short": told(1)
+    }
+    found = {
+        one["metric"]: one
+        for one in contrasts(measured({"occ-short": base, "occ-wide": base + 0.05}), runs)
+    }
     assert {one["run"] for one in found.values()} == {"occ-wide"}
     assert found["iou"]["difference"] == pytest.approx(0.05)
     assert found["near_rmse"]["difference"] == 0
+
+
+def test_no_error_is_no_chance() -> None:
+    assert Estimate(value=0.1, error=0.0, freedom=5).chance == 0
+    assert Estimate(value=0.0, error=0.0, freedom=5).chance == 1

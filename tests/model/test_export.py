@@ -16,7 +16,7 @@ import torch
 from lidarsim import GridSpec
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import VARIANTS, NetworkConfig, VariantName
+from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.export import Traced, export_onnx
 from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, examine, load_onnx, read_graph
@@ -34,7 +34,9 @@ def seen(batch: int) -> dict[str, torch.Tensor]:
 def export(folder: Path) -> None:
     """A network of two inputs, which sees columns whole: as a checkpoint, and as ONNX."""
     torch.manual_seed(0)
-    network = Network(NetworkConfig(variant="columns", width=4, inputs=("observed", "free"), height=GRID.shape[2]))
+    network = Network(
+        NetworkConfig(variant="columns", width=4, inputs=("observed", "free"), height=GRID.shape[2])
+    )
     for _ in range(3):  # statistics that are not those of a fresh network
         network.train()(seen(4))
     save_network(folder / "net.safetensors", network, GRID, {})
@@ -50,7 +52,8 @@ def exported(once: Once) -> tuple[Path, Network]:
 
 @pytest.mark.parametrize("runtime", RUNTIMES)
 def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str) -> None:
-    """For one map and for several; onnxruntime to rounding, OpenVINO to bfloat16's, where the processor has it."""
+    """For one map and for several; onnxruntime to rounding, OpenVINO to bfloat16's, where the
+    processor has it."""
     pytest.importorskip(runtime)
     path, network = exported
     forward, held = load_onnx(path, runtime=runtime, threads=1)
@@ -66,7 +69,9 @@ def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str)
 
 
 @pytest.mark.parametrize("runtime", RUNTIMES)
-def test_threads_get_the_answer_to_their_own_map(exported: tuple[Path, Network], runtime: str) -> None:
+def test_threads_get_the_answer_to_their_own_map(
+    exported: tuple[Path, Network], runtime: str
+) -> None:
     pytest.importorskip(runtime)
     forward, _ = load_onnx(exported[0], runtime=runtime, threads=1)
     asked = [seen(1) for _ in range(24)]
@@ -77,7 +82,7 @@ def test_threads_get_the_answer_to_their_own_map(exported: tuple[Path, Network],
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_what_is_exported_is_the_network(variant: VariantName) -> None:
+def test_what_is_exported_is_the_network(variant: str) -> None:
     """Heads that read the same features are exported as one."""
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant=variant, width=4, height=GRID.shape[2]))
@@ -86,7 +91,9 @@ def test_what_is_exported_is_the_network(variant: VariantName) -> None:
     assert (traced.heads is not None) == (variant in ("shared", "columns", "flat"))
     with torch.no_grad():
         found, expected = traced(maps), network({"observed": maps})
-    for one, other in zip(found, (values for values in expected if values is not None), strict=True):
+    for one, other in zip(
+        found, (values for values in expected if values is not None), strict=True
+    ):
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
 
 
@@ -103,7 +110,9 @@ def test_an_onnx_file_is_a_completer(exported: tuple[Path, Network]) -> None:
     found = Completer.from_pretrained(path)(maps)
     with torch.no_grad():
         expected = network(maps)
-    torch.testing.assert_close(found.occupancy_probability, expected.logits.sigmoid(), atol=2e-2, rtol=0)
+    torch.testing.assert_close(
+        found.occupancy_probability, expected.logits.sigmoid(), atol=2e-2, rtol=0
+    )
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
@@ -112,13 +121,18 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.onnx").write_text("no network")
     graph = onnx.helper.make_graph([], "empty", [], [])
     onnx.save(onnx.helper.make_model(graph), tmp_path / "foreign.onnx")
-    for name, said in (("text.onnx", "not an ONNX file"), ("foreign.onnx", "not from `scenegen export`")):
+    for name, said in (
+        ("text.onnx", "not an ONNX file"),
+        ("foreign.onnx", "not from `scenegen export`"),
+    ):
         with pytest.raises(CheckpointError, match=said) as caught:
             Completer.from_pretrained(tmp_path / name)
         assert "\n" not in str(caught.value)
 
 
-def test_other_names_and_missing_files_are_refused(exported: tuple[Path, Network], tmp_path: Path) -> None:
+def test_other_names_and_missing_files_are_refused(
+    exported: tuple[Path, Network], tmp_path: Path
+) -> None:
     with pytest.raises(CheckpointError, match=r"ends in \.onnx"):
         export_onnx(exported[1], GRID, tmp_path / "net.pt", about={})
     assert not list(tmp_path.iterdir())
@@ -144,12 +158,16 @@ def swap_outputs(model: Any) -> None:
 
 
 @pytest.mark.parametrize("runtime", RUNTIMES)
-def test_outputs_go_by_name_and_not_by_place(exported: tuple[Path, Network], tmp_path: Path, runtime: str) -> None:
+def test_outputs_go_by_name_and_not_by_place(
+    exported: tuple[Path, Network], tmp_path: Path, runtime: str
+) -> None:
     pytest.importorskip(runtime)
     path = tmp_path / "swapped.onnx"
     path.write_bytes(changed(exported[0], swap_outputs))
     maps = seen(1)
-    straight, swapped = (load_onnx(one, runtime=runtime, threads=1)[0](maps) for one in (exported[0], path))
+    straight, swapped = (
+        load_onnx(one, runtime=runtime, threads=1)[0](maps) for one in (exported[0], path)
+    )
     torch.testing.assert_close(swapped.logits, straight.logits)
     torch.testing.assert_close(swapped.tudf, straight.tudf)
 
@@ -167,6 +185,11 @@ def set_header(**values: object) -> Callable[[Any], None]:
     return change
 
 
+def widen(model: Any) -> None:
+    for one in model.graph.input:
+        one.type.tensor_type.shape.dim[1].dim_value += 8
+
+
 def set_weight(value: float) -> Callable[[Any], None]:
     def change(model: Any) -> None:
         import onnx
@@ -179,20 +202,10 @@ def set_weight(value: float) -> Callable[[Any], None]:
     return change
 
 
-def expand_a_constant(model: Any) -> None:
-    """A few bytes that become 400 GB."""
+def loop(model: Any) -> None:
     import onnx
 
-    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array([10**11]), "size"))
-    model.graph.node.append(onnx.helper.make_node("ConstantOfShape", ["size"], ["huge"]))
-
-
-def let_values_decide_a_size(model: Any) -> None:
-    import onnx
-
-    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array([10**6]), "size"))
-    model.graph.node.append(onnx.helper.make_node("Greater", ["observed", "observed"], ["some"]))
-    model.graph.node.append(onnx.helper.make_node("Where", ["some", "size", "size"], ["chosen"]))
+    model.graph.node.append(onnx.helper.make_node("Loop", ["", "", ""], ["found"]))
 
 
 def rename_outputs(model: Any) -> None:
@@ -211,37 +224,45 @@ def point_outside(model: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (set_weight(np.nan), "holds NaN or infinity"),
-        (fix_the_batch, "takes a fixed number of maps at a time"),
-        (rename_outputs, "expected free, observed to logits, tudf"),
-        (expand_a_constant, "ConstantOfShape"),
-        (let_values_decide_a_size, "operations that no export has"),
-        (point_outside, "is not an ONNX file"),
+        (set_weight(np.nan), "gives other than logits and tudf"),
+        (fix_the_batch, "cannot run it"),
+        (widen, "cannot run it"),
+        (rename_outputs, "cannot run it"),
+        (loop, "has loops or parts elsewhere"),
+        (point_outside, "has loops or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),
-        (
-            set_header(network={"variant": "occ", "width": 4}),
-            "to logits, tudf, expected observed to logits",
-        ),
+        (set_header(network={"width": 4, "inputs": ["ahead"]}), "cannot run it"),
         (set_header(network={"width": 1024}), "width = 1024"),
         (set_header(grid={"shape": [8, 8]}), "its header is damaged"),
-        (lambda model: setattr(model.metadata_props[-1], "value", "[" * 100_000), "its header is damaged"),
-        (lambda model: model.graph.initializer[0].dims.append(10**12), "is not an ONNX file"),
+        (
+            lambda model: setattr(model.metadata_props[-1], "value", "[" * 100_000),
+            "its header is damaged",
+        ),
     ],
 )
 def test_what_no_export_holds_is_refused(
-    exported: tuple[Path, Network], change: Callable[[Any], None], said: str
+    exported: tuple[Path, Network], tmp_path: Path, change: Callable[[Any], None], said: str
 ) -> None:
+    pytest.importorskip("onnxruntime")
+    path = tmp_path / "changed.onnx"
+    path.write_bytes(changed(exported[0], change))
     with pytest.raises(CheckpointError) as caught:
-        read_graph(changed(exported[0], change))
+        examine(path, "onnxruntime")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_for_another_grid_is_refused_in_one_line(exported: tuple[Path, Network], tmp_path: Path) -> None:
+def test_a_file_for_another_grid_is_refused_in_one_line(
+    exported: tuple[Path, Network], tmp_path: Path
+) -> None:
     pytest.importorskip("onnxruntime")
     path = tmp_path / "other.onnx"
-    path.write_bytes(changed(exported[0], set_header(grid={"shape": [8, 8, 8], "voxel_m": 0.2, "truncation_m": 2.0})))
-    with pytest.raises(CheckpointError, match="onnxruntime cannot run it") as caught:
+    path.write_bytes(
+        changed(
+            exported[0], set_header(grid={"shape": [8, 8, 8], "voxel_m": 0.2, "truncation_m": 2.0})
+        )
+    )
+    with pytest.raises(CheckpointError, match="cannot run it") as caught:
         examine(path, "onnxruntime")
     assert "\n" not in str(caught.value)
 
@@ -254,8 +275,6 @@ def watch(event, given):
 sys.addaudithook(watch)
 import numpy as np
 from scenegen.model.completion.completer import Completer
-from scenegen.model.inputs import INPUTS
-INPUTS["free"] = INPUTS["observed"]
 completer = Completer.from_pretrained(sys.argv[1])
 completer({name: np.zeros(completer.grid.shape, bool) for name in completer.inputs})
 assert not hasattr(sys.modules.get("openvino_telemetry"), "Telemetry")
@@ -263,12 +282,18 @@ assert not hasattr(sys.modules.get("openvino_telemetry"), "Telemetry")
 
 
 @pytest.mark.slow  # test_silence.py completes with an ONNX file, too
-def test_completing_looks_nothing_up_and_leaves_nothing_at_home(exported: tuple[Path, Network], tmp_path: Path) -> None:
+def test_completing_looks_nothing_up_and_leaves_nothing_at_home(
+    exported: tuple[Path, Network], tmp_path: Path
+) -> None:
     """OpenVINO's Python package reports every import, unless it finds no `openvino_telemetry`."""
     pytest.importorskip("openvino_telemetry")
     environment = os.environ | {"HOME": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])}
     ended = subprocess.run(
-        [sys.executable, "-c", WATCHED, str(exported[0])], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", WATCHED, str(exported[0])],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (ended.returncode, ended.stdout) == (0, ""), ended.stderr
     assert not (tmp_path / "intel").exists()

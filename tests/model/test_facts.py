@@ -23,16 +23,26 @@ def test_a_scan_predictions_and_a_run_are_told(tmp_path: Path, capsys: Any) -> N
     found = told(capsys, tmp_path / "scan.pcd")
     assert (found["points"], found["returns"]) == (40, 40)
     np.testing.assert_allclose(found["lower_m"], points.min(axis=0), atol=1e-6)
-    np.testing.assert_allclose(found["mean_range_m"], np.linalg.norm(points, axis=1).mean(), atol=1e-6)
+    np.testing.assert_allclose(
+        found["mean_range_m"], np.linalg.norm(points, axis=1).mean(), atol=1e-6
+    )
     with h5py.File(tmp_path / "p.h5", "w") as file:
         file.attrs.update({"method": "mine\x1b[2J", "split": "test", "dataset": "ab12"})
         file["tudf"] = np.zeros((3, 4, 4, 2), np.float32)
     found = told(capsys, tmp_path / "p.h5")
-    assert (found["of"], found["arrays"], found["dataset"]) == ("a split", {"tudf": [3, 4, 4, 2]}, "ab12")
+    assert (found["of"], found["arrays"], found["dataset"]) == (
+        "a split",
+        {"tudf": [3, 4, 4, 2]},
+        "ab12",
+    )
     assert "\x1b" not in found["method"]
     run_folder = tmp_path / "run"
     run_folder.mkdir()
-    settings = {"network": {"variant": "occ", "inputs": ["observed"]}, "kinds": ["pillar"], "samples": 7}
+    settings = {
+        "network": {"variant": "occ", "inputs": ["observed"]},
+        "kinds": ["pillar"],
+        "samples": 7,
+    }
     (run_folder / "config.json").write_text(json.dumps({"settings": settings}))
     rows = [
         "epoch,train_loss,val_loss,val_iou,val_near_mae",
@@ -54,7 +64,11 @@ def test_files_that_are_none_of_these_end_in_one_line(tmp_path: Path, capsys: An
     (tmp_path / "broken.h5").write_bytes(b"no")
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "metrics.csv").write_text("epoch\n")
-    for name in ("other.h5", "broken.h5", "none.h5", "none.pcd", "none.xml", "run"):
+    with h5py.File(tmp_path / "shard.h5", "w") as file:
+        file["occupancy"] = file["tudf"] = np.zeros((3, 4, 4, 2), np.float32)
+    for name in ("shard.h5", "other.h5", "broken.h5", "none.h5", "none.pcd", "none.xml", "run"):
         code, _, said = run(capsys, "inspect", tmp_path / name)
         assert (code, said.count("\n")) == (1, 1), name
         assert name in said
+    code, _, said = run(capsys, "inspect", tmp_path / "shard.h5")
+    assert "shard of a dataset" in said

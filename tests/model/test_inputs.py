@@ -1,4 +1,5 @@
-"""What a network is shown: trained on, completed from and exported by name; a new channel takes one entry."""
+"""What a network is shown: trained on, completed from and exported by name; a new channel takes one
+entry."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,14 +12,20 @@ import torch
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
-from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors, save_network, save_tensors
+from scenegen.model.checkpoint import (
+    CheckpointError,
+    load_network,
+    load_tensors,
+    save_network,
+    save_tensors,
+)
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_scan, predict_split
-from scenegen.model.config import NetworkConfig, Thresholds, TrainConfig
+from scenegen.model.config import INPUTS, NetworkConfig, Thresholds, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, Metric
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.pretrained import Pretrained
-from scenegen.model.inputs import INPUTS, Input, PointScan, centres, of_sample, of_scan
+from scenegen.model.inputs import PointScan, centres, channels
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.loop import train
@@ -31,11 +38,17 @@ def test_free_space_and_a_new_metric_go_all_the_way(
     folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two steps of training, validation, card, then a split, a row of the bench and a scan."""
-    alarms = Metric(title="alarms", of=lambda s: s.share(s.alarms, s.voxels), needs="occupancy", better="lower")
+    alarms = Metric(
+        title="alarms", of=lambda s: s.share(s.alarms, s.voxels), needs="occupancy", better="lower"
+    )
     monkeypatch.setitem(METRICS, "alarms", alarms)
     monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
-    config = TrainConfig(network=NetworkConfig(width=4, inputs=BOTH), epochs=1, batch=12, precision="float32")
-    (row,) = train(opened(folders, "train"), opened(folders, "val"), config, tmp_path / "run", device="cpu")
+    config = TrainConfig(
+        network=NetworkConfig(width=4, inputs=BOTH), epochs=1, batch=12, precision="float32"
+    )
+    (row,) = train(
+        opened(folders, "train"), opened(folders, "val"), config, tmp_path / "run", device="cpu"
+    )
     assert 0 <= row["val_alarms"] <= 1
     card = (tmp_path / "run" / "card.md").read_text()
     assert "takes observed, free of one map" in card
@@ -46,7 +59,10 @@ def test_free_space_and_a_new_metric_go_all_the_way(
     completer = Completer.from_pretrained(tmp_path / "run")
     dataset = Dataset(folders[1])
     sample = dataset.split("test")[0]
-    maps = {"observed": torch.from_numpy(sample.observed[None]), "free": torch.from_numpy(sample.free[None])}
+    maps = {
+        "observed": torch.from_numpy(sample.observed[None]),
+        "free": torch.from_numpy(sample.free[None]),
+    }
     with torch.no_grad():
         expected = network(maps).logits.sigmoid()[0].numpy()
         blind = network({**maps, "free": torch.zeros(1, *grid.shape)}).logits.sigmoid()[0].numpy()
@@ -66,13 +82,19 @@ def test_free_space_and_a_new_metric_go_all_the_way(
     alone = completer(both).tudf
     assert alone.shape == both.shape
     assert np.array_equal(alone[0], alone[1])
-    rays = of_scan(BOTH, centres(sample.observed, grid))
+    rays = channels(BOTH, centres(sample.observed, grid), grid)
     assert np.array_equal(rays["observed"], sample.observed)
     assert rays["free"].sum() < sample.free.sum()
     np.testing.assert_allclose(completer(rays).tudf, alone[0], atol=1e-5)
 
     np.save(tmp_path / "scan.npy", grid.centres(sample.origin)[sample.observed])
-    predict_scan(completer, tmp_path / "scan.npy", tmp_path / "s.h5", sensor=sample.position, thresholds=Thresholds())
+    predict_scan(
+        completer,
+        tmp_path / "scan.npy",
+        tmp_path / "s.h5",
+        sensor=sample.position,
+        thresholds=Thresholds(),
+    )
     with h5py.File(tmp_path / "s.h5") as file:
         assert np.array_equal(file["observed"], sample.observed)
         held = {name: file[name][:] for name in (*BOTH, "tudf")}
@@ -81,13 +103,13 @@ def test_free_space_and_a_new_metric_go_all_the_way(
 
 
 def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders: list[Path]) -> None:
-    """Against steps of a hundredth of a voxel, which pass over corners alone; and of rays without a return it knows
-    nothing."""
+    """Against steps of a hundredth of a voxel, which pass over corners alone; and of rays without a
+    return it knows nothing."""
     sample = Dataset(folders[0]).split("test")[0]
     centre, rng = sample.position, np.random.default_rng(0)
     points = centre + rng.normal(size=(50, 3)) * [2.0, 3.0, 0.7]
-    scan = PointScan(points=np.vstack([points, centre]), sensor=centre, grid=GRID)
-    found = of_scan(BOTH, scan)
+    scan = PointScan(points=np.vstack([points, centre]), position=centre, grid=GRID)
+    found = channels(BOTH, scan, GRID)
     stepped = np.zeros(GRID.shape, bool)
     for share in np.linspace(0.0, 1.0, 8000):
         index = GRID.index(centre + share * (points - centre), scan.origin)
@@ -99,16 +121,20 @@ def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders: list[Path
 
 
 def test_inputs_of_a_sample_by_their_definitions(folders: list[Path]) -> None:
-    """`occluded` against the rays' points taken far, `distance` against every pair, `ahead` voxel by voxel."""
+    """`occluded` against the rays' points taken far, `distance` against every pair, `ahead` voxel
+    by voxel."""
     dataset = Dataset(folders[0])
     sample, grid = dataset.split("test")[1], dataset.grid
-    found = of_sample(tuple(INPUTS), sample, grid, dataset.lidar)
+    found = channels(tuple(INPUTS.known), sample, grid, dataset.lidar)
     known = sample.observed | sample.free
-    points = of_scan(tuple(INPUTS), PointScan(points=sample.points(), sensor=sample.position, grid=grid))
+    scan = PointScan(points=sample.points(), position=sample.position, grid=grid)
+    points = channels(tuple(INPUTS.known), scan, grid)
     assert found["occluded"].sum() > 100
     assert not (found["occluded"] & known).any()
     assert not (points["occluded"] & ~known & ~found["occluded"]).any()
-    assert (found["occluded"] & ~points["occluded"]).mean() < 1e-3  # every ray that met something goes on behind it
+    assert (
+        found["occluded"] & ~points["occluded"]
+    ).mean() < 1e-3  # every ray that met something goes on behind it
     assert np.array_equal(points["distance"], found["distance"])
     voxels = np.argwhere(sample.observed)
     for at in np.random.default_rng(0).integers(0, grid.shape, (40, 3)):
@@ -117,7 +143,9 @@ def test_inputs_of_a_sample_by_their_definitions(folders: list[Path]) -> None:
         to = grid.centres(sample.origin)[tuple(at)] - sample.position
         w, z = sample.quaternion[[0, 3]]
         facing = np.array([w * w - z * z, 2 * w * z, 0.0])
-        assert found["ahead"][tuple(at)] == pytest.approx(to @ facing / np.linalg.norm(to), abs=1e-6)
+        assert found["ahead"][tuple(at)] == pytest.approx(
+            to @ facing / np.linalg.norm(to), abs=1e-6
+        )
     assert not points["ahead"].any()
 
 
@@ -128,33 +156,32 @@ def test_a_turned_robot_sees_its_inputs_turned(folders: list[Path]) -> None:
     w, z = sample.quaternion[[0, 3]]
     half = np.sqrt(0.5)
     turned_by_90 = SimpleNamespace(
-        origin=sample.origin, position=sample.position, quaternion=np.array([(w - z) * half, 0, 0, (w + z) * half])
+        origin=sample.origin,
+        position=sample.position,
+        quaternion=np.array([(w - z) * half, 0, 0, (w + z) * half]),
     )
-    plain, quarter = (INPUTS["ahead"].of_sample(one, grid, None) for one in (sample, turned_by_90))
+    plain, quarter = (channels(["ahead"], one, grid)["ahead"] for one in (sample, turned_by_90))
     np.testing.assert_allclose(quarter, np.rot90(plain, 1, (0, 1)), atol=1e-6)
 
 
-def test_channels_turn_with_their_map_unless_they_are_tied_to_its_axes(
-    folders: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ahead = np.arange(24.0, dtype=np.float32)[:, None, None] * np.ones((24, 24, 16), np.float32)
-    tied: dict[str, Any] = {"of_sample": lambda *given: ahead, "of_scan": lambda scan: ahead}
-    monkeypatch.setitem(INPUTS, "x", Input(**tied, binary=False, turns=False))
-    monkeypatch.setitem(INPUTS, "turned_x", Input(**tied, binary=False))
-    maps = Maps(opened(folders, "train"), "train", ("observed", "x", "turned_x"))
+def test_channels_turn_with_their_map(folders: list[Path]) -> None:
+    maps = Maps(opened(folders, "train"), "train", ("observed", "ahead"))
     plain, quarter = maps[3], maps[3, 1]
-    assert torch.equal(quarter["x"], plain["x"])
-    for name in ("observed", "occupancy", "turned_x"):
+    for name in ("observed", "occupancy", "ahead"):
         assert torch.equal(quarter[name], torch.rot90(plain[name], 1, (0, 1)))
 
 
-@pytest.mark.parametrize("inputs", [(), ("observed", "observed"), ("smell",), ([1],), "observed"], ids=str)
+@pytest.mark.parametrize(
+    "inputs", [(), ("observed", "observed"), ("smell",), ([1],), "observed"], ids=str
+)
 def test_inputs_that_nobody_knows_are_refused(inputs: Any, tmp_path: Path) -> None:
     with pytest.raises((ValueError, TypeError)):
         NetworkConfig(inputs=inputs)
     save_network(tmp_path / "net.safetensors", Network(NetworkConfig(width=4)), GRID, {})
     tensors, header = load_tensors(tmp_path / "net.safetensors")
-    save_tensors(tmp_path / "net.safetensors", tensors, header | {"network": {"width": 4, "inputs": inputs}})
+    save_tensors(
+        tmp_path / "net.safetensors", tensors, header | {"network": {"width": 4, "inputs": inputs}}
+    )
     with pytest.raises(CheckpointError, match="do not fit") as caught:
         load_network(tmp_path / "net.safetensors")
     assert "\n" not in str(caught.value)
@@ -168,17 +195,15 @@ def test_networks_of_earlier_commits_take_observed_voxels(tmp_path: Path) -> Non
     assert load_network(tmp_path / "net.safetensors")[0].config.inputs == ("observed",)
 
 
-def test_maps_that_an_input_cannot_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    depth = Input(of_sample=lambda *given: None, of_scan=lambda scan: None, binary=False)
-    monkeypatch.setitem(INPUTS, "depth", depth)
-    network = Network(NetworkConfig(width=4, inputs=("observed", "depth"))).eval()
+def test_maps_that_an_input_cannot_be_are_refused() -> None:
+    network = Network(NetworkConfig(width=4, inputs=("observed", "distance"))).eval()
     completer = Completer(network, GRID, name="net", inputs=network.config.inputs)
-    seen, depths = np.zeros(GRID.shape, bool), np.full(GRID.shape, 0.5, np.float32)
-    assert completer({"observed": seen, "depth": depths}).tudf.shape == GRID.shape
+    seen, metres = np.zeros(GRID.shape, bool), np.full(GRID.shape, 0.5, np.float32)
+    assert completer({"observed": seen, "distance": metres}).tudf.shape == GRID.shape
     for wrong, said in (
-        (np.full(GRID.shape, np.nan), "depth holds NaN or infinity"),
+        (np.full(GRID.shape, np.nan), "distance holds NaN or infinity"),
         (np.zeros((2, *GRID.shape)), "have shapes"),
-        (np.zeros((4, 4, 4)), "depth has shape"),
+        (np.zeros((4, 4, 4)), "distance has shape"),
     ):
         with pytest.raises(ValueError, match=said):
-            completer({"observed": seen, "depth": wrong})
+            completer({"observed": seen, "distance": wrong})

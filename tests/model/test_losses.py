@@ -1,4 +1,5 @@
-"""The learning objective is the paper's equations: against them written out in float64, and at their edges."""
+"""The learning objective is the paper's equations: against them written out in float64, and at
+their edges."""
 
 import math
 
@@ -26,14 +27,16 @@ SPACES = [(0.2, 2.0), (0.13, 0.9), (0.5, 1.1), (1.0, 3.4)]  # voxel_m, truncatio
 
 
 def cross_entropy(logits: np.ndarray, occupancy: np.ndarray, weight: float) -> float:
-    """L_occ = -1/N sum w (o log p + (1 - o) log(1 - p)), with log p = -log(1 + exp(-x)) for p of logit x."""
+    """L_occ = -1/N sum w (o log p + (1 - o) log(1 - p)), with log p = -log(1 + exp(-x)) for p of
+    logit x."""
     o, x = occupancy.astype(np.float64), logits.astype(np.float64)
     w = np.where(occupancy, weight, 1.0)
     return -(w * (o * -np.logaddexp(0, -x) + (1 - o) * -np.logaddexp(0, x))).sum() / x.size
 
 
 def lovasz_hinge(logits: np.ndarray, occupancy: np.ndarray) -> float:
-    """The mean over maps of the integral over t > 0 of 1 - IoU, where the voxels whose error is t or more are wrong."""
+    """The mean over maps of the integral over t > 0 of 1 - IoU, where the voxels whose error is t
+    or more are wrong."""
     found = []
     for x, o in zip(logits.astype(np.float64), occupancy, strict=True):
         errors = np.maximum(1 - (x - math.log(0.85 / 0.15)) * np.where(o, 1, -1), 0)
@@ -46,8 +49,11 @@ def lovasz_hinge(logits: np.ndarray, occupancy: np.ndarray) -> float:
     return float(np.mean(found))
 
 
-def weighted_smooth_l1(predicted: np.ndarray, tudf: np.ndarray, near_m: float, weight: float, beta_m: float) -> float:
-    """L_reg = 1/N sum w SmoothL1(predicted, tudf): e^2 / 2 beta where e < beta, e - beta / 2 beyond."""
+def weighted_smooth_l1(
+    predicted: np.ndarray, tudf: np.ndarray, near_m: float, weight: float, beta_m: float
+) -> float:
+    """L_reg = 1/N sum w SmoothL1(predicted, tudf): e^2 / 2 beta where e < beta, e - beta / 2
+    beyond."""
     error = np.abs(predicted.astype(np.float64) - tudf.astype(np.float64))
     smooth = np.where(error < beta_m, error**2 / (2 * beta_m), error - beta_m / 2)
     w = np.where(tudf <= np.float32(near_m), weight, 1.0)
@@ -68,7 +74,8 @@ def eikonal(predicted: np.ndarray, tudf: np.ndarray, voxel_m: float, truncation_
 def random_case(
     seed: int, shape: tuple[int, ...] = SHAPE, voxel_m: float = 0.2, truncation_m: float = 2.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Logits, occupancy, predicted metres and a field with all its shells: 0, voxel * sqrt(k), the truncation."""
+    """Logits, occupancy, predicted metres and a field with all its shells: 0, voxel * sqrt(k), the
+    truncation."""
     rng = np.random.default_rng(seed)
     reach = math.ceil((truncation_m / voxel_m) ** 2)
     shells = np.minimum(voxel_m * np.sqrt(rng.integers(0, reach * 5 // 4 + 1, shape)), truncation_m)
@@ -76,7 +83,12 @@ def random_case(
     shells[rng.random(shape) < 0.2] = voxel_m * min(3, math.floor(truncation_m / voxel_m))
     predicted = shells + rng.normal(0, 0.6 * truncation_m, shape)
     logits = rng.normal(0, 4, shape)
-    return logits.astype(np.float32), rng.random(shape) < 0.3, predicted.astype(np.float32), shells.astype(np.float32)
+    return (
+        logits.astype(np.float32),
+        rng.random(shape) < 0.3,
+        predicted.astype(np.float32),
+        shells.astype(np.float32),
+    )
 
 
 def value(loss: "torch.Tensor") -> float:
@@ -109,7 +121,9 @@ def finite_differences(function, at: np.ndarray, step: float = 1e-5) -> np.ndarr
 def test_the_occupancy_loss_is_the_papers(weight: float) -> None:
     for seed in range(5):
         logits, occupancy, _, _ = random_case(seed)
-        found = occupancy_loss(torch.from_numpy(logits), torch.from_numpy(occupancy), occupied_weight=weight)
+        found = occupancy_loss(
+            torch.from_numpy(logits), torch.from_numpy(occupancy), occupied_weight=weight
+        )
         assert value(found) == pytest.approx(cross_entropy(logits, occupancy, weight), rel=1e-6)
 
 
@@ -121,12 +135,16 @@ def test_the_lovasz_loss_is_its_integral_over_sets() -> None:
 
 
 @pytest.mark.parametrize(("near_m", "near_weight", "beta_m"), REGRESSIONS)
-def test_the_regression_loss_is_the_papers(near_m: float, near_weight: float, beta_m: float) -> None:
+def test_the_regression_loss_is_the_papers(
+    near_m: float, near_weight: float, beta_m: float
+) -> None:
     settings = {"near_m": near_m, "near_weight": near_weight, "beta_m": beta_m}
     for seed in range(5):
         _, _, predicted, tudf = random_case(seed)
         found = regression_loss(torch.from_numpy(predicted), torch.from_numpy(tudf), **settings)
-        assert value(found) == pytest.approx(weighted_smooth_l1(predicted, tudf, *settings.values()), rel=1e-6)
+        assert value(found) == pytest.approx(
+            weighted_smooth_l1(predicted, tudf, *settings.values()), rel=1e-6
+        )
 
 
 @pytest.mark.parametrize(("voxel_m", "truncation_m"), SPACES)
@@ -135,7 +153,9 @@ def test_the_eikonal_loss_is_the_papers(voxel_m: float, truncation_m: float) -> 
         _, _, predicted, tudf = random_case(seed, voxel_m=voxel_m, truncation_m=truncation_m)
         settings = {"voxel_m": voxel_m, "truncation_m": truncation_m}
         found = eikonal_loss(torch.from_numpy(predicted), torch.from_numpy(tudf), **settings)
-        assert value(found) == pytest.approx(eikonal(predicted, tudf, voxel_m, truncation_m), rel=1e-6)
+        assert value(found) == pytest.approx(
+            eikonal(predicted, tudf, voxel_m, truncation_m), rel=1e-6
+        )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -145,14 +165,22 @@ def test_gradients_are_the_finite_differences_of_the_equations(seed: int) -> Non
     near = {"near_m": 0.6, "near_weight": 3.0, "beta_m": 0.7}
     space = {"voxel_m": 0.2, "truncation_m": 2.0}
     for loss, equation, at in (
-        (lambda x: occupancy_loss(x, truth, occupied_weight=5), lambda x: cross_entropy(x, occupancy, 5), logits),
+        (
+            lambda x: occupancy_loss(x, truth, occupied_weight=5),
+            lambda x: cross_entropy(x, occupancy, 5),
+            logits,
+        ),
         (lambda x: lovasz_loss(x, truth), lambda x: lovasz_hinge(x, occupancy), logits),
         (
             lambda x: regression_loss(x, field, **near),
             lambda x: weighted_smooth_l1(x, tudf, *near.values()),
             predicted,
         ),
-        (lambda x: eikonal_loss(x, field, **space), lambda x: eikonal(x, tudf, *space.values()), predicted),
+        (
+            lambda x: eikonal_loss(x, field, **space),
+            lambda x: eikonal(x, tudf, *space.values()),
+            predicted,
+        ),
     ):
         wanted = finite_differences(equation, at)
         assert np.abs(wanted).max() > 1e-3
@@ -165,7 +193,8 @@ def test_gradients_are_the_finite_differences_of_the_equations(seed: int) -> Non
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 @pytest.mark.parametrize("occupied", [False, True])
 def test_logits_of_any_size_have_the_right_limits(dtype: str, occupied: bool) -> None:
-    """Sure and right costs nothing and pulls at nothing; sure and wrong costs and pulls by its weight."""
+    """Sure and right costs nothing and pulls at nothing; sure and wrong costs and pulls by its
+    weight."""
     size, weight = 4 * 3 * 2, 5.0 if occupied else 1.0
     truth = torch.full((1, 4, 3, 2), occupied)
     for logit in (-1e4, -300.0, 300.0, 1e4):
@@ -173,7 +202,9 @@ def test_logits_of_any_size_have_the_right_limits(dtype: str, occupied: bool) ->
         loss = occupancy_loss(logits, truth, occupied_weight=5.0)
         loss.backward()
         wrong = (logit > 0) != occupied
-        assert value(loss) == pytest.approx(weight * abs(logit) if wrong else 0.0, rel=4e-3, abs=1e-30)
+        assert value(loss) == pytest.approx(
+            weight * abs(logit) if wrong else 0.0, rel=4e-3, abs=1e-30
+        )
         pull = math.copysign(weight / size, logit) if wrong else 0.0
         np.testing.assert_allclose(logits.grad.float().numpy(), pull, rtol=4e-3, atol=1e-30)
 
@@ -185,13 +216,16 @@ def test_a_small_loss_is_not_rounded_away() -> None:
         logits = np.full(truth.shape, logit, np.float32)
         for sign in (1, -1):
             sure = occupancy_loss(
-                torch.from_numpy(sign * logits), torch.from_numpy(truth ^ (sign < 0)), occupied_weight=1
+                torch.from_numpy(sign * logits),
+                torch.from_numpy(truth ^ (sign < 0)),
+                occupied_weight=1,
             )
             assert value(sure) == pytest.approx(cross_entropy(logits, truth, 1), rel=1e-5, abs=0)
 
 
 def test_halves_are_summed_in_full() -> None:
-    """A network under bf16 autocast hands over bf16; the loss is that of its values to a float32's precision."""
+    """A network under bf16 autocast hands over bf16; the loss is that of its values to a float32's
+    precision."""
     logits, occupancy, predicted, tudf = random_case(3, (2, 12, 11, 10))
     truth, field = torch.from_numpy(occupancy), torch.from_numpy(tudf)
     half_logits = torch.from_numpy(logits).bfloat16().requires_grad_()
@@ -202,7 +236,11 @@ def test_halves_are_summed_in_full() -> None:
         regression_loss(half_predicted, field, near_m=0.5, near_weight=2, beta_m=1.0),
         eikonal_loss(half_predicted, field, voxel_m=0.2, truncation_m=2.0),
     ]
-    wanted = [cross_entropy(x, occupancy, 5), weighted_smooth_l1(p, tudf, 0.5, 2, 1.0), eikonal(p, tudf, 0.2, 2.0)]
+    wanted = [
+        cross_entropy(x, occupancy, 5),
+        weighted_smooth_l1(p, tudf, 0.5, 2, 1.0),
+        eikonal(p, tudf, 0.2, 2.0),
+    ]
     assert [value(loss) for loss in losses] == pytest.approx(wanted, rel=2e-6)
     sum(losses).backward()
     for half in (half_logits, half_predicted):
@@ -226,7 +264,9 @@ def test_a_prediction_far_off_is_pulled_by_its_weight_alone(dtype: str) -> None:
     tudf = torch.zeros(predicted.shape)
     tudf[:, 2:] = 2.0
     regression_loss(predicted, tudf, near_m=0.5, near_weight=2, beta_m=1.0).backward()
-    np.testing.assert_allclose(predicted.grad.float().numpy(), np.where(tudf.numpy() == 0, 2, 1) / 24, rtol=4e-3)
+    np.testing.assert_allclose(
+        predicted.grad.float().numpy(), np.where(tudf.numpy() == 0, 2, 1) / 24, rtol=4e-3
+    )
 
 
 # Made by hand.
@@ -242,7 +282,9 @@ def test_an_undecided_map_costs_a_bit_a_voxel_and_five_where_occupied() -> None:
         assert value(found) == pytest.approx(weights / 24 * math.log(2), rel=1e-6)
 
 
-def test_a_map_one_beside_the_threshold_loses_twice_the_iou_that_is_measured_and_an_empty_one_nothing() -> None:
+def test_a_map_one_beside_the_threshold_loses_twice_the_iou_that_is_measured_and_an_empty_one_nothing() -> (
+    None
+):
     truth = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
     truth[0, 0] = True  # 12 voxels, of which 8 are found, and 4 beside them
     found = truth.clone()
@@ -256,7 +298,12 @@ def test_a_map_one_beside_the_threshold_loses_twice_the_iou_that_is_measured_and
 def test_a_voxel_at_the_very_edge_of_near_is_near(near_m: float) -> None:
     """The edge as float32 holds it, on either side of the number written."""
     edge = np.float32(near_m)
-    for distance, weight in ((np.nextafter(edge, np.float32(9)), 1), (edge, 3), (np.float32(0), 3), (np.float32(2), 1)):
+    for distance, weight in (
+        (np.nextafter(edge, np.float32(9)), 1),
+        (edge, 3),
+        (np.float32(0), 3),
+        (np.float32(2), 1),
+    ):
         tudf = torch.full((1, 1, 1, 1), float(distance))
         found = regression_loss(tudf + 4, tudf, near_m=near_m, near_weight=3, beta_m=1.0)
         assert value(found) == pytest.approx(weight * 3.5, rel=1e-6)
@@ -267,13 +314,19 @@ def test_beta_is_where_the_square_turns_into_a_line(beta_m: float) -> None:
     for error, wanted in ((0.0, 0.0), (0.5, 0.125), (1.0, 0.5), (1.5, 1.0), (4.0, 3.5)):
         for sign in (1, -1):
             tudf = torch.full((2, 3, 2, 2), 1.5, dtype=torch.float32)
-            found = regression_loss(tudf + sign * error * beta_m, tudf, near_m=0.5, near_weight=9, beta_m=beta_m)
+            found = regression_loss(
+                tudf + sign * error * beta_m, tudf, near_m=0.5, near_weight=9, beta_m=beta_m
+            )
             assert value(found) == pytest.approx(wanted * beta_m, rel=1e-5, abs=1e-12)
 
 
-@pytest.mark.parametrize("normal", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0), (1 / 3, 2 / 3, 2 / 3), (0.6, 0, -0.8)])
+@pytest.mark.parametrize(
+    "normal", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0), (1 / 3, 2 / 3, 2 / 3), (0.6, 0, -0.8)]
+)
 @pytest.mark.parametrize("voxel_m", [0.2, 0.25, 0.5])
-def test_the_distance_to_a_plane_satisfies_the_eikonal_equation(normal: tuple, voxel_m: float) -> None:
+def test_the_distance_to_a_plane_satisfies_the_eikonal_equation(
+    normal: tuple, voxel_m: float
+) -> None:
     centres = np.moveaxis(np.indices((7, 6, 5)), 0, -1) * voxel_m
     distance = torch.from_numpy((centres @ np.array(normal) + 4.0)[None].astype(np.float32))
     for scale, wanted in ((1, 0), (2, 1), (3, 2), (0.5, 0.5), (-1, 0)):
@@ -295,8 +348,11 @@ def test_where_nothing_is_in_reach_the_eikonal_loss_is_zero_and_so_is_its_gradie
 
 
 @pytest.mark.parametrize("truncation_m", [2.0, 1.1, 0.9, 3.4])
-def test_a_voxel_takes_part_when_its_own_distance_is_strictly_within_reach(truncation_m: float) -> None:
-    """One voxel is asked about at a time, whatever its neighbours' distances; the others are at 0 or the truncation."""
+def test_a_voxel_takes_part_when_its_own_distance_is_strictly_within_reach(
+    truncation_m: float,
+) -> None:
+    """One voxel is asked about at a time, whatever its neighbours' distances; the others are at 0
+    or the truncation."""
     limit = np.float32(truncation_m)
     predicted = random_case(5, (1, 3, 3, 3))[2]
     for where in np.ndindex(3, 3, 3):
@@ -310,6 +366,10 @@ def test_a_voxel_takes_part_when_its_own_distance_is_strictly_within_reach(trunc
             ):
                 tudf[0][where] = distance
                 settings = {"voxel_m": 0.2, "truncation_m": truncation_m}
-                found = eikonal_loss(torch.from_numpy(predicted), torch.from_numpy(tudf), **settings)
-                assert value(found) == pytest.approx(eikonal(predicted, tudf, 0.2, truncation_m), rel=1e-6)
+                found = eikonal_loss(
+                    torch.from_numpy(predicted), torch.from_numpy(tudf), **settings
+                )
+                assert value(found) == pytest.approx(
+                    eikonal(predicted, tudf, 0.2, truncation_m), rel=1e-6
+                )
                 assert (value(found) != 0) == (inside and max(where) < 2)

@@ -8,8 +8,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from lidarsim import GridSpec  # noqa: E402
 from scenegen.model.config import LossConfig  # noqa: E402
-from scenegen.model.losses import objective  # noqa: E402
+from scenegen.model.losses import Coupled  # noqa: E402
 from scenegen.model.network import Output  # noqa: E402
 from tests.model.test_losses import (  # noqa: E402
     SPACES,
@@ -26,7 +27,15 @@ from tests.model.test_losses import (  # noqa: E402
 
 CONFIGS = [
     LossConfig(),
-    LossConfig(occupancy=0.3, tudf=0.7, eikonal=0.9, occupied_weight=3, near_weight=4, near_m=0.8, beta_m=0.2),
+    LossConfig(
+        occupancy=0.3,
+        tudf=0.7,
+        eikonal=0.9,
+        occupied_weight=3,
+        near_weight=4,
+        near_m=0.8,
+        beta_m=0.2,
+    ),
     LossConfig(occupancy=2.0, tudf=5.0, eikonal=0.0, near_weight=1.0, lovasz=0.6),
     LossConfig(occupancy=0.0, tudf=0.4, eikonal=3.0, occupied_weight=0.5),
 ]
@@ -35,7 +44,9 @@ CONFIGS = [
 @pytest.mark.parametrize("config", CONFIGS)
 @pytest.mark.parametrize("heads", ["both", "logits", "tudf"])
 @pytest.mark.parametrize(("voxel_m", "truncation_m"), SPACES[:2])
-def test_the_objective_is_the_weighted_sum(config: LossConfig, heads: str, voxel_m: float, truncation_m: float) -> None:
+def test_the_objective_is_the_weighted_sum(
+    config: LossConfig, heads: str, voxel_m: float, truncation_m: float
+) -> None:
     """L = l_occ L_occ + l_tudf (L_reg + l_eik L_eik), of what the output has."""
     logits, occupancy, predicted, tudf = random_case(11, voxel_m=voxel_m, truncation_m=truncation_m)
     output = Output(
@@ -53,17 +64,22 @@ def test_the_objective_is_the_weighted_sum(config: LossConfig, heads: str, voxel
         wanted["regression"] = weighted_smooth_l1(predicted, tudf, *near)
         wanted["eikonal"] = eikonal(predicted, tudf, voxel_m, truncation_m)
         loss += config.tudf * (wanted["regression"] + config.eikonal * wanted["eikonal"])
-    truth = (torch.from_numpy(occupancy), torch.from_numpy(tudf))
-    found = objective(output, *truth, config, voxel_m=voxel_m, truncation_m=truncation_m)
-    assert {name: value(part) for name, part in found.items()} == pytest.approx({**wanted, "loss": loss}, rel=1e-6)
+    batch = {"occupancy": torch.from_numpy(occupancy), "tudf": torch.from_numpy(tudf)}
+    found = Coupled(config, GridSpec(voxel_m=voxel_m, truncation_m=truncation_m))(output, batch)
+    assert {name: value(part) for name, part in found.items()} == pytest.approx(
+        {**wanted, "loss": loss}, rel=1e-6
+    )
 
 
 def test_the_objective_pulls_at_both_heads_by_their_weights() -> None:
     logits, occupancy, predicted, tudf = random_case(2, (1, 3, 3, 4))
     config = CONFIGS[1]
-    output = Output(logits=torch.from_numpy(logits).requires_grad_(), tudf=torch.from_numpy(predicted).requires_grad_())
-    truth = (torch.from_numpy(occupancy), torch.from_numpy(tudf))
-    objective(output, *truth, config, voxel_m=0.2, truncation_m=2.0)["loss"].backward()
+    output = Output(
+        logits=torch.from_numpy(logits).requires_grad_(),
+        tudf=torch.from_numpy(predicted).requires_grad_(),
+    )
+    batch = {"occupancy": torch.from_numpy(occupancy), "tudf": torch.from_numpy(tudf)}
+    Coupled(config, GridSpec())(output, batch)["loss"].backward()
 
     def of_tudf(x: np.ndarray) -> float:
         near = (config.near_m, config.near_weight, config.beta_m)
@@ -71,15 +87,31 @@ def test_the_objective_pulls_at_both_heads_by_their_weights() -> None:
 
     wanted = finite_differences(lambda x: 0.3 * cross_entropy(x, occupancy, 3), logits)
     np.testing.assert_allclose(output.logits.grad.numpy(), wanted, rtol=2e-5, atol=1e-7)
-    np.testing.assert_allclose(output.tudf.grad.numpy(), finite_differences(of_tudf, predicted), rtol=2e-5, atol=1e-7)
+    np.testing.assert_allclose(
+        output.tudf.grad.numpy(), finite_differences(of_tudf, predicted), rtol=2e-5, atol=1e-7
+    )
 
 
 def test_the_default_weights_are_the_papers() -> None:
-    wanted = {"occupancy": 0.1, "tudf": 1.0, "eikonal": 0.05, "occupied_weight": 5, "near_weight": 2, "near_m": 0.5}
-    assert dataclasses.asdict(LossConfig()) == {**wanted, "beta_m": 1.0, "lovasz": 0.0}
+    wanted = {
+        "occupancy": 0.1,
+        "tudf": 1.0,
+        "eikonal": 0.05,
+        "occupied_weight": 5,
+        "near_weight": 2,
+        "near_m": 0.5,
+    }
+    assert dataclasses.asdict(LossConfig()) == {
+        **wanted,
+        "beta_m": 1.0,
+        "lovasz": 0.0,
+        "objective": "coupled",
+    }
 
 
-@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(LossConfig)])
+@pytest.mark.parametrize(
+    "name", [one.name for one in dataclasses.fields(LossConfig) if one.name != "objective"]
+)
 def test_a_weight_that_makes_no_sense_is_refused_by_name(name: str) -> None:
     for wrong in (-0.1, math.nan, math.inf, -math.inf):
         with pytest.raises(ValueError, match=name):

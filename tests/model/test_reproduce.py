@@ -1,7 +1,7 @@
-"""The study from a seed to its report: what is refused, what is kept, and, on request, all of it at 1/50."""
+"""The study from a seed to its report: what is refused, what is kept, and, on request, all of it at
+1/200."""
 
 import json
-import time
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,19 +15,26 @@ from scenegen.model.reproduce import stages
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.estimate import estimate
 from scenegen.model.reproduce.report import to_markdown
-from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, RUNS, SEEDS
-from scenegen.model.reproduce.stages import STUDY, TEXT, begin, runs
+from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, LEAST_SEEDS, RUNS, SEEDS
+from scenegen.model.reproduce.stages import RECORDS, STUDY, TEXT, begin, runs
 from scenegen.recipe import preset
 from tests.command_line import run as command
 
+JUDGED = ("verdicts", "claims", "beside", "paths", "contrasts")
+
 
 def test_runs_differ_in_what_they_are_for() -> None:
-    """Names are unique, settings are possible and pairwise different, and verdicts have their seeds."""
+    """Names are unique, settings are possible and pairwise different, and verdicts have their
+    seeds."""
     assert len({run.name for run in RUNS}) == len(RUNS)
     configs = [run.config(20_000) for run in RUNS]
-    assert len({(repr(one), run.samples, run.worlds) for one, run in zip(configs, RUNS, strict=True)}) == len(RUNS)
+    assert len(
+        {(repr(one), run.samples, run.worlds) for one, run in zip(configs, RUNS, strict=True)}
+    ) == len(RUNS)
     for name in ("occ", "tudf", "proposed"):
-        assert {f"{name}-s{seed}" for seed in SEEDS} <= {run.name for run in RUNS}
+        assert {f"{name}-s{seed}" for seed in range(SEEDS.get(name, LEAST_SEEDS))} <= {
+            run.name for run in RUNS
+        }
     assert {config.maps for config in configs} == {20_000, 5_000}
     named = {run.name: run for run in RUNS}
     for run in RUNS:
@@ -48,7 +55,9 @@ def test_half_as_many_obstacles_are_half_of_the_presets(kind: str) -> None:
 def test_a_study_goes_on_with_its_own_settings_alone(tmp_path: Path) -> None:
     begin(tmp_path / "study", ReproduceConfig(scale=0.5))
     begin(tmp_path / "study", ReproduceConfig(scale=0.5, only=("occ-s0",)))
-    with pytest.raises(DatasetError, match=r"begun with other settings \(scale is 0.5 there, 1.0 asked for\)"):
+    with pytest.raises(
+        DatasetError, match=r"begun with other settings \(scale is 0.5 there, 1.0 asked for\)"
+    ):
         begin(tmp_path / "study", ReproduceConfig())
     (tmp_path / "file").touch()
     with pytest.raises(DatasetError, match="file"):
@@ -58,7 +67,9 @@ def test_a_study_goes_on_with_its_own_settings_alone(tmp_path: Path) -> None:
 
 
 def test_estimates_grow_with_what_is_to_be_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scenegen.model.reproduce.estimate._map_seconds", lambda device: 0.1)  # it takes seconds
+    monkeypatch.setattr(
+        "scenegen.model.reproduce.estimate._map_seconds", lambda device: 0.1
+    )  # it takes seconds
     small, large = (
         estimate(config, runs(config), device="cpu", workers=2)
         for config in (ReproduceConfig(scale=0.02, only=("occ-s0",)), ReproduceConfig(scale=0.02))
@@ -72,18 +83,25 @@ def test_estimates_grow_with_what_is_to_be_done(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.slow
-def test_a_fiftieth_of_the_study_ends_within_ten_minutes_and_goes_on_where_it_was(
+def test_a_small_part_of_the_study_is_made_and_goes_on_where_it_was(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """All of it by the command; then what is damaged is made again, and all else is kept."""
-    begun, out = time.monotonic(), tmp_path / "study"
-    words = ["reproduce", "--scale", "0.02", "--device", "cpu", "--out", out, "--quiet"]
+    out = tmp_path / "study"
+    words = ["reproduce", "--scale", "0.005", "--device", "cpu", "--out", out, "--quiet"]
     assert command(capsys, *words)[0] == 0
-    assert time.monotonic() - begun < 600
     first = json.loads((out / STUDY).read_text())
     assert set(first["runs"]) == {run.name for run in RUNS}
     assert (out / TEXT).read_text() == to_markdown(first)
-    assert {said["verdict"] for said in first["verdicts"].values()} <= {"confirmed", "refuted", "undecided"}
+    assert {said["verdict"] for said in first["verdicts"].values()} <= {
+        "confirmed",
+        "contradicted",
+        "undecided",
+    }
+    code, text, _ = command(capsys, "reproduce", "--from", out / RECORDS, "--json")
+    assert code == 0
+    assert {part: first[part] for part in JUDGED} == json.loads(text)
+    assert (out / RECORDS).stat().st_size < 3e6 * 0.02 + 1e5
     held = {path: path.stat().st_mtime_ns for path in out.rglob("best.safetensors")}
     damaged = out / "runs" / "occ-s0" / "best.safetensors"
     weights = load_tensors(damaged)[0]
@@ -92,10 +110,11 @@ def test_a_fiftieth_of_the_study_ends_within_ten_minutes_and_goes_on_where_it_wa
     bench.write_bytes(bench.read_bytes()[:-100])
     assert command(capsys, *words)[0] == 0
     again = json.loads((out / STUDY).read_text())
-    parts = ("claims", "beside", "contrasts", "verdicts")
-    assert [again[part] for part in parts] == [first[part] for part in parts]
+    assert [again[part] for part in JUDGED] == [first[part] for part in JUDGED]
     assert {path for path in held if path.stat().st_mtime_ns != held[path]} == {damaged}
-    assert all(torch.equal(weights[name], values) for name, values in load_tensors(damaged)[0].items())
+    assert all(
+        torch.equal(weights[name], values) for name, values in load_tensors(damaged)[0].items()
+    )
 
 
 def test_a_run_counts_as_complete_by_its_settings_and_its_last_map(tmp_path: Path) -> None:
@@ -104,7 +123,9 @@ def test_a_run_counts_as_complete_by_its_settings_and_its_last_map(tmp_path: Pat
     settings = json.loads(json.dumps(asdict(run.config(200))))
     for name in ("inputs", "height"):
         del settings["network"][name]
-    (tmp_path / "config.json").write_text(json.dumps({"settings": settings | {"samples": 50, "precision": "bfloat16"}}))
+    (tmp_path / "config.json").write_text(
+        json.dumps({"settings": settings | {"samples": 50, "precision": "bfloat16"}})
+    )
     assert not stages._complete(tmp_path, run, config)
     heads = "epoch,maps,train_loss,val_loss,val_iou,val_near_mae"
     for maps, whole in ((160, False), (200, True)):

@@ -43,17 +43,33 @@ def test_a_page_holds_what_is_predicted(folder: Path, tmp_path: Path, capsys: An
         for name in ("world", "viewpoint"):
             file[name] = np.array([getattr(sample, name) for sample in samples], np.int64)
         file["tudf"] = np.stack([distance_field(guess > 0.85, dataset.grid) for guess in guesses])
-    words = ("view", folder, "--predictions", tmp_path / "p.h5", "-o", tmp_path / "page.html", "--quiet")
+    words = (
+        "view",
+        folder,
+        "--predictions",
+        tmp_path / "p.h5",
+        "-o",
+        tmp_path / "page.html",
+        "--quiet",
+    )
     code, _, said = run(capsys, *words, "--split", "test")
     assert (code, said) == (0, "")
     shown = Seen((tmp_path / "page.html").read_text(encoding="utf-8")).data()["samples"]
     assert len(shown) == len(samples)
     for packed, sample, guess in zip(shown, samples, guesses > 0.85, strict=True):
         (said,) = packed["guesses"]
-        bits = np.unpackbits(np.frombuffer(unpacked(said["mask"]), np.uint8))[: guess.size].reshape(guess.shape)
+        bits = np.unpackbits(np.frombuffer(unpacked(said["mask"]), np.uint8))[: guess.size].reshape(
+            guess.shape
+        )
         np.testing.assert_array_equal(bits.astype(bool), guess)
-        tudf = np.frombuffer(unpacked(said["tudf"]), np.uint8).reshape(guess.shape) / 255 * packed["truncation"]
-        np.testing.assert_allclose(tudf, distance_field(guess, dataset.grid), atol=packed["truncation"] / 500)
+        tudf = (
+            np.frombuffer(unpacked(said["tudf"]), np.uint8).reshape(guess.shape)
+            / 255
+            * packed["truncation"]
+        )
+        np.testing.assert_allclose(
+            tudf, distance_field(guess, dataset.grid), atol=packed["truncation"] / 500
+        )
         missed, invented = (sample.occupancy & ~guess).sum(), (guess & ~sample.occupancy).sum()
         assert f"{missed} missed, {invented} invented" in packed["figures"]["p"]
     code, _, said = run(capsys, *words, "--split", "train")  # which the file does not predict
@@ -65,7 +81,9 @@ def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder: Path
     dataset, methods = Dataset(folder), [Truth(), Completed(Extrude())]
     split, config = dataset.split("test"), BenchConfig(trials=6)
     measured = bench(dataset, methods, config)
-    shown = [guesses_of(methods, config, trial)(sample, split) for trial in (0, 1) for sample in split]
+    shown = [
+        guesses_of(methods, config, trial)(sample, split) for trial in (0, 1) for sample in split
+    ]
     assert len(shown) == len(measured.trial_worlds) == 6
     for n, guesses in enumerate(shown):  # the bench, too, has the first trial of every sample first
         for guess, method in zip(guesses, methods, strict=True):
@@ -76,12 +94,16 @@ def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder: Path
             if route.points is not None:
                 legs = np.linalg.norm(np.diff(route.points, axis=0), axis=1)
                 np.testing.assert_allclose(legs.sum(), trial.length_m)
-                np.testing.assert_allclose([route.points[0], route.points[-1]], [route.start, route.goal])
+                np.testing.assert_allclose(
+                    [route.points[0], route.points[-1]], [route.start, route.goal]
+                )
     far = guesses_of(methods, config, 10_000)(split[0], split)
     assert all(guess.route is None for guess in far)
 
 
-def test_scans_completions_of_them_and_runs_are_drawn(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
+def test_scans_completions_of_them_and_runs_are_drawn(
+    tmp_path: Path, capsys: Any, monkeypatch: Any
+) -> None:
     monkeypatch.setattr("scenegen.view.still.DPI", 40)
     points = np.random.default_rng(0).uniform(-5, 5, (500, 3))
     for suffix in (".pcd", ".bin"):
@@ -95,7 +117,9 @@ def test_scans_completions_of_them_and_runs_are_drawn(tmp_path: Path, capsys: An
         file.attrs.update({"method": "mine", "split": "test"})
     (tmp_path / "run").mkdir()
     row = {"epoch": 0, "train_loss": 0.5, "val_loss": 0.6, "val_iou": 0.4, "val_near_mae": 0.2}
-    (tmp_path / "run" / "metrics.csv").write_text(f"{','.join(row)}\n{','.join(map(str, row.values()))}\n")
+    (tmp_path / "run" / "metrics.csv").write_text(
+        f"{','.join(row)}\n{','.join(map(str, row.values()))}\n"
+    )
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "metrics.csv").write_text("epoch,val_loss\n1,much\n")
     (tmp_path / "empty.npz").write_bytes(b"PK")

@@ -39,7 +39,8 @@ def main() -> int:
 
 
 def run(names: list[str], *, seed: int, jobs: int, base: Path) -> list[Ended]:
-    """The cases called `names`, run in this process's own copies; what went wrong is printed as it comes."""
+    """The cases called `names`, run in this process's own copies; what went wrong is printed as it
+    comes."""
     (base / "valid").mkdir(parents=True)
     (base / "home").mkdir()
     begin = time.monotonic()
@@ -51,25 +52,31 @@ def run(names: list[str], *, seed: int, jobs: int, base: Path) -> list[Ended]:
         ends.append(ended)
         if ended.wrong:
             print(
-                f"{ended.name} {ended.wrong}\n    {ended.attempt.damage}\n    {shlex.join(ended.attempt.words)[:300]}",
+                f"{ended.name} {ended.wrong}\n    {ended.attempt.damage}\n    "
+                f"{shlex.join(ended.attempt.words)[:300]}",
                 flush=True,
             )
     return ends
 
 
 def print_table(ends: list[Ended]) -> int:
-    """Families, cases, how many ended with a result or in an error, how many went wrong, and the slowest."""
+    """Families, cases, how many ended with a result or in an error, how many went wrong, and the
+    slowest."""
     families = collections.defaultdict(list)
     for ended in ends:
         families[ended.name.partition("/")[0]].append(ended)
-    print(f"{'family':<14}{'cases':>7}{'results':>9}{'refused':>9}{'wrong':>7}{'slowest':>10}{'most grown':>12}")
+    print(
+        f"{'family':<14}{'cases':>7}{'results':>9}{'refused':>9}{'wrong':>7}{'slowest':>10}{'most grown':>12}"
+    )
     for name, cases in families.items():
         fine = [case for case in cases if not case.wrong]
         passed = sum(case.result.code == 0 for case in fine)
         slowest = max(case.result.seconds for case in cases)
         grown = max(case.result.grown_bytes for case in cases) >> 20
         wrong = len(cases) - len(fine)
-        print(f"{name:<14}{len(cases):>7}{passed:>9}{len(fine) - passed:>9}{wrong:>7}{slowest:>8.1f} s{grown:>9} MB")
+        print(
+            f"{name:<14}{len(cases):>7}{passed:>9}{len(fine) - passed:>9}{wrong:>7}{slowest:>8.1f} s{grown:>9} MB"
+        )
     return int(any(ended.wrong for ended in ends))
 
 

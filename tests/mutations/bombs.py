@@ -10,7 +10,9 @@ BLOCK = 1 << 20
 def deflated(size_mb: int) -> bytes:
     """Raw deflate of so many megabytes of zeros."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)
-    block = packer.compress(bytes(BLOCK)) + packer.flush(zlib.Z_FULL_FLUSH)  # stands on its own: may be repeated
+    block = packer.compress(bytes(BLOCK)) + packer.flush(
+        zlib.Z_FULL_FLUSH
+    )  # stands on its own: may be repeated
     return block * size_mb + packer.flush()
 
 

@@ -9,7 +9,8 @@ from random import Random
 from typing import Any
 
 SAME, VALID, REFUSED = "same", "valid", "refused"
-"""What exit code 0 may mean: the samples of the undamaged input; any valid result; nothing, it must not be."""
+"""What exit code 0 may mean: the samples of the undamaged input; any valid result; nothing, it must
+not be."""
 NOTHING = ""
 
 
@@ -35,7 +36,8 @@ class Result:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One command line on a damaged input. Paths are relative to the case's own folder, where it runs."""
+    """One command line on a damaged input. Paths are relative to the case's own folder, where it
+    runs."""
 
     words: tuple[str, ...]
     """Of the command line; ``load FOLDER`` stands for `scenegen.load` on all splits."""
@@ -44,7 +46,8 @@ class Attempt:
     makes: tuple[str, ...] = ()
     """Patterns of the files that the command may make or replace."""
     after: Callable[[], Any] | None = None
-    """Run in the command's process when that ended with 0; what it returns, as JSON, goes to `holds`."""
+    """Run in the command's process when that ended with 0; what it returns, as JSON, goes to
+    `holds`."""
     holds: Callable[[Result], str] = lambda result: NOTHING
     """What is wrong with a result of exit code 0: a sentence, or nothing."""
     may_lack_memory: bool = False
@@ -52,7 +55,8 @@ class Attempt:
 
 
 Family = Callable[[Random, Any, Path], Attempt]
-"""Makes a case: from its random numbers, the valid inputs, and the empty folder where it will run."""
+"""Makes a case: from its random numbers, the valid inputs, and the empty folder where it will
+run."""
 
 
 def random_of(seed: int, name: str) -> Random:
@@ -71,7 +75,9 @@ def equals(expected: Any) -> Callable[[Result], str]:
     def holds(result: Result) -> str:
         if result.after == expected:
             return NOTHING
-        return f"ended with another result than without the damage: {json.dumps(result.after)[:300]}"
+        return (
+            f"ended with another result than without the damage: {json.dumps(result.after)[:300]}"
+        )
 
     return holds
 

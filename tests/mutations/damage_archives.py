@@ -1,4 +1,5 @@
-"""Family ``archives``: zip files of worlds that unpack to far more, escape, or hold something else."""
+"""Family ``archives``: zip files of worlds that unpack to far more, escape, or hold something
+else."""
 
 import io
 import struct
@@ -43,12 +44,14 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     """A shard's archive, made anew of the same worlds and something else; mostly signed again."""
     name = random.choice("dc")
     folder = valid.put(name, here)
-    path = folder / random.choice(("train-00000.worlds.zip", "train-00000.worlds.zip", "test-00000.worlds.zip"))
+    path = folder / random.choice(
+        ("train-00000.worlds.zip", "train-00000.worlds.zip", "test-00000.worlds.zip")
+    )
     with zipfile.ZipFile(path) as archive:
         members = [(member, archive.read(member)) for member in archive.namelist()]
-    content, done = random.choice((_more, _more, _bomb, _headers, _headers, _documents, _documents, _whole))(
-        members, random
-    )
+    content, done = random.choice(
+        (_more, _more, _bomb, _headers, _headers, _documents, _documents, _whole)
+    )(members, random)
     path.write_bytes(content)
     signed = random.random() < 0.8
     if signed:
@@ -76,7 +79,9 @@ def _more(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]
         use = f"<!-- {odd} --></mujoco>".encode(errors="replace")
         members[0] = first, document.replace(b"</mujoco>", use)
     times = random.choice((1, 1, 2, 500))
-    return _zipped(members + [(odd, b"print('owned')\n")] * times), f"{times} members more, {ascii(odd)[:60]}"
+    return _zipped(
+        members + [(odd, b"print('owned')\n")] * times
+    ), f"{times} members more, {ascii(odd)[:60]}"
 
 
 def _bomb(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]:
@@ -87,7 +92,10 @@ def _bomb(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]
         members[0] = first, document.replace(b"</mujoco>", b" " * (60 << 20) + b"</mujoco>")
         return _zipped(members), "a document of 60 MB"
     names = [f"asset{number}.obj" for number in range(12)]
-    members[0] = first, document.replace(b"</mujoco>", f"<!-- {' '.join(names)} --></mujoco>".encode())
+    members[0] = (
+        first,
+        document.replace(b"</mujoco>", f"<!-- {' '.join(names)} --></mujoco>".encode()),
+    )
     honest = _zipped(members)
     size_mb = 250 if kind == 1 else 40
     size = size_mb << 20
@@ -98,17 +106,27 @@ def _bomb(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]
 
 
 def _with_raw(archive: bytes, names: list[str], packed: bytes, checksum: int, size: int) -> bytes:
-    """An archive with more members, all of the same packed bytes, whose headers say what we like."""
+    """An archive with more members, all of the same packed bytes, whose headers say what we
+    like."""
     end = archive.rindex(b"PK\x05\x06")
     count, _, start = struct.unpack("<HLL", archive[end + 10 : end + 20])
     body, directory = archive[:start], archive[start:end]
     for name in names:
         raw = name.encode()
-        shared = struct.pack("<HHHHHLLLHH", 20, 0, 8, 0, 33, checksum, len(packed), size, len(raw), 0)
-        directory += b"PK\x01\x02\x14\x03" + shared + struct.pack("<HHHLL", 0, 0, 0, 0, len(body)) + raw
+        shared = struct.pack(
+            "<HHHHHLLLHH", 20, 0, 8, 0, 33, checksum, len(packed), size, len(raw), 0
+        )
+        directory += (
+            b"PK\x01\x02\x14\x03" + shared + struct.pack("<HHHLL", 0, 0, 0, 0, len(body)) + raw
+        )
         body += b"PK\x03\x04" + shared + raw + packed
     total = count + len(names)
-    return body + directory + b"PK\x05\x06" + struct.pack("<HHHHLLH", 0, 0, total, total, len(directory), len(body), 0)
+    return (
+        body
+        + directory
+        + b"PK\x05\x06"
+        + struct.pack("<HHHHLLH", 0, 0, total, total, len(directory), len(body), 0)
+    )
 
 
 def _headers(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]:
@@ -123,13 +141,19 @@ def _headers(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, s
         "size": (22, 24),
     }
     field = random.choice((*places, "offset", "count", "encrypted"))
-    local, central, end = data.index(b"PK\x03\x04"), data.index(b"PK\x01\x02"), data.rindex(b"PK\x05\x06")
+    local, central, end = (
+        data.index(b"PK\x03\x04"),
+        data.index(b"PK\x01\x02"),
+        data.rindex(b"PK\x05\x06"),
+    )
     value = random.choice((0, 1, 9, 12, 14, 93, 99, 255, 65535))
     if field == "encrypted":
         data[local + 6] |= 1
         data[central + 8] |= 1
     elif field == "offset":
-        data[central + 42 : central + 46] = struct.pack("<L", random.choice((1, end, 2**31, 2**32 - 1)))
+        data[central + 42 : central + 46] = struct.pack(
+            "<L", random.choice((1, end, 2**31, 2**32 - 1))
+        )
     elif field == "count":
         data[end + 8 : end + 12] = struct.pack("<HH", value, value)
     else:
@@ -144,7 +168,9 @@ def _documents(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes,
     document, said, _ = hostile(random)
     which = random.randrange(len(members))
     members[which] = members[which][0], document
-    return _zipped(members, random.choice((8, 8, 0, 12, 14))), f"{members[which][0]} is a world with {said}"
+    return _zipped(
+        members, random.choice((8, 8, 0, 12, 14))
+    ), f"{members[which][0]} is a world with {said}"
 
 
 def _whole(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]:

@@ -18,29 +18,39 @@ def damage(content: bytes, random: Random) -> tuple[bytes, str]:
         case 0 | 1:
             data = bytearray(content)
             count = random.choice((1, 1, 2, 8, 64))
-            places = [random.randrange(min(size, 2048) if random.random() < 0.5 else size) for _ in range(count)]
+            places = [
+                random.randrange(min(size, 2048) if random.random() < 0.5 else size)
+                for _ in range(count)
+            ]
             for place in places:
                 data[place] ^= 1 << random.randrange(8)
             return bytes(data), f"bits flipped at {places[:8]}"
         case 2:
-            return content[:at] + bytes(length) + content[at + length :], f"{length} bytes zeroed at {at}"
+            return content[:at] + bytes(length) + content[
+                at + length :
+            ], f"{length} bytes zeroed at {at}"
         case 3:
             value = random.choice((b"\xff" * length, random.randbytes(length)))
-            return content[:at] + value + content[at + length :], f"{length} bytes overwritten at {at}"
+            return content[:at] + value + content[
+                at + length :
+            ], f"{length} bytes overwritten at {at}"
         case 4:
             kept = random.choice((0, 1, at, size - 1))
             return content[:kept], f"cut to {kept} of {size} bytes"
         case 5:
             source = random.randrange(size)
             piece = content[source : source + length]
-            return content[:at] + piece + content[at + len(piece) :], f"{len(piece)} bytes of {source} put at {at}"
+            return content[:at] + piece + content[
+                at + len(piece) :
+            ], f"{len(piece)} bytes of {source} put at {at}"
         case _:
             piece = content[at : at + length]
             return content[:at] + piece + content[at:], f"{len(piece)} bytes at {at} doubled"
 
 
 def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
-    """A file of a dataset, damaged; sometimes signed again, so that its digest in the manifest holds."""
+    """A file of a dataset, damaged; sometimes signed again, so that its digest in the manifest
+    holds."""
     name = random.choice("ddc")
     folder = valid.put(name, here)
     suffix = random.choice((".h5", ".h5", ".h5", ".zip", ".json"))
@@ -50,4 +60,6 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     if suffix != ".json" and random.random() < 0.5:
         sign(folder)
         done += ", signed again"
-    return read_dataset(random, valid, here, name, f"{name}/{path.name}: {done}", VALID if suffix == ".h5" else SAME)
+    return read_dataset(
+        random, valid, here, name, f"{name}/{path.name}: {done}", VALID if suffix == ".h5" else SAME
+    )

@@ -11,7 +11,12 @@ import numpy as np
 from tests.mutations.case import REFUSED, SAME, VALID, Attempt
 from tests.mutations.dataset_commands import read_dataset
 from tests.mutations.datasets import sign
-from tests.mutations.hdf5_chunks import chunk_missing, chunk_of_our_own, shuffled_bomb, unknown_filter
+from tests.mutations.hdf5_chunks import (
+    chunk_missing,
+    chunk_of_our_own,
+    shuffled_bomb,
+    unknown_filter,
+)
 from tests.mutations.nasty import ESCAPES
 from tests.mutations.valid import Valid
 
@@ -32,7 +37,9 @@ def virtual(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     shape, dtype = old.shape, old.dtype
     file.move(name, "elsewhere")
     layout = h5py.VirtualLayout(shape=shape, dtype=dtype)
-    layout[...] = h5py.VirtualSource(random.choice((".", "train-00000.h5", "/etc/passwd")), "elsewhere", shape=shape)
+    layout[...] = h5py.VirtualSource(
+        random.choice((".", "train-00000.h5", "/etc/passwd")), "elsewhere", shape=shape
+    )
     file.create_virtual_dataset(name, layout)
     return "virtual", REFUSED
 
@@ -48,7 +55,9 @@ def external(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
 
 def link(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     del file[name]
-    link = random.choice((h5py.SoftLink("/sha256"), h5py.SoftLink(f"/{name}"), h5py.ExternalLink("/dev/zero", name)))
+    link = random.choice(
+        (h5py.SoftLink("/sha256"), h5py.SoftLink(f"/{name}"), h5py.ExternalLink("/dev/zero", name))
+    )
     file[name] = link
     return f"{type(link).__name__} to {link.path}", REFUSED
 
@@ -68,7 +77,9 @@ def other_type(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
         "V16",
         h5py.ref_dtype,
     )
-    kind = random.choice([k for k in (*kinds, [("x", "f4"), ("y", "i2")]) if np.dtype(k) != file[name].dtype])
+    kind = random.choice(
+        [k for k in (*kinds, [("x", "f4"), ("y", "i2")]) if np.dtype(k) != file[name].dtype]
+    )
     del file[name]
     file.create_dataset(name, shape, kind, chunks=(1, *shape[1:]))
     return f"of type {np.dtype(kind)}", REFUSED
@@ -90,7 +101,11 @@ def other_shape(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
         del file[name]
         file.create_dataset(name, data=h5py.Empty(dtype))
         return "empty", REFUSED
-    others = {3: values[:0], 4: np.concatenate([values, values]), 5: values.reshape(-1)[: values.size - 1]}
+    others = {
+        3: values[:0],
+        4: np.concatenate([values, values]),
+        5: values.reshape(-1)[: values.size - 1],
+    }
     _remade(file, name, others[kind])
     return f"of shape {others[kind].shape}", REFUSED
 
@@ -154,7 +169,9 @@ def attribute(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
         "{}",
         "x" * 60_000,
     )
-    value = random.choice((*values, np.bytes_(b"\xff\xfe"), h5py.Empty("f4"), np.float64("nan"), '{"worlds": 3}'))
+    value = random.choice(
+        (*values, np.bytes_(b"\xff\xfe"), h5py.Empty("f4"), np.float64("nan"), '{"worlds": 3}')
+    )
     if value is None:
         del file.attrs[key]
     else:
@@ -222,7 +239,9 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     signed = random.random() < 0.7
     if signed:
         sign(folder)
-    said = f"{name}/{path.name}: {field} {done}{', newest layout' * latest}{', signed again' * signed}"
+    said = (
+        f"{name}/{path.name}: {field} {done}{', newest layout' * latest}{', signed again' * signed}"
+    )
     return read_dataset(random, valid, here, name, said, expected)
 
 

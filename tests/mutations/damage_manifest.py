@@ -34,7 +34,11 @@ def _read(random: Random, valid: Valid, here: Path, name: str, done: str, conten
 
     def unchanged(result: Any) -> str:
         found = json.loads(content)  # keys that nobody knows say nothing
-        return "" if {key: found.get(key) for key in original} == original else f"passed, in spite of: {done}"
+        return (
+            ""
+            if {key: found.get(key) for key in original} == original
+            else f"passed, in spite of: {done}"
+        )
 
     return Attempt(words=attempt.words, damage=done, makes=attempt.makes, holds=unchanged)
 
@@ -66,12 +70,20 @@ def _entries(tree: Any, random: Random) -> tuple[str, str]:
             entry = random.choice(shards)
             key = random.choice(("file", "worlds"))
             entry[key] = random.choice(
-                ("../d/train-00000.h5", "/etc/passwd", f"{ESCAPES}.h5", "val-00000.h5", "train-00000.worlds.zip")
+                (
+                    "../d/train-00000.h5",
+                    "/etc/passwd",
+                    f"{ESCAPES}.h5",
+                    "val-00000.h5",
+                    "train-00000.worlds.zip",
+                )
             )
             done = f"{key} = {entry[key]!a}"
         case 5:
             one, other = random.sample(shards, 2)
-            for key in random.choice((("split",), ("file", "sha256"), ("worlds", "worlds_sha256"), ("first_world",))):
+            for key in random.choice(
+                (("split",), ("file", "sha256"), ("worlds", "worlds_sha256"), ("first_world",))
+            ):
                 one[key], other[key] = other[key], one[key]
             done = f"{key} of two entries swapped"
         case _:
@@ -86,12 +98,17 @@ def _text(tree: Any, random: Random) -> tuple[str, str]:
     match random.randrange(7):
         case 0:
             at = random.choice(places(tree))
-            key, value = json.dumps(str(at[0])), random.choice((json.dumps(nasty(random)), "1" * 10_000, "[" * DEEP))
+            key, value = (
+                json.dumps(str(at[0])),
+                random.choice((json.dumps(nasty(random)), "1" * 10_000, "[" * DEEP)),
+            )
             return whole[:-1] + f", {key}: {value}}}", f"{key} twice, then {value[:60]}"
         case 1:
             return "[" * DEEP + "]" * DEEP, "nested deeply"
         case 2:
-            return whole[:-1] + ', "note": ' + '{"a":' * DEEP + "1" + "}" * (DEEP + 1), "with a note nested deeply"
+            return whole[:-1] + ', "note": ' + '{"a":' * DEEP + "1" + "}" * (
+                DEEP + 1
+            ), "with a note nested deeply"
         case 3:
             return whole[:-1] + f", {json.dumps(ESCAPES)}: 1}}", "with a key of control characters"
         case 4:

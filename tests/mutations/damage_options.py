@@ -1,4 +1,5 @@
-"""Family ``options``: every command's own options, from its own list, with values that nobody expects."""
+"""Family ``options``: every command's own options, from its own list, with values that nobody
+expects."""
 
 import glob
 import os
@@ -27,16 +28,51 @@ MADE = {
         "--out",
         "out",
     ),
-    "inspect": ("d",),
+    "inspect": ("d", "--json"),  # its way to be quiet: with --all, a bar is drawn otherwise
     "world": ("d", "0", "-o", "out"),
     "verify": ("d", "--quick", "--workers", "1", "--quiet"),
-    "train": ("d", "--epochs", "1", "--width", "1", "--workers", "0", "--device", "cpu", "--quiet", "--out", "out"),
+    "train": (
+        "d",
+        "--epochs",
+        "1",
+        "--width",
+        "1",
+        "--workers",
+        "0",
+        "--device",
+        "cpu",
+        "--quiet",
+        "--out",
+        "out",
+    ),
     "complete": ("d", "--weights", "n.safetensors", "--device", "cpu", "--quiet", "-o", "out"),
     "export": ("n.safetensors", "-o", "out"),
     "networks": (),
     "bench": ("d", "--quick", "--workers", "1", "--quiet", "--method", "returns", "--out", "out"),
-    "publish": ("d", "--repo", "ada/d", "--dry-run", "--quick", "--workers", "1", "--quiet", "--out", "out"),
-    "reproduce": ("--dry-run", "--scale", "0.001", "--workers", "1", "--quiet", "--device", "cpu", "--out", "out"),
+    "publish": (
+        "d",
+        "--repo",
+        "ada/d",
+        "--dry-run",
+        "--quick",
+        "--workers",
+        "1",
+        "--quiet",
+        "--out",
+        "out",
+    ),
+    "reproduce": (
+        "--dry-run",
+        "--scale",
+        "0.001",
+        "--workers",
+        "1",
+        "--quiet",
+        "--device",
+        "cpu",
+        "--out",
+        "out",
+    ),
     "sensors": ("velodyne-vlp-16", "--out", "out.png"),
     "scan": ("w.xml", "--pose", "0,0,2,0", "--lidar", "velodyne-vlp-16", "-o", "out.ply"),
     "rescan": ("d", "--quiet", "--workers", "1", "-o", "out"),
@@ -73,6 +109,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     command = app.find(name)
     words = [name, *MADE.get(name, ())]
     done, asked = [], ["out", "out.png", "out.ply", "out.html", "out.toml", "out.safetensors"]
+    parents = []
     for _ in range(random.choice((1, 1, 2))):
         parameter = random.choice(
             [p for p in command.params if p.name not in ("as_json", "quiet", "dry_run")] or [None]
@@ -87,14 +124,16 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
         else:
             words += [random.choice(parameter.opts), *value]
         if parameter.name in ("out", "output") and value[0] not in KEPT:
-            asked.append(glob.escape(os.path.normpath(value[0])))
+            wanted = Path(os.path.normpath(value[0]))
+            asked.append(glob.escape(str(wanted)))
+            parents += [glob.escape(str(path)) for path in wanted.parents[:-1]]
         done.append(f"{parameter.name} = {ascii(value)[:80]}")
     if name in DEAR:
         words.append("one word\x1b[2Jtoo many" if random.random() < 0.2 else "--no-such-option")
     return Attempt(
         words=tuple(words),
         damage="; ".join(done),
-        makes=tuple(pattern for name in asked for pattern in (name, f"{name}/*")),
+        makes=(*parents, *(pattern for name in asked for pattern in (name, f"{name}/*"))),
         may_lack_memory=True,
     )
 
@@ -104,8 +143,24 @@ def _values(parameter: click.Parameter, random: Random) -> list[str]:
     if getattr(parameter, "is_flag", False):
         return []
     count = parameter.nargs if parameter.nargs > 1 else 1
-    small = ("0", "-1", "2", "1.5", "1e3", "nan", "inf", "-inf", "1_000", " 1", "٣", "0x10", "1" * 400)
-    if isinstance(parameter.type, click.types.IntParamType | click.types.FloatParamType | click.Tuple):
+    small = (
+        "0",
+        "-1",
+        "2",
+        "1.5",
+        "1e3",
+        "nan",
+        "inf",
+        "-inf",
+        "1_000",
+        " 1",
+        "٣",
+        "0x10",
+        "1" * 400,
+    )
+    if isinstance(
+        parameter.type, click.types.IntParamType | click.types.FloatParamType | click.Tuple
+    ):
         return [random.choice((*small, text(random))) for _ in range(count)]
     paths = (
         "pipe",
@@ -119,4 +174,7 @@ def _values(parameter: click.Parameter, random: Random) -> list[str]:
         "file/x",
         "/proc/self/mem",
     )
-    return [random.choice((*paths, *paths, text(random), str(number(random))[:500])) for _ in range(count)]
+    return [
+        random.choice((*paths, *paths, text(random), str(number(random))[:500]))
+        for _ in range(count)
+    ]

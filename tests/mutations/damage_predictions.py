@@ -28,7 +28,11 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
         expected = VALID
     else:
         with h5py.File(path, "r+") as file:
-            change = random.choice((_numbers, _numbers, _rows, _attributes, _names)) if kind < 0.6 else _structure
+            change = (
+                random.choice((_numbers, _numbers, _rows, _attributes, _names))
+                if kind < 0.6
+                else _structure
+            )
             said, expected = change(file, random)
 
     def same(result: Result) -> str:
@@ -37,7 +41,18 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
         return ""
 
     return Attempt(
-        words=("bench", "d", "--quick", "--workers", "1", "--quiet", "--method", "returns", "--predictions", path.name),
+        words=(
+            "bench",
+            "d",
+            "--quick",
+            "--workers",
+            "1",
+            "--quiet",
+            "--method",
+            "returns",
+            "--predictions",
+            path.name,
+        ),
         damage=f"{path.name}: {said}",
         makes=("bench", "bench/*"),
         holds=refuses(said) if expected == REFUSED else same,
@@ -82,7 +97,12 @@ def _rows(file: h5py.File, random: Random) -> tuple[str, str]:
         case _:
             name = random.choice(("world", "viewpoint"))
             value = random.choice(
-                (np.array([0.5, 1.5]), np.array([b"0", b"1"]), np.array([[0, 1]]), np.array([np.nan, 0.0]))
+                (
+                    np.array([0.5, 1.5]),
+                    np.array([b"0", b"1"]),
+                    np.array([[0, 1]]),
+                    np.array([np.nan, 0.0]),
+                )
             )
             del file[name]
             file[name] = value
@@ -92,7 +112,9 @@ def _rows(file: h5py.File, random: Random) -> tuple[str, str]:
 def _attributes(file: h5py.File, random: Random) -> tuple[str, str]:
     key = random.choice(("dataset", "split", "method"))
     texts = (ESCAPES.replace("\x00", ""), "", "x" * 60_000)
-    value = random.choice((None, 3, np.arange(3), ["a", "b"], np.bytes_(b"\xff"), h5py.Empty("f4"), *texts))
+    value = random.choice(
+        (None, 3, np.arange(3), ["a", "b"], np.bytes_(b"\xff"), h5py.Empty("f4"), *texts)
+    )
     if value is None:
         del file.attrs[key]
     else:

@@ -25,9 +25,14 @@ def _full() -> dict[str, Any]:
 
     from scenegen.recipe import make_recipe
 
-    tables = copy.deepcopy({name: table for name, table in RECIPE.items() if isinstance(table, dict)})
+    tables = copy.deepcopy(
+        {name: table for name, table in RECIPE.items() if isinstance(table, dict)}
+    )
     recipe = make_recipe("pillar", tables, where="campaign")
-    parts = {name: dataclasses.asdict(getattr(recipe, name)) for name in ("world", "flight", "accept", "lidar", "grid")}
+    parts = {
+        name: dataclasses.asdict(getattr(recipe, name))
+        for name in ("world", "flight", "accept", "lidar", "grid")
+    }
     return {"kind": "pillar", **json.loads(json.dumps(parts))}
 
 
@@ -35,7 +40,10 @@ def _numbers(random: Random) -> tuple[str, str]:
     """Numbers in place of numbers."""
     tree = _full()
     tables = {name: table for name, table in tree.items() if isinstance(table, dict)}
-    done = [spoil(tables[random.choice(list(tables))], random, number) for _ in range(random.choice((1, 1, 2)))]
+    done = [
+        spoil(tables[random.choice(list(tables))], random, number)
+        for _ in range(random.choice((1, 1, 2)))
+    ]
     return to_toml(tree), "; ".join(done)
 
 
@@ -66,4 +74,6 @@ def _text(random: Random) -> tuple[str, str]:
         case 6:
             return whole + "# " + "x" * (3 << 20), "3 MB long"
         case _:
-            return random.choice(("", "\x00", "\udcff\udcfe", "kind", "[", "\ufeff" + whole)), "something else"
+            return random.choice(
+                ("", "\x00", "\udcff\udcfe", "kind", "[", "\ufeff" + whole)
+            ), "something else"

@@ -1,4 +1,5 @@
-"""Family ``scenes``: MJCF of numbers that are none, of sizes and depths beyond reason, of files that are not there."""
+"""Family ``scenes``: MJCF of numbers that are none, of sizes and depths beyond reason, of files
+that are not there."""
 
 import os
 import re
@@ -80,12 +81,14 @@ ADDED = {
         '<option timestep="nan" gravity="nan nan nan"/>',
         '<compiler meshdir="/" settotalmass="nan" boundmass="nan"/>',
         '<compiler settotalmass="10"/>',
-        '<extension><plugin plugin="mujoco.elasticity.cable"><instance name="x"/></plugin></extension>',
+        '<extension><plugin plugin="mujoco.elasticity.cable"><instance '
+        'name="x"/></plugin></extension>',
         '<keyframe><key qpos="1 2 3"/></keyframe>',
         '<statistic extent="nan" meansize="-1"/>',
         '<custom><numeric name="n" size="2000000000" data="1"/></custom>',
         '<custom><numeric name="flight_bounds" data="nan nan nan nan nan nan"/></custom>',
-        '<custom><numeric name="flight_bounds" data="-1e300 -1e300 -1e300 1e300 1e300 1e300"/></custom>',
+        '<custom><numeric name="flight_bounds" data="-1e300 -1e300 -1e300 1e300 1e300 '
+        '1e300"/></custom>',
         "<visual><global offwidth='2000000000'/><map znear='nan'/></visual>",
         "<worldbody/>" * 1000,
         "<what/>",
@@ -102,18 +105,31 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     for name, content in beside.items():
         (here / name).write_bytes(content)
     (here / "scene.xml").write_bytes(document)
-    words = ("--scene", "scene.xml", "--recipe", "scene.toml", *(["--allow-unseen"] if random.random() < 0.3 else []))
+    words = (
+        "--scene",
+        "scene.xml",
+        "--recipe",
+        "scene.toml",
+        *(["--allow-unseen"] if random.random() < 0.3 else []),
+    )
     return generated(words, f"scene.xml: {said}")
 
 
 def hostile(random: Random) -> tuple[bytes, str, dict[str, bytes]]:
     """A document, what is wrong with it, and files beside it."""
     beside = {
-        "liar.stl": bytes(80) + struct.pack("<L", random.choice((0, 1, 2**31, 2**32 - 1))) + bytes(50),
-        "liar.bin": struct.pack("<ll", *random.choice(((65536, 65536), (-1, -1), (2, 2)))) + bytes(16),
-        "liar.png": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">LL", 2**31 - 1, 2**31 - 1) + bytes(9),
+        "liar.stl": bytes(80)
+        + struct.pack("<L", random.choice((0, 1, 2**31, 2**32 - 1)))
+        + bytes(50),
+        "liar.bin": struct.pack("<ll", *random.choice(((65536, 65536), (-1, -1), (2, 2))))
+        + bytes(16),
+        "liar.png": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+        + struct.pack(">LL", 2**31 - 1, 2**31 - 1)
+        + bytes(9),
     }
-    document, said = random.choice((_number, _number, _number, _number, _added, _added, _added, _added, _text))(random)
+    document, said = random.choice(
+        (_number, _number, _number, _number, _added, _added, _added, _added, _text)
+    )(random)
     return document, said, beside
 
 
@@ -137,12 +153,17 @@ def _added(random: Random) -> tuple[bytes, str]:
     more = random.choice(ADDED[section])
     if section == "asset" and random.random() < 0.7:
         kind, name = re.match(r'<(\w+) name="(\w+)"', more).groups()  # type: ignore[union-attr]
-        use = {"mesh": f'<geom type="mesh" mesh="{name}"/>', "hfield": f'<geom type="hfield" hfield="{name}"/>'}
+        use = {
+            "mesh": f'<geom type="mesh" mesh="{name}"/>',
+            "hfield": f'<geom type="hfield" hfield="{name}"/>',
+        }
         use["model"] = f'<attach model="{name}" body="cart" prefix="p"/>'
         placed = SCENE.replace("</worldbody>", use.get(kind, "") + "</worldbody>")
     else:
         placed = SCENE
-    return placed.replace(f"</{section}>", more + f"</{section}>").encode(), f"{more[:100]} in <{section}>"
+    return placed.replace(
+        f"</{section}>", more + f"</{section}>"
+    ).encode(), f"{more[:100]} in <{section}>"
 
 
 def _text(random: Random) -> tuple[bytes, str]:
@@ -154,13 +175,20 @@ def _text(random: Random) -> tuple[bytes, str]:
                 "small", "&a9;"
             ).encode(), "entities"
         case 1:
-            return b'<!DOCTYPE x [<!ENTITY a SYSTEM "/etc/passwd">]>' + SCENE.encode(), "an external entity"
+            return (
+                b'<!DOCTYPE x [<!ENTITY a SYSTEM "/etc/passwd">]>' + SCENE.encode(),
+                "an external entity",
+            )
         case 2:
             return SCENE.encode(random.choice(("utf-16", "utf-32"))), "another encoding"
         case 3:
-            return random.choice((b"", b"<mujoco/>", b"<robot/>", b"\x00" * 1000, b"<" * 100_000)), "something else"
+            return random.choice(
+                (b"", b"<mujoco/>", b"<robot/>", b"\x00" * 1000, b"<" * 100_000)
+            ), "something else"
         case 4:
-            return SCENE.replace("</mujoco>", " " * (20 << 20) + "</mujoco>").encode(), "20 MB of spaces"
+            return SCENE.replace(
+                "</mujoco>", " " * (20 << 20) + "</mujoco>"
+            ).encode(), "20 MB of spaces"
         case _:
             content, said = damage(SCENE.encode(), random)
             return content, said

@@ -23,7 +23,17 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     make = random.choice((_header, _header, _tensors, _tensors, _layout, _other, _onnx, _onnx))
     name, said, must_fail = make(random, valid, here)
     return Attempt(
-        words=("complete", "scan.npy", "--weights", name, "--quiet", "--device", "cpu", "-o", "out.h5"),
+        words=(
+            "complete",
+            "scan.npy",
+            "--weights",
+            name,
+            "--quiet",
+            "--device",
+            "cpu",
+            "-o",
+            "out.h5",
+        ),
         damage=f"{name}: {said}",
         makes=("out.h5",),
         after=lambda: finite_prediction(Path("out.h5")),
@@ -32,7 +42,9 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
 
 
 def _holds(result: Result) -> str:
-    fine = result.after and all(shape == [EDGE] * 3 and fits for shape, fits, _ in result.after.values())
+    fine = result.after and all(
+        shape == [EDGE] * 3 and fits for shape, fits, _ in result.after.values()
+    )
     return NOTHING if fine else f"completed to what cannot be: {result.after}"
 
 
@@ -88,10 +100,14 @@ def _tensors(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
     match random.randrange(7):
         case 0 | 1:
             value = random.choice((np.nan, np.inf, -np.inf))
-            tensors[name] = np.full(old.shape, value).astype(old.dtype if old.dtype.kind == "f" else np.float32)
+            tensors[name] = np.full(old.shape, value).astype(
+                old.dtype if old.dtype.kind == "f" else np.float32
+            )
             done, must_fail = f"{name} of {value}", old.dtype.kind == "f"
         case 2:
-            tensors[name] = np.full(old.shape, 3e38, old.dtype if old.dtype.kind == "f" else np.float32)
+            tensors[name] = np.full(
+                old.shape, 3e38, old.dtype if old.dtype.kind == "f" else np.float32
+            )
             done = f"{name} of 3e38"
         case 3:
             kind = random.choice(("f8", "f2", "i8", "u1", "?"))
@@ -101,7 +117,9 @@ def _tensors(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
             del tensors[name]
             done, must_fail = f"{name} missing", True
         case 5:
-            tensors[name] = old.reshape(-1)[:-1].copy() if random.random() < 0.5 else np.stack([old, old])
+            tensors[name] = (
+                old.reshape(-1)[:-1].copy() if random.random() < 0.5 else np.stack([old, old])
+            )
             done, must_fail = f"{name} of shape {tensors[name].shape}", True
         case _:
             tensors["more"] = np.zeros(random.choice((0, 1, 1000)), np.float32)
@@ -172,7 +190,9 @@ def _other(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
             os.mkfifo(folder / "best.safetensors")
             return "run", "a run whose network is a pipe", True
         case _:
-            path.write_bytes(random.choice((b"", b"\0" * 8, b"PK\x03\x04", b"\x80\x04", random.randbytes(5000))))
+            path.write_bytes(
+                random.choice((b"", b"\0" * 8, b"PK\x03\x04", b"\x80\x04", random.randbytes(5000)))
+            )
             return name, "other bytes", True
 
 
@@ -189,15 +209,21 @@ def _onnx(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
             model, done = build_onnx(outputs=("tudf", "logits")), "outputs in another order"
             must_fail = False
         case 1:
-            outputs = random.choice((("logits",), ("a", "b"), ("logits", "tudf", "more"), ("tudf",)))
+            outputs = random.choice(
+                (("logits",), ("a", "b"), ("logits", "tudf", "more"), ("tudf",))
+            )
             model = build_onnx(outputs=outputs, factors=(1.0,) * 3, shifts=(0.0,) * 3)
             done, must_fail = f"outputs {outputs}", outputs != ("logits", "tudf", "more")
         case 2:
-            kind = random.choice((TensorProto.DOUBLE, TensorProto.INT64, TensorProto.BOOL, TensorProto.FLOAT16))
+            kind = random.choice(
+                (TensorProto.DOUBLE, TensorProto.INT64, TensorProto.BOOL, TensorProto.FLOAT16)
+            )
             model, done, must_fail = build_onnx(kind=kind), f"outputs of type {kind}", False
         case 3:
             value = random.choice((float("nan"), float("inf"), -1e38))
-            model = build_onnx(shifts=(value, 1.5) if value != value or random.random() < 0.5 else (0.0, value))
+            model = build_onnx(
+                shifts=(value, 1.5) if value != value or random.random() < 0.5 else (0.0, value)
+            )
             done, must_fail = f"adds {value}", False
         case 4:
             header = {"grid": dict(GRID), "network": dict(NETWORK), "about": {}}
@@ -215,7 +241,10 @@ def _onnx(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
                 helper.make_node("ConstantOfShape", ["huge"], ["zeros"]),
                 helper.make_node("ReduceSum", ["zeros"], ["nothing"], keepdims=0),
             )
-            model, done = build_onnx(extra=nodes, constants=(shape,)), f"a constant of {size} numbers"
+            model, done = (
+                build_onnx(extra=nodes, constants=(shape,)),
+                f"a constant of {size} numbers",
+            )
             model.graph.node[1].input[1] = model.graph.node[1].input[1]
             model.graph.node.append(helper.make_node("Add", ["s0", "nothing"], ["s9"]))
             model.graph.node[2].input[0] = "s0"
@@ -231,7 +260,9 @@ def _onnx(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
             model, done = build_onnx(extra=extra, constants=(outside,)), "data in another file"
             must_fail = False
         case 8:
-            model = build_onnx(extra=(helper.make_node("Nothing", ["s0"], ["unused"], domain="com.nobody"),))
+            model = build_onnx(
+                extra=(helper.make_node("Nothing", ["s0"], ["unused"], domain="com.nobody"),)
+            )
             done, must_fail = "an unknown operator", False
         case _:
             content, done = damage((valid.folder / "n.onnx").read_bytes(), random)

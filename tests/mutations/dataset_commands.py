@@ -12,11 +12,13 @@ from tests.mutations.valid import GENERATE, Valid
 ALL = ("load", "load", "inspect", "quick", "verify", "resume", "complete", "world")
 
 
-def read_dataset(random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str, among=ALL) -> Attempt:
+def read_dataset(
+    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str, among=ALL
+) -> Attempt:
     """A command at random on the dataset `name` in `here`, damaged in the way that `damage` says.
 
-    `expected` is what exit code 0 may mean to readers; `verify` may pass nothing but unchanged samples, and
-    `generate` must put back every byte, unless the manifest vouches for what is there.
+    `expected` is what exit code 0 may mean to readers; `verify` may pass nothing but unchanged
+    samples, and `generate` must put back every byte, unless the manifest vouches for what is there.
     """
     return _COMMANDS[random.choice(among)](random, valid, here, name, damage, expected)
 
@@ -27,28 +29,38 @@ def _holds(expected: str, same: Any, damage: str) -> Any:
     return same if expected == SAME else lambda result: ""
 
 
-def _load(random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str) -> Attempt:
+def _load(
+    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
+) -> Attempt:
     def same(result: Result) -> str:
         return "" if result.stdout.strip() == valid.loaded[name] else "load gave other samples"
 
     return Attempt(words=("load", name), damage=damage, holds=_holds(expected, same, damage))
 
 
-def _inspect(random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str) -> Attempt:
+def _inspect(
+    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
+) -> Attempt:
     as_json = random.random() < 0.7
 
     def same(result: Result) -> str:
         if not as_json:
             return ""
         found = json.loads(result.stdout)
-        return "" if found["splits"] == valid.inspected[name]["splits"] else "inspect gave other figures"
+        return (
+            ""
+            if found["splits"] == valid.inspected[name]["splits"]
+            else "inspect gave other figures"
+        )
 
     words = ("inspect", name, *(["--json"] if as_json else []))
     return Attempt(words=words, damage=damage, holds=_holds(expected, same, damage))
 
 
 def _verify(quick: bool) -> Any:
-    def attempt(random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str) -> Attempt:
+    def attempt(
+        random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
+    ) -> Attempt:
         truth = datasets.stored(valid.folder / name, derived=not quick)
         return Attempt(
             words=("verify", name, "--workers", "1", "--quiet", *(["--quick"] if quick else [])),
@@ -60,13 +72,17 @@ def _verify(quick: bool) -> Any:
     return attempt
 
 
-def _resume(random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str) -> Attempt:
+def _resume(
+    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
+) -> Attempt:
     valid.put("recipe.toml", here)
 
     def same(result: Result) -> str:
         if "signed again" in damage:
             return ""  # the manifest vouches for it
-        changed = [file for file, digest in valid.files[name].items() if result.after.get(file) != digest]
+        changed = [
+            file for file, digest in valid.files[name].items() if result.after.get(file) != digest
+        ]
         return f"generate went on and left another {', '.join(changed)}" if changed else ""
 
     return Attempt(
@@ -78,28 +94,50 @@ def _resume(random: Random, valid: Valid, here: Path, name: str, damage: str, ex
     )
 
 
-def _complete(random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str) -> Attempt:
+def _complete(
+    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
+) -> Attempt:
     valid.put("n.safetensors", here)
     test = {field: [*found[:2]] for field, found in valid.completed.items()}
 
     def same(result: Result) -> str:
         if expected == SAME and result.after != json.loads(json.dumps(valid.completed)):
             return "other completions than without the damage"
-        return "" if {k: v[:2] for k, v in result.after.items()} == test else f"completions of {result.after}"
+        return (
+            ""
+            if {k: v[:2] for k, v in result.after.items()} == test
+            else f"completions of {result.after}"
+        )
 
     return Attempt(
-        words=("complete", name, "--weights", "n.safetensors", "--quiet", "--device", "cpu", "-o", "out.h5"),
+        words=(
+            "complete",
+            name,
+            "--weights",
+            "n.safetensors",
+            "--quiet",
+            "--device",
+            "cpu",
+            "-o",
+            "out.h5",
+        ),
         damage=damage,
         makes=("out.h5",),
         after=lambda: datasets.finite_prediction(Path("out.h5")),
-        holds=lambda result: same(result) if expected != REFUSED else "",  # what is refused may be in another split
+        holds=lambda result: (
+            same(result) if expected != REFUSED else ""
+        ),  # what is refused may be in another split
     )
 
 
-def _world(random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str) -> Attempt:
+def _world(
+    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
+) -> Attempt:
     (here / "notes.py").write_text("# the user's own\n")
     return Attempt(
-        words=("world", name, str(random.choice((0, 0, 1, 7))), "-o", "w.xml"), damage=damage, makes=("w.*", "w/*", "w")
+        words=("world", name, str(random.choice((0, 0, 1, 7))), "-o", "w.xml"),
+        damage=damage,
+        makes=("w.*", "w/*", "w"),
     )
 
 

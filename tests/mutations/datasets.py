@@ -12,13 +12,23 @@ import numpy as np
 from scenegen import SPLITS
 from scenegen.errors import ScenegenError
 
-COVERED = ("observed", "occupancy", "ranges", "position", "quaternion", "origin", "world", "viewpoint")
+COVERED = (
+    "observed",
+    "occupancy",
+    "ranges",
+    "position",
+    "quaternion",
+    "origin",
+    "world",
+    "viewpoint",
+)
 """Fields that a sample's digest covers."""
 DERIVED = ("free", "tudf")
 
 
 def print_load(folder: str) -> int:
-    """What `scenegen.load` gives for every split, as a digest; the exit code of a command that did this."""
+    """What `scenegen.load` gives for every split, as a digest; the exit code of a command that did
+    this."""
     import scenegen
 
     try:
@@ -55,12 +65,16 @@ def stored(folder: Path, *, derived: bool) -> dict[str, str]:
 
 
 def files_of(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file that a dataset consists of."""
-    return {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.iterdir())
-        if path.suffix in (".h5", ".zip", ".json")
-    }
+    """SHA-256 of every file that a dataset consists of; JSON counts by what it says, since
+    `generate` leaves a manifest alone that says the same in other bytes."""
+    found = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix in (".h5", ".zip", ".json"):
+            content = path.read_bytes()
+            if path.suffix == ".json":
+                content = json.dumps(json.loads(content)).encode()
+            found[path.name] = hashlib.sha256(content).hexdigest()
+    return found
 
 
 def sign(folder: Path) -> None:
@@ -86,6 +100,12 @@ def finite_prediction(path: Path) -> dict[str, Any]:
         for name, most in (("occupancy_probability", 1.0), ("tudf", 2.0)):
             if name in file:
                 values = file[name][()]
-                fits = bool(np.isfinite(values).all() and values.min() >= 0 and values.max() <= most)
-                found[name] = [list(values.shape), fits, hashlib.sha256(values.tobytes()).hexdigest()]
+                fits = bool(
+                    np.isfinite(values).all() and values.min() >= 0 and values.max() <= most
+                )
+                found[name] = [
+                    list(values.shape),
+                    fits,
+                    hashlib.sha256(values.tobytes()).hexdigest(),
+                ]
         return found

@@ -14,7 +14,8 @@ from tests.mutations.case import Attempt, Result
 
 
 def generated(words: tuple[str, ...], damage: str, *, samples: int = 1) -> Attempt:
-    """A dataset made by `words`; where that succeeds, `verify --quick` passes it and its numbers can be such."""
+    """A dataset made by `words`; where that succeeds, `verify --quick` passes it and its numbers
+    can be such."""
     return Attempt(
         words=(
             "generate",
@@ -39,7 +40,8 @@ def generated(words: tuple[str, ...], damage: str, *, samples: int = 1) -> Attem
 
 
 def _examine() -> dict[str, Any]:
-    """What the dataset in ``out`` holds, and what `verify` says of it; in a process that may have crashed by it."""
+    """What the dataset in ``out`` holds, and what `verify` says of it; in a process that may have
+    crashed by it."""
     from scenegen import __main__ as cli
 
     finite = True

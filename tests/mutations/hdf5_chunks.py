@@ -18,7 +18,10 @@ def unknown_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str
     flag = random.choice((h5py.h5z.FLAG_OPTIONAL, h5py.h5z.FLAG_OPTIONAL, h5py.h5z.FLAG_MANDATORY))
     try:
         made.set_filter(number, flag, tuple(range(4)))
-        kind, space = h5py.h5t.py_create(values.dtype, logical=True), h5py.h5s.create_simple(values.shape)
+        kind, space = (
+            h5py.h5t.py_create(values.dtype, logical=True),
+            h5py.h5s.create_simple(values.shape),
+        )
         del file[name]
         made = h5py.h5d.create(file.id, name.encode(), kind, space, made)
         for row in range(len(values)):
@@ -35,7 +38,12 @@ def chunk_missing(file: h5py.File, name: str, random: Random) -> tuple[str, str]
     del file[name]
     fill = random.choice((None, 1))
     made = file.create_dataset(
-        name, values.shape, values.dtype, chunks=(1, *values.shape[1:]), compression="gzip", fillvalue=fill
+        name,
+        values.shape,
+        values.dtype,
+        chunks=(1, *values.shape[1:]),
+        compression="gzip",
+        fillvalue=fill,
     )
     for row in range(1, len(values)):
         made[row] = values[row]
@@ -62,8 +70,18 @@ def chunk_of_our_own(file: h5py.File, name: str, random: Random) -> tuple[str, s
             (zlib.compress(raw[:-1]), 0, "one byte too short", REFUSED),
             (packed[: len(packed) // 2], 0, "cut", REFUSED),
             (packed[:-4] + b"\0\0\0\1", 0, "with another checksum", REFUSED),
-            (zlib.compress(bytes([2]) * len(raw)), 0, "of twos", REFUSED if data.dtype == np.bool_ else VALID),
-            (zlib.compress(b"\xff" * len(raw)), 0, "of ones", REFUSED if data.dtype == np.bool_ else VALID),
+            (
+                zlib.compress(bytes([2]) * len(raw)),
+                0,
+                "of twos",
+                REFUSED if data.dtype == np.bool_ else VALID,
+            ),
+            (
+                zlib.compress(b"\xff" * len(raw)),
+                0,
+                "of ones",
+                REFUSED if data.dtype == np.bool_ else VALID,
+            ),
             (packed, 0xFFFFFFFF, "with every filter masked", REFUSED),
         )
     )
@@ -75,7 +93,9 @@ def shuffled_bomb(file: h5py.File, name: str, random: Random) -> tuple[str, str]
     data = file[name]
     shape, dtype = data.shape, data.dtype
     del file[name]
-    made = file.create_dataset(name, shape, dtype, chunks=(1, *shape[1:]), compression="gzip", shuffle=True)
+    made = file.create_dataset(
+        name, shape, dtype, chunks=(1, *shape[1:]), compression="gzip", shuffle=True
+    )
     content = bombs.zlibbed(random.choice((1, 1, 200, 1024)))
     made.id.write_direct_chunk((0,) * len(shape), content, 0)
     return f"shuffled chunk of {len(content)} bytes that unpacks to far more", REFUSED

@@ -3,9 +3,26 @@
 from random import Random
 from typing import Any
 
-ESCAPES = "\x1b]0;owned\x07\x1b[2J\rscenegen: all is well\nverify: all 17 checks passed\u202e\x00\x9b31m"
+ESCAPES = (
+    "\x1b]0;owned\x07\x1b[2J\rscenegen: all is well\nverify: all 17 checks passed\u202e\x00\x9b31m"
+)
 WHOLE = (0, -1, 1, 2, 3, 255, 2**31, 2**53 + 1, 2**63, 2**64, -(2**63) - 1, 10**9, 10**30, 10**400)
-REAL = (0.0, -0.0, 1.5, -1.0, 1e-300, 1e-7, 5e-324, 1e9, 1e38, 1e300, -1e300, float("inf"), float("-inf"), float("nan"))
+REAL = (
+    0.0,
+    -0.0,
+    1.5,
+    -1.0,
+    1e-300,
+    1e-7,
+    5e-324,
+    1e9,
+    1e38,
+    1e300,
+    -1e300,
+    float("inf"),
+    float("-inf"),
+    float("nan"),
+)
 TEXT = (
     "",
     " ",
@@ -23,7 +40,19 @@ TEXT = (
     "-1",
     "null",
 )
-OTHER: tuple[Any, ...] = (None, True, False, [], {}, [[]], [None], {"": 0}, {ESCAPES: 1}, [0] * 1000, [1, "a", None])
+OTHER: tuple[Any, ...] = (
+    None,
+    True,
+    False,
+    [],
+    {},
+    [[]],
+    [None],
+    {"": 0},
+    {ESCAPES: 1},
+    [0] * 1000,
+    [1, "a", None],
+)
 
 
 def nasty(random: Random) -> Any:
@@ -44,7 +73,13 @@ def text(random: Random) -> str:
 def places(tree: Any, at: tuple = ()) -> list[tuple]:
     """The path of everything in nested tables and lists."""
     found = [at] if at else []
-    items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    items = (
+        tree.items()
+        if isinstance(tree, dict)
+        else enumerate(tree)
+        if isinstance(tree, list)
+        else ()
+    )
     for step, value in items:
         found += places(value, (*at, step))
     return found

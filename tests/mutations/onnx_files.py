@@ -26,7 +26,10 @@ def build_onnx(
     """A model of as many outputs as named, each a line over the observed voxels."""
     nodes, values, made = [], [], []
     for number, (name, factor, shift) in enumerate(zip(outputs, factors, shifts, strict=False)):
-        values += [numpy_helper.from_array(np.float32(v), f"{w}{number}") for w, v in (("a", factor), ("b", shift))]
+        values += [
+            numpy_helper.from_array(np.float32(v), f"{w}{number}")
+            for w, v in (("a", factor), ("b", shift))
+        ]
         nodes.append(helper.make_node("Mul", ["observed", f"a{number}"], [f"m{number}"]))
         nodes.append(helper.make_node("Add", [f"m{number}", f"b{number}"], [f"s{number}"]))
         nodes.append(helper.make_node("Cast", [f"s{number}"], [name], to=kind))
@@ -41,7 +44,9 @@ def build_onnx(
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
     said = {"grid": GRID, "network": NETWORK, "about": {}} if header is None else header
     model.metadata_props.append(
-        onnx.StringStringEntryProto(key="scenegen", value=said if isinstance(said, str) else json.dumps(said))
+        onnx.StringStringEntryProto(
+            key="scenegen", value=said if isinstance(said, str) else json.dumps(said)
+        )
     )
     return model
 

@@ -11,7 +11,8 @@ import pytest
 from tests.mutations.families import FAMILIES
 
 pytestmark = pytest.mark.skipif(
-    not all(importlib.util.find_spec(name) for name in ("torch", "onnx")), reason="needs torch and onnx"
+    not all(importlib.util.find_spec(name) for name in ("torch", "onnx")),
+    reason="needs torch and onnx",
 )
 ROOT = Path(__file__).parents[2]
 CASES = 3
@@ -19,7 +20,8 @@ CASES = 3
 
 
 def campaign(*words: object, seconds: float) -> str:
-    """What the campaign prints; it runs in a process of its own, from which the cases are forked."""
+    """What the campaign prints; it runs in a process of its own, from which the cases are
+    forked."""
     ended = subprocess.run(
         [sys.executable, "-m", "tests.mutations", *map(str, words)],
         cwd=ROOT,
@@ -41,4 +43,11 @@ def test_every_case_ends_in_a_valid_result_or_one_line() -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_so_do_thousands(family: str) -> None:
     cases = os.environ.get("SCENEGEN_MUTATIONS", "300")
-    campaign(family, "--cases", cases, "--seed", os.environ.get("SCENEGEN_MUTATION_SEED", "1"), seconds=7200)
+    campaign(
+        family,
+        "--cases",
+        cases,
+        "--seed",
+        os.environ.get("SCENEGEN_MUTATION_SEED", "1"),
+        seconds=7200,
+    )

@@ -1,4 +1,5 @@
-"""The valid inputs, made once by the commands themselves: what is compiled and imported late is warm from then on."""
+"""The valid inputs, made once by the commands themselves: what is compiled and imported late is
+warm from then on."""
 
 import contextlib
 import io
@@ -53,7 +54,19 @@ SCENE = """<mujoco model="small">
 </mujoco>
 """
 GENERATE = (
-    *("generate", "--recipe", "recipe.toml", "--n", "4", "--val", "2", "--test", "2", "--shard-samples", "2"),
+    *(
+        "generate",
+        "--recipe",
+        "recipe.toml",
+        "--n",
+        "4",
+        "--val",
+        "2",
+        "--test",
+        "2",
+        "--shard-samples",
+        "2",
+    ),
     *("--workers", "1", "--quiet", "--out"),
 )
 
@@ -63,7 +76,8 @@ class Valid:
     """Files that are as they should be, and what commands make of them."""
 
     folder: Path
-    """Holds d (a dataset), c (a compact one), n.safetensors, n.onnx, predictions.h5, scan.npy, .ply and .xyz."""
+    """Holds d (a dataset), c (a compact one), n.safetensors, n.onnx, predictions.h5, scan.npy, .ply
+    and .xyz."""
     loaded: dict[str, str]
     """What `load` prints of d and of c."""
     inspected: dict[str, Any]
@@ -98,14 +112,39 @@ def make_valid(folder: Path) -> Valid:
     points = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 3))
     np.save("scan.npy", points)
     np.savetxt("scan.xyz", points, fmt="%.4f")
-    head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n" + "".join(f"property float {a}\n" for a in "xyz")
-    (folder / "scan.ply").write_text(head + "end_header\n" + "\n".join(" ".join(f"{x:.4f}" for x in p) for p in points))
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n" + "".join(
+        f"property float {a}\n" for a in "xyz"
+    )
+    (folder / "scan.ply").write_text(
+        head + "end_header\n" + "\n".join(" ".join(f"{x:.4f}" for x in p) for p in points)
+    )
     run("verify", "d", "--workers", "1", "--quiet")
     run("complete", "d", "--weights", "n.safetensors", "--quiet", "--device", "cpu")
     for scan in ("scan.npy", "scan.ply", "scan.xyz"):
-        run("complete", scan, "--weights", "n.safetensors", "--quiet", "-o", "out.h5", "--device", "cpu")
+        run(
+            "complete",
+            scan,
+            "--weights",
+            "n.safetensors",
+            "--quiet",
+            "-o",
+            "out.h5",
+            "--device",
+            "cpu",
+        )
     run("complete", "scan.npy", "--weights", "n.onnx", "--quiet", "-o", "out.h5")
-    run("bench", "d", "--quick", "--workers", "1", "--quiet", "--method", "returns", "--predictions", "predictions.h5")
+    run(
+        "bench",
+        "d",
+        "--quick",
+        "--workers",
+        "1",
+        "--quiet",
+        "--method",
+        "returns",
+        "--predictions",
+        "predictions.h5",
+    )
     return Valid(
         folder=folder,
         loaded={name: _loaded(name) for name in "dc"},
@@ -135,7 +174,9 @@ def run(*words: str) -> str:
 def scores(folder: Path) -> dict[str, Any]:
     """What a report says of the row of ``predictions.h5``."""
     report = json.loads((folder / "report.json").read_text())
-    return {table: report[table]["pillar"]["predictions"] for table in ("reconstruction", "planning")}
+    return {
+        table: report[table]["pillar"]["predictions"] for table in ("reconstruction", "planning")
+    }
 
 
 def to_toml(tables: dict[str, Any]) -> str:
@@ -144,7 +185,9 @@ def to_toml(tables: dict[str, Any]) -> str:
     text = "".join(f"{_key(name)} = {_value(value)}\n" for name, value in top.items())
     for name, table in tables.items():
         if isinstance(table, dict):
-            text += f"[{_key(name)}]\n" + "".join(f"{_key(key)} = {_value(value)}\n" for key, value in table.items())
+            text += f"[{_key(name)}]\n" + "".join(
+                f"{_key(key)} = {_value(value)}\n" for key, value in table.items()
+            )
     return text
 
 
@@ -156,11 +199,19 @@ def _value(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, bool | int):
-        return str(value).lower() if isinstance(value, bool) else hex(value) if value > 10**100 else str(value)
+        return (
+            str(value).lower()
+            if isinstance(value, bool)
+            else hex(value)
+            if value > 10**100
+            else str(value)
+        )
     if isinstance(value, list):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
+        )
     return json.dumps(value).replace("\\ud800", "\ufffd")
 
 
@@ -181,5 +232,10 @@ def _write_networks(folder: Path) -> None:
 
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    save_network(folder / "n.safetensors", Network(NetworkConfig(width=1)), GridSpec(shape=(EDGE, EDGE, EDGE)), {})
+    save_network(
+        folder / "n.safetensors",
+        Network(NetworkConfig(width=1)),
+        GridSpec(shape=(EDGE, EDGE, EDGE)),
+        {},
+    )
     write_onnx(folder / "n.onnx")

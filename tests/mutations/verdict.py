@@ -7,7 +7,8 @@ import signal
 from tests.mutations.case import Attempt, Result
 
 SECONDS = 60.0
-"""A case may take so long, by the clock; most take a tenth of a second, but others may be at work."""
+"""A case may take so long, by the clock; most take a tenth of a second, but others may be at
+work."""
 PROCESSOR_SECONDS = 20
 """Any of its processes may compute for so long."""
 MEMORY_BYTES = 2 << 30
@@ -35,13 +36,16 @@ def verdict(attempt: Attempt, result: Result) -> str:
 
 
 def _said_well(attempt: Attempt, result: Result) -> str:
-    """Errors say one line, successes say nothing on standard error, and neither talks to the terminal."""
+    """Errors say one line, successes say nothing on standard error, and neither talks to the
+    terminal."""
     if not all(character.isprintable() or character == "\n" for character in result.stdout):
         return "printed control characters"
     if result.code == 0:
         return f"said on standard error: {result.stderr[:300]!r}" if result.stderr else ""
     if "Traceback" in result.stderr:
-        frames = re.findall(r'File ".*?/((?:(?:scenegen|model|lidarsim)/.*|cli)\.py)", line (\d+)', result.stderr)
+        frames = re.findall(
+            r'File ".*?/((?:(?:scenegen|model|lidarsim)/.*|cli)\.py)", line (\d+)', result.stderr
+        )
         where = ":".join(frames[-1]) if frames else "nowhere of ours"
         return f"ended in a traceback at {where}: {result.stderr.strip().splitlines()[-1][:200]}"
     line = result.stderr.removesuffix("\n")
@@ -56,7 +60,11 @@ def _said_well(attempt: Attempt, result: Result) -> str:
 
 def _left_well(attempt: Attempt, result: Result) -> str:
     """Nothing beside the command's own output was made, changed or removed."""
-    strange = [name for name in result.changed if not any(fnmatch.fnmatch(name, made) for made in attempt.makes)]
+    strange = [
+        name
+        for name in result.changed
+        if not any(fnmatch.fnmatch(name, made) for made in attempt.makes)
+    ]
     if strange:
         return f"left or changed {', '.join(strange[:5])}"
     drafts = [name for name in result.changed if name.endswith(".tmp")]

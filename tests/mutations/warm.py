@@ -1,4 +1,5 @@
-"""The warm process: it has imported and run everything once, and forks a copy of itself for every case."""
+"""The warm process: it has imported and run everything once, and forks a copy of itself for every
+case."""
 
 import contextlib
 import gc
@@ -47,8 +48,8 @@ class Ended:
 def campaign(
     names: list[str], families: dict[str, Any], valid: Any, *, seed: int, jobs: int, base: Path
 ) -> Iterator[Ended]:
-    """Run the cases called `names`, `jobs` at a time. Each has a folder under `base`, kept where it went wrong or was
-    alone."""
+    """Run the cases called `names`, `jobs` at a time. Each has a folder under `base`, kept where it
+    went wrong or was alone."""
     gc.collect()
     gc.freeze()  # what is collected no more is copied no more
     waiting = iter(names)
@@ -88,7 +89,11 @@ def _run(attempt: Attempt, folder: Path) -> None:
     try:
         os.setsid()
         os.chdir(folder / "here")
-        for number, name, flags in ((0, os.devnull, os.O_RDONLY), (1, "out", os.O_WRONLY), (2, "err", os.O_WRONLY)):
+        for number, name, flags in (
+            (0, os.devnull, os.O_RDONLY),
+            (1, "out", os.O_WRONLY),
+            (2, "err", os.O_WRONLY),
+        ):
             path = name if number == 0 else str(folder / name)
             handle = os.open(path, flags | (0 if number == 0 else os.O_CREAT | os.O_APPEND), 0o644)
             os.dup2(handle, number)

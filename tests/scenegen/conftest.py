@@ -33,7 +33,9 @@ def made(once: Once) -> Path:
 
     def make(folder: Path) -> None:
         recipe = small_recipe()
-        plan = plan_dataset(folder / "pillar", recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=3)
+        plan = plan_dataset(
+            folder / "pillar", recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=3
+        )
         build(plan, workers=1)
 
     return once("made", make) / "pillar"
@@ -48,7 +50,9 @@ def dataset(made: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def asked(dataset: Path, tmp_path: Path) -> Request:
     """To publish it."""
-    return Request(dataset=dataset, repository="ada/small-pillars", out=tmp_path / "publish" / "small-pillars")
+    return Request(
+        dataset=dataset, repository="ada/small-pillars", out=tmp_path / "publish" / "small-pillars"
+    )
 
 
 @pytest.fixture
@@ -75,7 +79,9 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     monkeypatch.setattr(constants, "ENDPOINT", server.url)
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(
-        constants, "HUGGINGFACE_CO_URL_TEMPLATE", server.url + "/{repo_id}/resolve/{revision}/{filename}"
+        constants,
+        "HUGGINGFACE_CO_URL_TEMPLATE",
+        server.url + "/{repo_id}/resolve/{revision}/{filename}",
     )
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no-token"))

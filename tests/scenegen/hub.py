@@ -1,4 +1,5 @@
-"""A stand-in for the Hugging Face Hub: its HTTP API, as far as datasets are published and downloaded, in a thread."""
+"""A stand-in for the Hugging Face Hub: its HTTP API, as far as datasets are published and
+downloaded, in a thread."""
 
 import base64
 import hashlib
@@ -29,13 +30,16 @@ class Repository:
 
     def commit(self, files: dict[str, bytes]) -> str:
         listing = {path: hashlib.sha256(content).hexdigest() for path, content in files.items()}
-        self.head = hashlib.sha1(json.dumps([self.head, sorted(listing.items())]).encode()).hexdigest()
+        self.head = hashlib.sha1(
+            json.dumps([self.head, sorted(listing.items())]).encode()
+        ).hexdigest()
         self.commits[self.head] = dict(files)
         return self.head
 
 
 class Hub:
-    """The server. `log` holds "METHOD path" of every request, `puts` the content that arrived, in order."""
+    """The server. `log` holds "METHOD path" of every request, `puts` the content that arrived, in
+    order."""
 
     def __init__(self) -> None:
         self.repositories: dict[str, Repository] = {}
@@ -54,7 +58,9 @@ class Hub:
 
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.url = f"http://127.0.0.1:{self._server.server_port}"
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.01,), daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:
@@ -91,7 +97,11 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(sent)
 
     def _refuse(self, status: int, said: str, code: str = "") -> None:
-        self._answer({"error": said}, status, **({"X_Error_Code": code, "X_Error_Message": said} if code else {}))
+        self._answer(
+            {"error": said},
+            status,
+            **({"X_Error_Code": code, "X_Error_Message": said} if code else {}),
+        )
 
     def _handle(self) -> None:
         hub, path = self.server_hub, unquote(urlsplit(self.path).path)
@@ -116,7 +126,9 @@ def create(page: _Handler, hub: Hub, body: bytes) -> None:
     name = f"{asked['organization']}/{asked['name']}"
     there = name in hub.repositories
     if not there:
-        hub.repositories[name] = Repository(private=asked.get("visibility") == "private" or bool(asked.get("private")))
+        hub.repositories[name] = Repository(
+            private=asked.get("visibility") == "private" or bool(asked.get("private"))
+        )
         hub.repositories[name].commit({".gitattributes": b"*.h5 filter=lfs\n"})
     page._answer({"url": f"{hub.url}/datasets/{name}", "id": name}, 409 if there else 200)
 
@@ -135,7 +147,11 @@ def _entry(path: str, content: bytes) -> dict[str, Any]:
     blob = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
     entry: dict[str, Any] = {"type": "file", "path": path, "size": len(content), "oid": blob}
     if path.endswith(LARGE):
-        entry["lfs"] = {"oid": hashlib.sha256(content).hexdigest(), "size": len(content), "pointerSize": 134}
+        entry["lfs"] = {
+            "oid": hashlib.sha256(content).hexdigest(),
+            "size": len(content),
+            "pointerSize": 134,
+        }
     return entry
 
 
@@ -144,9 +160,15 @@ def info(page: _Handler, hub: Hub, body: bytes, name: str, revision: str | None 
     if files is None:
         return
     repository = hub.repositories[name]
-    sha = repository.head if revision in (None, "main") else repository.tags.get(str(revision), revision)
+    sha = (
+        repository.head
+        if revision in (None, "main")
+        else repository.tags.get(str(revision), revision)
+    )
     siblings = [{"rfilename": path, "size": len(content)} for path, content in files.items()]
-    page._answer({"id": name, "sha": sha, "private": repository.private, "siblings": siblings, "tags": []})
+    page._answer(
+        {"id": name, "sha": sha, "private": repository.private, "siblings": siblings, "tags": []}
+    )
 
 
 def tree(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
@@ -158,7 +180,10 @@ def tree(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> Non
 def refs(page: _Handler, hub: Hub, body: bytes, name: str) -> None:
     if _known(page, hub, name) is not None:
         found = hub.repositories[name]
-        tags = [{"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha} for tag, sha in found.tags.items()]
+        tags = [
+            {"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha}
+            for tag, sha in found.tags.items()
+        ]
         main = {"name": "main", "ref": "refs/heads/main", "targetCommit": found.head}
         page._answer({"branches": [main], "converts": [], "tags": tags})
 
@@ -208,7 +233,9 @@ def commit(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> N
             del files[value["path"]]
     files.pop(hub.lose or "", None)
     sha = hub.repositories[name].commit(files)
-    page._answer({"success": True, "commitOid": sha, "commitUrl": f"{hub.url}/datasets/{name}/commit/{sha}"})
+    page._answer(
+        {"success": True, "commitOid": sha, "commitUrl": f"{hub.url}/datasets/{name}/commit/{sha}"}
+    )
 
 
 def tag(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
@@ -230,7 +257,9 @@ def resolve(page: _Handler, hub: Hub, body: bytes, name: str, revision: str, pat
     etag = entry.get("lfs", entry)["oid"]
     repository = hub.repositories[name]
     sha = repository.head if revision == "main" else repository.tags.get(revision, revision)
-    page._answer(files[path], ETag=f'"{etag}"', X_Repo_Commit=sha, X_Linked_Size=str(len(files[path])))
+    page._answer(
+        files[path], ETag=f'"{etag}"', X_Repo_Commit=sha, X_Linked_Size=str(len(files[path]))
+    )
 
 
 def validate_yaml(page: _Handler, hub: Hub, body: bytes) -> None:

@@ -10,10 +10,13 @@ from scenegen.chance import attitudes, log_uniform, normal
 
 
 def distance(values: np.ndarray, distribution: np.ndarray) -> float:
-    """Kolmogorov's, between the sample and its distribution function at the sorted sample, times the root of n."""
+    """Kolmogorov's, between the sample and its distribution function at the sorted sample, times
+    the root of n."""
     n = len(values)
     steps = np.arange(n + 1) / n
-    return float(math.sqrt(n) * max((steps[1:] - distribution).max(), (distribution - steps[:-1]).max()))
+    return float(
+        math.sqrt(n) * max((steps[1:] - distribution).max(), (distribution - steps[:-1]).max())
+    )
 
 
 @pytest.fixture
@@ -25,7 +28,9 @@ def test_normal_numbers_are_normal_in_their_tails_too(rng: np.random.Generator) 
     drawn = normal((40_000, 3), rng=rng)
     flat = np.sort(drawn.ravel())
     assert distance(flat, np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in flat])) < 1.8
-    assert abs(np.count_nonzero(np.abs(flat) > 3.0) - 0.0026998 * flat.size) < 5 * math.sqrt(0.0027 * flat.size)
+    assert abs(np.count_nonzero(np.abs(flat) > 3.0) - 0.0026998 * flat.size) < 5 * math.sqrt(
+        0.0027 * flat.size
+    )
     assert np.abs(np.corrcoef(drawn.T) - np.eye(3)).max() < 0.03
     assert np.abs(np.corrcoef(np.abs(drawn).T) - np.eye(3)).max() < 0.03
     assert normal((7, 3), rng=rng).shape == (7, 3)

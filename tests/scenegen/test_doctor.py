@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from scenegen import doctor
-from scenegen.dataset import manifest
 from scenegen.draw import Unit, draw_unit
 from scenegen.sample import Sample
+from scenegen.software import installed
 from tests.command_line import run
 
 
@@ -23,7 +23,8 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def spoil(monkeypatch: pytest.MonkeyPatch, change: Callable[[int, Sample], Sample]) -> None:
-    """Have the doctor draw units whose last sample is changed by `change`, which is told the number of the draw."""
+    """Have the doctor draw units whose last sample is changed by `change`, which is told the number
+    of the draw."""
     draws = itertools.count()
 
     def spoilt(*arguments: Any, **named: Any) -> Unit:
@@ -51,7 +52,9 @@ def with_a_range_that_changes(number: int, sample: Sample) -> Sample:
 BROKEN = {"returns_occupied": without_one_solid_voxel, "repeatable": with_a_range_that_changes}
 
 
-def test_a_fit_machine_is_found_fit(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_machine_is_found_fit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     asked = []
 
     def noted(*arguments: Any, **named: Any) -> Unit:
@@ -81,7 +84,10 @@ def test_a_broken_law_is_found(law: str, monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_law_broken_once_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the first unit of many."""
     monkeypatch.setattr(doctor, "SELF_TEST_S", 0.3)
-    spoil(monkeypatch, lambda number, sample: without_one_solid_voxel(number, sample) if number == 2 else sample)
+    spoil(
+        monkeypatch,
+        lambda number, sample: without_one_solid_voxel(number, sample) if number == 2 else sample,
+    )
     found = doctor.self_test()
     assert found["samples"] > 5
     assert found["returns_occupied"] is found["ok"] is False
@@ -90,7 +96,10 @@ def test_a_law_broken_once_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("law", BROKEN)
 @pytest.mark.parametrize("words", [(), ("--json",)])
 def test_the_command_fails_where_a_law_is_broken(
-    law: str, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    law: str,
+    words: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     spoil(monkeypatch, BROKEN[law])
     code, said, error = run(capsys, "doctor", *words)
@@ -109,5 +118,5 @@ def test_it_tells_of_the_machine(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_absent_and_one_that_is_there_has_its_version() -> None:
-    assert manifest.installed("no-such-package-as-this") == "absent"
-    assert manifest.installed("numpy") == np.__version__
+    assert installed("no-such-package-as-this") == "absent"
+    assert installed("numpy") == np.__version__

@@ -51,14 +51,18 @@ def test_distances_equal_an_independent_transform(drawn: Drawn) -> None:
     for unit in range(4):
         for sample in draw(drawn, unit).samples:
             squared = np.rint(ndimage.distance_transform_edt(~sample.occupancy) ** 2)
-            expected = np.minimum(grid.voxel_m * np.sqrt(squared), grid.truncation_m).astype(np.float32)
+            expected = np.minimum(grid.voxel_m * np.sqrt(squared), grid.truncation_m).astype(
+                np.float32
+            )
             np.testing.assert_array_equal(sample.tudf, expected)
 
 
 def test_what_is_derived_follows_from_what_is_stored(drawn: Drawn) -> None:
     recipe, _ = drawn
     for sample in draw(drawn).samples:
-        free = derive_free(sample.scans(recipe.lidar), sample.origin, grid=recipe.grid, fusion=recipe.mapping)
+        free = derive_free(
+            sample.scans(recipe.lidar), sample.origin, grid=recipe.grid, fusion=recipe.mapping
+        )
         np.testing.assert_array_equal(sample.free, free)
         np.testing.assert_array_equal(sample.tudf, derive_tudf(sample.occupancy, grid=recipe.grid))
 
@@ -70,7 +74,9 @@ def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn: Drawn)
     for sample in unit.samples:
         scan = cast(MujocoEngine.of(model), recipe.lidar, Pose(sample.position, sample.quaternion))
         np.testing.assert_array_equal(scan.ranges, sample.ranges)
-        np.testing.assert_array_equal(rasterize(solids_of(model), recipe.grid, sample.origin), sample.occupancy)
+        np.testing.assert_array_equal(
+            rasterize(solids_of(model), recipe.grid, sample.origin), sample.occupancy
+        )
 
 
 def test_a_unit_depends_on_its_numbers_alone(drawn: Drawn) -> None:
@@ -88,13 +94,18 @@ def test_viewpoints_are_level_apart_and_clear_of_solids(drawn: Drawn) -> None:
     for unit in range(5):
         found = draw(drawn, unit)
         positions = np.array([sample.position for sample in found.samples])
-        distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(-1))[np.triu_indices(len(positions), 1)]
+        distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(-1))[
+            np.triu_indices(len(positions), 1)
+        ]
         assert distances.min() >= recipe.flight.spacing_m
         assert (positions >= found.world.flight_bounds[0]).all()
         assert (positions <= found.world.flight_bounds[1]).all()
         for sample in found.samples:
             assert sample.quaternion[1] == sample.quaternion[2] == 0
-            assert clearance_by_mujoco(found.world.mjcf, sample.position) >= recipe.flight.robot_radius_m - 2e-3
+            assert (
+                clearance_by_mujoco(found.world.mjcf, sample.position)
+                >= recipe.flight.robot_radius_m - 2e-3
+            )
 
 
 def clearance_by_mujoco(mjcf: bytes, point: np.ndarray) -> float:
@@ -105,7 +116,10 @@ def clearance_by_mujoco(mjcf: bytes, point: np.ndarray) -> float:
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    return min(mujoco.mj_geomDistance(model, data, g, model.ngeom - 1, 2.0, None) for g in range(model.ngeom - 1))
+    return min(
+        mujoco.mj_geomDistance(model, data, g, model.ngeom - 1, 2.0, None)
+        for g in range(model.ngeom - 1)
+    )
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
@@ -116,20 +130,35 @@ def test_turning_the_world_by_a_right_angle_turns_the_sample(kind: str) -> None:
     turn = Rotation.from_euler("z", 90, degrees=True)
     for geom in spec.geoms:
         geom.pos = turn.apply(geom.pos)
-        geom.quat = (turn * Rotation.from_quat(geom.quat, scalar_first=True)).as_quat(scalar_first=True)
+        geom.quat = (turn * Rotation.from_quat(geom.quat, scalar_first=True)).as_quat(
+            scalar_first=True
+        )
     turned = compile_world(spec.to_xml().encode())
     cells = 0
     for sample in unit.samples:
-        attitude = (turn * Rotation.from_quat(sample.quaternion.copy(), scalar_first=True)).as_quat(scalar_first=True)
-        scan = cast(MujocoEngine.of(turned.model), recipe.lidar, Pose(turn.apply(sample.position.copy()), attitude))
+        attitude = (turn * Rotation.from_quat(sample.quaternion.copy(), scalar_first=True)).as_quat(
+            scalar_first=True
+        )
+        scan = cast(
+            MujocoEngine.of(turned.model),
+            recipe.lidar,
+            Pose(turn.apply(sample.position.copy()), attitude),
+        )
         seen = voxelize(scan, recipe.grid)
         truth = rasterize(turned.solids, recipe.grid, seen.origin)
-        # MJCF prints six digits, so the turned world is off by some 1e-5 m and a few voxels may differ
-        for ours, theirs in ((seen.observed, sample.observed), (seen.free, sample.free), (truth, sample.occupancy)):
+        # MJCF prints six digits, so the turned world is off by some 1e-5 m and a few voxels may
+        # differ
+        for ours, theirs in (
+            (seen.observed, sample.observed),
+            (seen.free, sample.free),
+            (truth, sample.occupancy),
+        ):
             expected = np.rot90(theirs, axes=(0, 1))
             assert (ours != expected).mean() < 2e-4
             assert (ours & expected).sum() > 0.97 * expected.sum()
-        assert np.mean(distance_field(truth, recipe.grid) != np.rot90(sample.tudf, axes=(0, 1))) < 2e-3
+        assert (
+            np.mean(distance_field(truth, recipe.grid) != np.rot90(sample.tudf, axes=(0, 1))) < 2e-3
+        )
         cells += int((truth != truth[:, ::-1]).sum())
     assert cells > 1000, "the world looks the same turned: the test shows nothing"
 

@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from scenegen.drawing import MOST_WRITTEN, Drawing
+from scenegen.errors import BrokenError
+from scenegen.limits import MOST_OTHERS
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
 
 BOUNDS = np.array([[8.0, 8.0, 1.5], [32.0, 32.0, 4.25]])
-SHAPES = [getattr(mujoco.mjtGeom, f"mjGEOM_{name}") for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")]
+SHAPES = [
+    getattr(mujoco.mjtGeom, f"mjGEOM_{name}")
+    for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
+]
 
 
 def both(draw: Callable[[Drawing], None]) -> tuple[bytes, bytes, bool]:
@@ -28,7 +33,9 @@ def test_worlds_of_every_kind_are_written_as_mujoco_writes_them(kind: str) -> No
     world = preset(kind).world
     assert world is not None
     for seed in range(40):
-        ours, theirs, own = both(lambda drawing, seed=seed: world.add_to(drawing, rng=np.random.default_rng(seed)))
+        ours, theirs, own = both(
+            lambda drawing, seed=seed: world.add_to(drawing, rng=np.random.default_rng(seed))
+        )
         assert own
         assert ours == theirs
 
@@ -46,7 +53,11 @@ def test_any_solids_are_written_as_mujoco_writes_them(seed: int) -> None:
         for _ in range(40):
             more = {}
             if rng.random() < 0.7:
-                turn = rng.normal(size=4) if rng.random() < 0.8 else np.eye(4)[rng.integers(4)] * rng.choice([-1, 1])
+                turn = (
+                    rng.normal(size=4)
+                    if rng.random() < 0.8
+                    else np.eye(4)[rng.integers(4)] * rng.choice([-1, 1])
+                )
                 more["quat"] = turn / np.sqrt((turn**2).sum())
             if rng.random() < 0.5:
                 more["rgba"] = [*rng.random(3).round(rng.integers(1, 9)), 1.0]
@@ -60,7 +71,11 @@ def test_any_solids_are_written_as_mujoco_writes_them(seed: int) -> None:
 
 def test_many_solids_at_once_are_as_if_added_one_by_one() -> None:
     rng = np.random.default_rng(0)
-    shapes, sizes, places = rng.choice([int(shape) for shape in SHAPES], 30), rng.random((30, 3)), rng.random((30, 3))
+    shapes, sizes, places = (
+        rng.choice([int(shape) for shape in SHAPES], 30),
+        rng.random((30, 3)),
+        rng.random((30, 3)),
+    )
     quats = rng.normal(size=(30, 4))
     quats /= np.sqrt((quats**2).sum(axis=1, keepdims=True))
     for own in (True, False):
@@ -83,7 +98,11 @@ def test_what_is_not_written_here_is_left_to_mujoco() -> None:
         ours, theirs, own = both(lambda drawing, more=more: draw(drawing, **more))
         assert not own
         assert ours == theirs
-    many = both(lambda drawing: [drawing.add_geom(SHAPES[0], [0.1, 0, 0], [n, 0, 0]) for n in range(MOST_WRITTEN + 1)])
+    many = both(
+        lambda drawing: [
+            drawing.add_geom(SHAPES[0], [0.1, 0, 0], [n, 0, 0]) for n in range(MOST_WRITTEN + 1)
+        ]
+    )
     assert many[0] == many[1]
     assert not many[2]
 
@@ -98,3 +117,13 @@ def test_a_kind_may_use_all_of_mujocos_spec() -> None:
     assert model.geom("by name").size.tolist() == [1, 1, 1]
     with pytest.raises(AttributeError):
         _ = drawing.no_such_attribute
+
+
+@pytest.mark.parametrize("element", ["body", "site"])
+def test_a_kind_draws_nothing_that_readers_refuse(element: str) -> None:
+    drawing = Drawing(BOUNDS)
+    add = getattr(drawing.worldbody, f"add_{element}")
+    for n in range(MOST_OTHERS + 1):
+        add(name=str(n))
+    with pytest.raises(BrokenError, match=f"more than {MOST_OTHERS} elements"):
+        drawing.mjcf()

@@ -1,4 +1,5 @@
-"""Files are written whole or not at all, replace nothing but regular files, and are cleaned up by their owner alone."""
+"""Files are written whole or not at all, replace nothing but regular files, and are cleaned up by
+their owner alone."""
 
 import os
 import re
@@ -43,7 +44,9 @@ def test_only_regular_files_are_replaced(tmp_path: Path) -> None:
     (tmp_path / "nowhere").symlink_to(tmp_path / "absent")
     before = {path.name: path.lstat().st_mode for path in tmp_path.iterdir()}
     for name in ("pipe", "folder", "link", "nowhere"):
-        with pytest.raises(DatasetError, match=r"is not a regular file|is a symbolic link") as refused:
+        with pytest.raises(
+            DatasetError, match=r"is not a regular file|is a symbolic link"
+        ) as refused:
             write_whole(tmp_path / name, b"content")
         assert "\n" not in str(refused.value)
         with pytest.raises(DatasetError), whole(tmp_path / name):
@@ -62,7 +65,9 @@ def test_a_pipe_put_there_meanwhile_is_not_replaced_either(tmp_path: Path) -> No
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_draft_is_never_somebody_elses_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_draft_is_never_somebody_elses_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     names = {draft_of(tmp_path / "a").name for _ in range(100)}
     assert len(names) == 100
     assert len({re.split("-", name)[5] for name in names}) == 100
@@ -84,10 +89,14 @@ def test_a_draft_is_never_somebody_elses_file(tmp_path: Path, monkeypatch: pytes
 
 def left_behind(folder: Path, *, content: bytes | None = b"half") -> Path:
     """A draft, or a folder, of a process that has ended."""
+    place = str(folder / "a")
     code = (
-        f"from pathlib import Path; from scenegen.files import draft_of; print(draft_of(Path({str(folder / 'a')!r})))"
+        "from pathlib import Path; from scenegen.files import draft_of; "
+        f"print(draft_of(Path({place!r})))"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.strip()
     if content is None:
         Path(said).mkdir()
         (Path(said) / "within").write_bytes(b"half")
@@ -102,9 +111,14 @@ def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(
     """Among the rest are drafts as they were called once, of whatever age."""
     gone, gone_folder = left_behind(tmp_path), left_behind(tmp_path, content=None)
     kept = [draft_of(tmp_path / "a")]  # of this process, which lives
-    kept += [tmp_path / name for name in (".mine.tmp", ".notes.host-1.tmp", ".a.host-999999.former.tmp", "x.tmp")]
+    kept += [
+        tmp_path / name
+        for name in (".mine.tmp", ".notes.host-1.tmp", ".a.host-999999.former.tmp", "x.tmp")
+    ]
     kept.append(gone.with_name(gone.name.replace(".tmp", "0.tmp")))
-    kept.append(gone.with_name(re.sub(r"\d+-\w{16}-", "1-0123456789abcdef-", gone.name)))  # its digest is wrong
+    kept.append(
+        gone.with_name(re.sub(r"\d+-\w{16}-", "1-0123456789abcdef-", gone.name))
+    )  # its digest is wrong
     for path in kept:
         path.write_bytes(b"")
         os.utime(path, (0, 0))
@@ -117,7 +131,9 @@ def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(
     remove_drafts(tmp_path, "b")
     assert gone.exists(), "of another target"
     remove_drafts(tmp_path, "a")
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in (*kept, link)} | {".work.tmp"}
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in (*kept, link)} | {
+        ".work.tmp"
+    }
     assert not gone_folder.exists()
 
 

@@ -1,4 +1,5 @@
-"""Laws of flights: they keep the clearance and the bounds, end in bounded work, and are looked along by viewpoints."""
+"""Laws of flights: they keep the clearance and the bounds, end in bounded work, and are looked
+along by viewpoints."""
 
 import dataclasses
 import itertools
@@ -23,7 +24,8 @@ DIAGONAL_M = float(np.linalg.norm(BOUNDS[1] - BOUNDS[0]))
 
 
 def forest(seed: int) -> tuple[Floats, Clearance]:
-    """Round columns that reach from floor to ceiling: x, y and radius (n, 3), and the clearance around them."""
+    """Round columns that reach from floor to ceiling: x, y and radius (n, 3), and the clearance
+    around them."""
     rng = np.random.default_rng(seed)
     columns = rng.uniform([0.0, 0.0, 0.2], [16.0, 14.0, 0.6], (30, 3))
     spec = mujoco.MjSpec()
@@ -62,7 +64,9 @@ def flights() -> list[tuple[Floats, Floats]]:
     return found
 
 
-def test_a_whole_flight_keeps_the_clearance_and_the_bounds(flights: list[tuple[Floats, Floats]]) -> None:
+def test_a_whole_flight_keeps_the_clearance_and_the_bounds(
+    flights: list[tuple[Floats, Floats]],
+) -> None:
     tight = []
     for columns, path in flights:
         assert path.shape[1] == 3
@@ -73,7 +77,9 @@ def test_a_whole_flight_keeps_the_clearance_and_the_bounds(flights: list[tuple[F
             apart = np.linalg.norm(points[:, None, :2] - columns[:, :2], axis=2) - columns[:, 2]
             tight.append(apart.min())
             assert tight[-1] >= FLIGHT.robot_radius_m - 2e-3
-    assert min(tight) < FLIGHT.robot_radius_m + 0.1, "no flight passes close to a column: the test shows nothing"
+    assert min(tight) < FLIGHT.robot_radius_m + 0.1, (
+        "no flight passes close to a column: the test shows nothing"
+    )
 
 
 def test_legs_are_no_longer_than_a_step(flights: list[tuple[Floats, Floats]]) -> None:
@@ -87,7 +93,9 @@ def test_starts_and_goals_spread_over_the_whole_box(flights: list[tuple[Floats, 
 
 
 @pytest.mark.parametrize(("asked_m", "least_m"), [(1.0, 1.0), (4.0, 4.0), (1e3, DIAGONAL_M / 3)])
-def test_start_and_goal_are_the_least_distance_apart_or_a_third_of_the_diagonal(asked_m: float, least_m: float) -> None:
+def test_start_and_goal_are_the_least_distance_apart_or_a_third_of_the_diagonal(
+    asked_m: float, least_m: float
+) -> None:
     _, clearance = forest(0)
     flight = dataclasses.replace(FLIGHT, min_distance_m=asked_m)
     paths = [plan(clearance, BOUNDS, flight, rng=np.random.default_rng(seed)) for seed in range(60)]
@@ -152,20 +160,38 @@ def test_a_wall_with_a_gap_is_flown_through_by_what_is_thin_enough() -> None:
     clearance = Clearance(solids_of(spec.compile()), bounds)
     crossed = {}
     for radius in (0.3, 0.7):
-        flight = dataclasses.replace(FLIGHT, robot_radius_m=radius, min_distance_m=1.4, goal_tolerance_m=0.05)
-        paths = [plan(clearance, bounds, flight, rng=np.random.default_rng(seed)) for seed in range(20)]
-        crossed[radius] = sum(path is not None and (path[0, 0] - 8) * (path[-1, 0] - 8) < 0 for path in paths)
+        flight = dataclasses.replace(
+            FLIGHT, robot_radius_m=radius, min_distance_m=1.4, goal_tolerance_m=0.05
+        )
+        paths = [
+            plan(clearance, bounds, flight, rng=np.random.default_rng(seed)) for seed in range(20)
+        ]
+        crossed[radius] = sum(
+            path is not None and (path[0, 0] - 8) * (path[-1, 0] - 8) < 0 for path in paths
+        )
     assert crossed[0.3] > 5
     assert crossed[0.7] == 0
 
 
 PATH = np.array(
-    [[0, 0, 0], [0, 0, 2], [3, 0, 2], [3, 4, 2], [3, 4, 5], [3, 4, 3], [3, 1, 7], [3, 1, 8], [-2, -4, 8]], dtype=float
+    [
+        [0, 0, 0],
+        [0, 0, 2],
+        [3, 0, 2],
+        [3, 4, 2],
+        [3, 4, 5],
+        [3, 4, 3],
+        [3, 1, 7],
+        [3, 1, 8],
+        [-2, -4, 8],
+    ],
+    dtype=float,
 )
-"""Climbs at once, turns left, climbs and sinks in between, turns back while climbing, climbs, and leaves to the south
-west."""
+"""Climbs at once, turns left, climbs and sinks in between, turns back while climbing, climbs, and
+leaves to the south west."""
 HEADINGS = np.radians([0, 0, 90, 90, 90, -90, -90, -135])
-"""Of its legs: a leg straight up or down keeps the one before, and the first of all looks along x."""
+"""Of its legs: a leg straight up or down keeps the one before, and the first of all looks along
+x."""
 
 
 def leg_of(point: Floats, path: Floats) -> list[int]:
@@ -212,7 +238,9 @@ def test_viewpoints_look_along_their_leg_and_are_level() -> None:
             assert np.linalg.norm(pose.quaternion) == pytest.approx(1.0, abs=1e-12)
             heading = HEADINGS[legs[int(np.argmin(off))]]
             forward, up = rotate(pose.quaternion, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
-            np.testing.assert_allclose(forward, [np.cos(heading), np.sin(heading), 0.0], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(
+                forward, [np.cos(heading), np.sin(heading), 0.0], rtol=0, atol=1e-12
+            )
             np.testing.assert_allclose(up, [0.0, 0.0, 1.0], rtol=0, atol=1e-12)
     assert seen == set(range(len(HEADINGS)))
 
@@ -228,7 +256,9 @@ def test_a_straight_climb_keeps_the_last_yaw_leg_by_leg() -> None:
 
 
 def test_viewpoints_come_in_random_order_that_the_generator_alone_decides() -> None:
-    first, again, other = (viewpoints(PATH, 0.5, rng=np.random.default_rng(seed)) for seed in (1, 1, 2))
+    first, again, other = (
+        viewpoints(PATH, 0.5, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
     for name in ("flown_m", "positions", "headings"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     assert (np.argsort(first.flown_m) != np.arange(len(first))).any()
@@ -268,12 +298,16 @@ def test_the_margin_and_the_altitudes_bound_flights_through_a_drawn_world() -> N
 
 def test_a_flight_with_too_many_places_is_refused_before_they_take_memory() -> None:
     path = np.array([[0.0, 0.0, 1.0], [1e6, 0.0, 1.0]])
-    with pytest.raises(GenerationError, match=r"spacing_m = 0.001: more than 100000 places .* of 1000000 m"):
+    with pytest.raises(
+        GenerationError, match=r"spacing_m = 0.001: more than 100000 places .* of 1000000 m"
+    ):
         viewpoints(path, 0.001, rng=np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Flight)])
-@pytest.mark.parametrize("value", [-1e9, 1e30, math.nan, math.inf, True, "3", None, (3.0, 1.0), [[1.0]]])
+@pytest.mark.parametrize(
+    "value", [-1e9, 1e30, math.nan, math.inf, True, "3", None, (3.0, 1.0), [[1.0]]]
+)
 def test_a_bad_value_is_named(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=f"^{name} = .*: expected"):
         Flight(**{name: value})

@@ -12,7 +12,9 @@ ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
 
 def digest(body: str, *, vertices: str = "0 0 0 1 0 0 0 1 0 0 0 1", height: float = 0.5) -> bytes:
     assets = ASSETS.format(vertices, height)
-    return geometry_digest(compile_solids(f"<mujoco>{assets}<worldbody>{body}</worldbody></mujoco>".encode(), {}, "w"))
+    return geometry_digest(
+        compile_solids(f"<mujoco>{assets}<worldbody>{body}</worldbody></mujoco>".encode(), {}, "w")
+    )
 
 
 PLACE = ' pos="1 2 3"'
@@ -27,7 +29,10 @@ B = '<geom type="cylinder" size="1 2" pos="4 0 0"/>'
         A.replace("<geom", '<geom name="x" rgba="1 0 0 1"') + B,
         A.replace("0.8 0.6 0 0", "-0.8 -0.6 0 0") + B,
         f'<body pos="1 0 0"><body pos="0 2 3">{A.replace(PLACE, "")}</body></body>{B}',
-        A.replace('size="1 2 3"', 'size="2 1 3"').replace('quat="0.8 0.6 0 0"', 'xyaxes="0 0.28 0.96 -1 0 0"') + B,
+        A.replace('size="1 2 3"', 'size="2 1 3"').replace(
+            'quat="0.8 0.6 0 0"', 'xyaxes="0 0.28 0.96 -1 0 0"'
+        )
+        + B,
         A + B.replace("/>", ' euler="180 0 77"/>'),
         A + B + '<geom type="sphere" size="9" rgba="1 1 1 0"/>',
     ],

@@ -24,7 +24,9 @@ KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m"}
 
 def make(folder: Path, *, compact: bool = False, shards: tuple[int, int] | None = None) -> Path:
     recipe = picky_recipe()
-    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS, shard_samples=3, compact=compact)
+    plan = plan_dataset(
+        folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS, shard_samples=3, compact=compact
+    )
     build(plan, workers=1, shard_range=shards)
     return folder
 
@@ -49,7 +51,9 @@ def recomputed(stored: dict[str, np.ndarray], chosen: np.ndarray) -> dict[str, l
             rows["range_m"].append(sum(finite) / len(finite))
         for key, name in (("occupied", "occupancy"), ("observed", "observed"), ("free", "free")):
             rows[key].append(int((stored[name][n] != 0).sum()) / stored[name][n].size)
-        rows["tudf_m"].append(float(stored["tudf"][n].astype(np.float64).sum()) / stored["tudf"][n].size)
+        rows["tudf_m"].append(
+            float(stored["tudf"][n].astype(np.float64).sum()) / stored["tudf"][n].size
+        )
     return rows
 
 
@@ -82,7 +86,9 @@ def test_statistics_are_those_of_the_files(full: Path) -> None:
         assert split["worlds"] == len(set(stored["world"].tolist()))
         check(split["statistics"], recomputed(stored, np.arange(COUNTS[name])))
         for key in KEYS:
-            assert split["statistics"][key]["std"] > 0, f"{key} is the same in all samples: the test shows little"
+            assert split["statistics"][key]["std"] > 0, (
+                f"{key} is the same in all samples: the test shows little"
+            )
 
 
 def test_counts_sizes_and_origin_are_those_of_the_folder(full: Path) -> None:
@@ -110,7 +116,9 @@ def test_at_most_so_many_samples_are_measured_evenly_spread(full: Path, most: in
     count = min(most, COUNTS["train"])
     assert split["sampled"] == count
     assert split["samples"] == COUNTS["train"]
-    chosen = [n * (COUNTS["train"] - 1) // max(count - 1, 1) for n in range(count)]  # from the first to the last
+    chosen = [
+        n * (COUNTS["train"] - 1) // max(count - 1, 1) for n in range(count)
+    ]  # from the first to the last
     check(split["statistics"], recomputed(fields(full, "train"), np.array(chosen)))
 
 
@@ -130,7 +138,10 @@ def test_many_samples_are_measured_by_several_processes_some_at_a_time(
 @pytest.mark.parametrize("cut", [0, 1, 7, 20])
 def test_two_spreads_together_are_that_of_all(cut: int) -> None:
     values = (1e6 + np.random.default_rng(cut).normal(size=20)).tolist()
-    found, whole = (Spread.of(values[:cut]) + Spread.of(values[cut:])).said(), Spread.of(values).said()
+    found, whole = (
+        (Spread.of(values[:cut]) + Spread.of(values[cut:])).said(),
+        Spread.of(values).said(),
+    )
     assert found == pytest.approx(whole, rel=1e-9)
     assert whole["std"] == pytest.approx(np.std(values))
 
@@ -151,7 +162,9 @@ def test_a_sample_without_returns_has_no_mean_range(tmp_path: Path) -> None:
     check(split["statistics"], recomputed(fields(folder, "train"), np.arange(COUNTS["train"])))
 
 
-def test_a_split_without_returns_gives_valid_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_split_without_returns_gives_valid_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = make(tmp_path / "d")
     for file in sorted(folder.glob("test-*.h5")):
         with h5py.File(file, "r+") as opened:
@@ -206,7 +219,9 @@ def test_a_page_has_histograms_of_all_that_was_measured_and_runs_nothing(
     assert [path.name for path in tmp_path.iterdir() if path.suffix == ".html"] == ["page.html"]
 
 
-def test_a_folder_of_datasets_is_listed(full: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_of_datasets_is_listed(
+    full: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     shutil.copytree(full, tmp_path / "good")
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "dataset.json").write_text("{")

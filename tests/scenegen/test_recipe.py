@@ -22,8 +22,39 @@ from scenegen.verify.contract import read_contract
 from scenegen.verify.report import Ledger
 
 NASTY = (
-    *(0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 10**30, 1 << 20_000, math.nan, math.inf, -math.inf, True, False, None),
-    *("", "5", "\x1b[2J\n", [], [1], [1, 2], [2, 1], [8, 8, 8], [1e9, 1e9], [math.nan, 1], [[1], 2], [1] * 999, {}),
+    *(
+        0,
+        1,
+        -1,
+        2.5,
+        1e-300,
+        1e-7,
+        1e9,
+        1e308,
+        10**30,
+        1 << 20_000,
+        math.nan,
+        math.inf,
+        -math.inf,
+        True,
+        False,
+        None,
+    ),
+    *(
+        "",
+        "5",
+        "\x1b[2J\n",
+        [],
+        [1],
+        [1, 2],
+        [2, 1],
+        [8, 8, 8],
+        [1e9, 1e9],
+        [math.nan, 1],
+        [[1], 2],
+        [1] * 999,
+        {},
+    ),
     *({"a": 1}, datetime.date(1979, 5, 27), datetime.time(7, 32), datetime.datetime(1979, 5, 27)),
 )
 """Values as TOML could give them, and worse."""
@@ -38,13 +69,19 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def manifest_of(recipe: Recipe) -> dict[str, Any]:
     """A manifest of no shard, with the greatest numbers besides the recipe that there may be."""
     counts = dict.fromkeys(("train", "val", "test"), MOST_SAMPLES)
-    options = {"seed": MOST_SEED, "counts": counts, "compact": False, "shard_samples": MOST_SAMPLES_IN_SHARD}
+    options = {
+        "seed": MOST_SEED,
+        "counts": counts,
+        "compact": False,
+        "shard_samples": MOST_SAMPLES_IN_SHARD,
+    }
     given = manifest.parameters(recipe, DrawnWorlds(recipe), **options)
     return json.loads(json.dumps(manifest.assemble(given, [], complete=False)))
 
 
 def random_tables(chance: random.Random, recipe: Recipe) -> dict[str, Any]:
-    """A few parameters, of random values: nasty ones, and those that are there, scaled or mixed up."""
+    """A few parameters, of random values: nasty ones, and those that are there, scaled or mixed
+    up."""
     tables: dict[str, Any] = {}
     for _ in range(chance.choice((1, 1, 1, 2, 4))):
         name = chance.choice(("world", "flight", "accept", "lidar", "grid"))
@@ -55,13 +92,17 @@ def random_tables(chance: random.Random, recipe: Recipe) -> dict[str, Any]:
         scaled = [type(one)(one * scale) for one in there] if isinstance(there, tuple) else there
         if isinstance(there, int | float) and not isinstance(there, bool):
             scaled = type(there)(there * scale)
-        tables.setdefault(name, {})[parameter] = chance.choice((scaled, scaled, chance.choice(NASTY)))
+        tables.setdefault(name, {})[parameter] = chance.choice(
+            (scaled, scaled, chance.choice(NASTY))
+        )
     if chance.random() < 0.05:
         tables[chance.choice(("wrld", "\x1b[2J", "world", ""))] = chance.choice(NASTY)
     return tables
 
 
-def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_readers_take(tmp_path: Path) -> None:
+def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_readers_take(
+    tmp_path: Path,
+) -> None:
     chance = random.Random(0)
     presets = {kind: preset(kind) for kind in kind_names()}
     outcome: Counter[str] = Counter()
@@ -94,7 +135,10 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
 @pytest.mark.parametrize("kind", [*kind_names(), "scene"])
 def test_every_preset_keeps_its_own_rules_and_reads_back(kind: str) -> None:
     recipe = preset(kind)
-    plain = {name: dataclasses.asdict(getattr(recipe, name)) for name in ("flight", "accept", "lidar", "grid")}
+    plain = {
+        name: dataclasses.asdict(getattr(recipe, name))
+        for name in ("flight", "accept", "lidar", "grid")
+    }
     if recipe.world is not None:
         plain["world"] = dataclasses.asdict(recipe.world)
     assert make_recipe(kind, json.loads(json.dumps(plain)), where="test") == recipe
@@ -112,7 +156,10 @@ def test_whole_numbers_and_floats_make_the_same_dataset() -> None:
         "world": {"density": [0.0, 1.0]},
         "flight": {"viewpoints": 2},
     }
-    found = [json.dumps(manifest_of(make_recipe("pillar", tables, where="test"))) for tables in (whole, exact)]
+    found = [
+        json.dumps(manifest_of(make_recipe("pillar", tables, where="test")))
+        for tables in (whole, exact)
+    ]
     assert found[0] == found[1]
 
 

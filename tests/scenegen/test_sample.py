@@ -15,11 +15,15 @@ def test_points_lie_along_the_rays_and_in_observed_voxels(made: Path) -> None:
     sample = dataset.split("train")[2]
     points = sample.points()
     hit = np.isfinite(sample.ranges)
-    np.testing.assert_allclose(np.linalg.norm(points - sample.position, axis=1), sample.ranges[hit], rtol=1e-6)
+    np.testing.assert_allclose(
+        np.linalg.norm(points - sample.position, axis=1), sample.ranges[hit], rtol=1e-6
+    )
     cells = np.floor((points - sample.origin) / dataset.grid.voxel_m).astype(int)
     inside = ((cells >= 0) & (cells < dataset.grid.shape)).all(axis=1)
     assert sample.observed[tuple(cells[inside].T)].all()
-    assert {tuple(cell) for cell in cells[inside]} == {tuple(cell) for cell in np.argwhere(sample.observed)}
+    assert {tuple(cell) for cell in cells[inside]} == {
+        tuple(cell) for cell in np.argwhere(sample.observed)
+    }
 
 
 def test_a_sample_without_a_dataset_needs_its_sensor(made: Path) -> None:
@@ -36,14 +40,22 @@ def test_samples_and_splits_say_what_they_are(dataset: Path) -> None:
     split = Dataset(folder).split("train")
     assert repr(split) == f"<Split: 11 samples of {folder}, train>"
     assert "<b>x" not in split._repr_html_()
-    assert all(f"<td>{name}</td>" in text for text in (split._repr_html_(), split[0]._repr_html_()) for name in SCHEMA)
+    assert all(
+        f"<td>{name}</td>" in text
+        for text in (split._repr_html_(), split[0]._repr_html_())
+        for name in SCHEMA
+    )
     share = 100 * split[1].occupancy.mean()
-    assert repr(split[1]).startswith("<Sample: world 0, viewpoint 1, 24 × 24 × 16 voxels, observed ")
+    assert repr(split[1]).startswith(
+        "<Sample: world 0, viewpoint 1, 24 × 24 × 16 voxels, observed "
+    )
     assert f"occupancy {share:.1f} %" in repr(split[1])
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_a_preset_as_a_file_is_the_preset(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_preset_as_a_file_is_the_preset(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from scenegen.recipe import preset, read_recipe
 
     code, said, _ = run(capsys, "recipe", kind)

@@ -1,4 +1,5 @@
-"""A stranger's MJCF: what MuJoCo makes of it is what is archived, and harm ends in one line, soon, without a trace."""
+"""A stranger's MJCF: what MuJoCo makes of it is what is archived, and harm ends in one line, soon,
+without a trace."""
 
 import os
 import warnings
@@ -33,13 +34,18 @@ ROBOT = """<mujoco><compiler meshdir="parts"/><asset><mesh name="arm" file="arm.
 
 
 @pytest.fixture(autouse=True)
-def no_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> object:
+def no_trace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> object:
     """Nothing is printed, nothing left in the working folder, no warning raised."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
+        warnings.filterwarnings(
+            "ignore", r"This process .* is multi-threaded"
+        )  # by pytest-xdist; Python 3.12 tells
         yield
     assert [str(warning.message) for warning in told] == []
     assert "".join(capfd.readouterr()) == ""
@@ -62,7 +68,9 @@ def own_rays(path: Path, origin: np.ndarray, directions: np.ndarray) -> np.ndarr
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     geom = np.zeros(1, np.int32)
-    found = [mujoco.mj_ray(model, data, origin, ray, None, True, -1, geom, None) for ray in directions]
+    found = [
+        mujoco.mj_ray(model, data, origin, ray, None, True, -1, geom, None) for ray in directions
+    ]
     return np.where((np.array(found) < 0) | (np.array(found) > REACH_M), np.inf, found)
 
 
@@ -87,7 +95,9 @@ def test_an_attached_model_keeps_its_own_mesh_beside_a_namesake(tmp_path: Path) 
     for assets in ("", '<mesh name="other" file="arm.obj"/>'):
         scene = assert_as_mujoco_compiles_it(write(tmp_path, ATTACHED.format(assets=assets)))
         assert len(scene.assets) == 1
-        assert scene.notes == ("world.xml: joints (1) stay in their reference position: nothing moves",)
+        assert scene.notes == (
+            "world.xml: joints (1) stay in their reference position: nothing moves",
+        )
     (tmp_path / "arm.obj").unlink()
     assert_as_mujoco_compiles_it(write(tmp_path, ATTACHED.format(assets="")))
 
@@ -118,7 +128,9 @@ def test_every_kind_of_geom_lies_where_mujoco_puts_it(tmp_path: Path) -> None:
 
 def test_what_only_dresses_geoms_is_not_needed(tmp_path: Path) -> None:
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.stl")
-    sides = " ".join(f'file{side}="absent.png"' for side in ("right", "left", "up", "down", "front", "back"))
+    sides = " ".join(
+        f'file{side}="absent.png"' for side in ("right", "left", "up", "down", "front", "back")
+    )
     scene = load_scene(
         write(
             tmp_path,
@@ -130,15 +142,29 @@ def test_what_only_dresses_geoms_is_not_needed(tmp_path: Path) -> None:
         )
     )
     assert scene.unseen == ("ghost",)
-    assert scene.notes == ("world.xml: skins (1) are left out: they dress bodies, and rays do not see them",)
+    assert scene.notes == (
+        "world.xml: skins (1) are left out: they dress bodies, and rays do not see them",
+    )
     assert [name.rpartition("-")[2] for name in scene.assets] == ["m.msh"]
+
+
+def test_memory_that_a_file_asks_for_beside_its_geoms_is_not_taken(tmp_path: Path) -> None:
+    """MuJoCo would fill gigabytes, for as long as a reader's limits let it."""
+    path = tmp_path / "w.xml"
+    path.write_text(
+        '<mujoco><size nuserdata="2000000000" nkey="100000000"/><worldbody>'
+        '<geom type="box" size="1 1 1"/></worldbody></mujoco>'
+    )
+    assert len(compile_world(load_scene(path).mjcf).solids) == 1
 
 
 def test_plugins_that_move_things_are_left_out_of_what_is_archived(tmp_path: Path) -> None:
     path = write(
         tmp_path,
-        '<mujoco><extension><plugin plugin="mujoco.pid"/></extension><compiler settotalmass="3"/><worldbody><body>'
-        '<joint name="j"/><geom size="1"/></body></worldbody><actuator><plugin joint="j" plugin="mujoco.pid"/>'
+        '<mujoco><extension><plugin plugin="mujoco.pid"/></extension><compiler '
+        'settotalmass="3"/><worldbody><body>'
+        '<joint name="j"/><geom size="1"/></body></worldbody><actuator><plugin joint="j" '
+        'plugin="mujoco.pid"/>'
         "</actuator></mujoco>",
     )
     (scene,) = read_scenes(path, ONE, seed=0).scenes["train"]
@@ -155,8 +181,10 @@ def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_pat
     trimesh.Trimesh(one.vertices, one.faces[2:]).export(tmp_path / "open.obj")
     path = write(
         tmp_path,
-        '<mujoco><asset><mesh name="touching" file="touching.obj"/><mesh name="open" file="open.obj" inertia="shell"/>'
-        '</asset><worldbody><geom type="mesh" mesh="touching"/><geom type="mesh" mesh="open" pos="9 0 0"/></worldbody>'
+        '<mujoco><asset><mesh name="touching" file="touching.obj"/><mesh name="open" '
+        'file="open.obj" inertia="shell"/>'
+        '</asset><worldbody><geom type="mesh" mesh="touching"/><geom type="mesh" mesh="open" '
+        'pos="9 0 0"/></worldbody>'
         "</mujoco>",
     )
     scene = load_scene(path)
@@ -168,7 +196,9 @@ def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_pat
     from scenegen.truth import rasterize
 
     # a mesh's own frame is about its centre, a corner of each box
-    inside = rasterize(solids, GridSpec(shape=(8, 8, 4), voxel_m=0.5), solids.triangles[:24].min(axis=(0, 1)))
+    inside = rasterize(
+        solids, GridSpec(shape=(8, 8, 4), voxel_m=0.5), solids.triangles[:24].min(axis=(0, 1))
+    )
     assert inside[:4, :4].all()
     assert inside[4:, 4:].all()
     assert not inside[5:, :3].any()
@@ -177,24 +207,38 @@ def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_pat
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('<geom size="1" pos="nan 0 0"/>', "<geom pos='nan 0 0'>: 'nan', expected numbers up to 1e+06"),
-        ('<geom size="1"pos=\'nan 0 0\'type="box"/>', "<geom pos='nan 0 0'>: 'nan', expected numbers up to 1e+06"),
+        (
+            '<geom size="1" pos="nan 0 0"/>',
+            "<geom pos='nan 0 0'>: 'nan', expected numbers up to 1e+06",
+        ),
+        (
+            '<geom size="1"pos=\'nan 0 0\'type="box"/>',
+            "<geom pos='nan 0 0'>: 'nan', expected numbers up to 1e+06",
+        ),
         ('<geom size="1" pos="&#110;an 0 0"/>', "has numbers that are NaN"),
-        ('<geom size="1" quat="1 0 NaN 0"/>', "<geom quat='1 0 NaN 0'>: 'NaN', expected finite numbers"),
+        (
+            '<geom size="1" quat="1 0 NaN 0"/>',
+            "<geom quat='1 0 NaN 0'>: 'NaN', expected finite numbers",
+        ),
         ('<body pos="0 0 -inf"><geom size="1"/></body>', "<body pos='0 0 -inf'>"),
         ('<geom size="1e7"/>', "<geom size='1e7'>: '1e7', expected numbers up to 1e+06"),
         (
             '<body pos="9e5 0 0"><geom name="far" size="1" pos="9e5 0 0"/></body>',
             "geom far: pos = [1800000.0, 0.0, 0.0]",
         ),
-        ('<replicate count="1000000000" offset="1 0 0"><geom size="1"/></replicate>', "more than 50000 geoms"),
+        (
+            '<replicate count="1000000000" offset="1 0 0"><geom size="1"/></replicate>',
+            "more than 50000 geoms",
+        ),
         ('<geom size=".1"/>' * 50_001, "more than 50000 geoms"),
         ('<include file="pipe.xml"/>', "pipe.xml: is not a regular file"),
         ('<include file="/dev/zero"/>', "/dev/zero: is not a regular file"),
         ('<geom size="1"/>', None),
     ],
 )
-def test_numbers_and_files_that_no_world_can_have_are_named(tmp_path: Path, text: str, said: str | None) -> None:
+def test_numbers_and_files_that_no_world_can_have_are_named(
+    tmp_path: Path, text: str, said: str | None
+) -> None:
     os.mkfifo(tmp_path / "pipe.xml")
     path = write(tmp_path, f"<mujoco><worldbody>{text}</worldbody></mujoco>")
     if said is None:
@@ -210,10 +254,16 @@ def test_numbers_and_files_that_no_world_can_have_are_named(tmp_path: Path, text
     ("text", "said"),
     [
         (MESH.format('vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="nan 1 1"'), "<mesh scale='nan 1 1'>"),
-        (MESH.format('builtin="supersphere" params="30000 1 1"'), "<mesh params='30000 1 1'>: expected 300 at most"),
+        (
+            MESH.format('builtin="supersphere" params="30000 1 1"'),
+            "<mesh params='30000 1 1'>: expected 300 at most",
+        ),
         (HFIELD.format('file="nan.bin"'), "a height field's heights: expected finite numbers"),
         (HFIELD.format('file="huge.bin"'), ""),
-        (HFIELD.format('nrow="65536" ncol="65536"'), "<hfield>: nrow times ncol is more than 16777216"),
+        (
+            HFIELD.format('nrow="65536" ncol="65536"'),
+            "<hfield>: nrow times ncol is more than 16777216",
+        ),
         (HFIELD.format('nrow="1200" ncol="1200"'), f"expected {MOST_TRIANGLES} at most"),
         (MESH.format('file="pipe.stl"'), "reading it took too long; 1.5 s and 1 GB are allowed"),
     ],
@@ -224,7 +274,9 @@ def test_meshes_and_height_fields_that_mean_harm_end_in_one_line(
     heights = np.zeros((16, 16), np.float32)
     heights[3, 3] = np.nan
     (tmp_path / "nan.bin").write_bytes(np.array([16, 16], np.int32).tobytes() + heights.tobytes())
-    (tmp_path / "huge.bin").write_bytes(np.array([65536, 65536], np.int32).tobytes() + heights.tobytes())
+    (tmp_path / "huge.bin").write_bytes(
+        np.array([65536, 65536], np.int32).tobytes() + heights.tobytes()
+    )
     os.mkfifo(tmp_path / "pipe.stl")
     monkeypatch.setattr(scenegen.source, "SCENE_BYTES", 1 << 30)
     if "pipe" in text:
@@ -244,8 +296,13 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path: Path) -> None:
         text = f'<mujoco><include file="assets.xml"/><worldbody>{body}</worldbody></mujoco>'
         write(folder, text, f"world{n}.xml")
     source = read_scenes(folder, {"train": 1, "val": 0, "test": 1}, seed=0)
-    assert sorted(scene.name for scenes in source.scenes.values() for scene in scenes) == ["world0.xml", "world1.xml"]
-    assert source.notes == (f"{folder}: assets.xml, part.xml left out: parts, which other files include",)
+    assert sorted(scene.name for scenes in source.scenes.values() for scene in scenes) == [
+        "world0.xml",
+        "world1.xml",
+    ]
+    assert source.notes == (
+        f"{folder}: assets.xml, part.xml left out: parts, which other files include",
+    )
     with pytest.raises(SceneError, match="holds parts alone"):
         read_scenes(folder / "part.xml", ONE, seed=0)
 
@@ -253,7 +310,8 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path: Path) -> None:
 def test_one_world_alone_says_how_to_measure_on_it(tmp_path: Path) -> None:
     path = write(tmp_path, '<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
     with pytest.raises(
-        SceneError, match=r"folder of 2 worlds or more, or leave --test out and .* \(bench --split train"
+        SceneError,
+        match=r"folder of 2 worlds or more, or leave --test out and .* \(bench --split train",
     ):
         read_scenes(path, {"train": 1, "val": 0, "test": 1}, seed=0)
 
@@ -277,7 +335,10 @@ def test_the_truth_takes_no_numbers_that_a_kernel_cannot() -> None:
         ('<geom size="1" pos="0 nan 0"/>', "<geom pos='0 nan 0'>"),
         ('<geom size="1 2000000"/>', "'2000000', expected numbers up to 1e+06"),
         ('<mesh name="m" builtin="supersphere" params="3000 1 1"/>', "expected 300 at most"),
-        ('<hfield name="h" file="f.bin" size="1 1 1 1"/>', "65536 rows and 65536 columns in 12 bytes"),
+        (
+            '<hfield name="h" file="f.bin" size="1 1 1 1"/>',
+            "65536 rows and 65536 columns in 12 bytes",
+        ),
     ],
 )
 def test_the_screen_refuses_what_generate_refuses(element: str, said: str) -> None:
@@ -295,10 +356,14 @@ def test_a_users_own_handler_of_warnings_comes_back() -> None:
         with quiet_mujoco() as told:
             with quiet_mujoco():
                 pass
-            mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>')
+            mujoco.MjModel.from_xml_string(
+                '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
+            )
         assert len(told) >= 1
         assert own == []
-        mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>')
+        mujoco.MjModel.from_xml_string(
+            '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
+        )
         assert own
     finally:
         mujoco.set_mju_user_warning(before)

@@ -1,4 +1,5 @@
-"""Worlds from files: split by world, visited in turn, self-contained once archived; and kinds that are one file."""
+"""Worlds from files: split by world, visited in turn, self-contained once archived; and kinds that
+are one file."""
 
 from collections import Counter
 from pathlib import Path
@@ -27,7 +28,9 @@ ROOM = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></
 
 
 def scene_recipe() -> object:
-    return make_recipe("scene", {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}, where="test")
+    return make_recipe(
+        "scene", {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}, where="test"
+    )
 
 
 @pytest.fixture
@@ -49,13 +52,19 @@ def test_a_folder_is_split_by_world_and_visited_in_turn(folder: Path, tmp_path: 
     source, dataset = make(folder, tmp_path / "d", {**COUNTS, "train": 21})
     named = [scene.name for scenes in source.scenes.values() for scene in scenes]
     assert sorted(named) == [f"room{n}.xml" for n in range(5)]
-    assert {split: len(scenes) for split, scenes in source.scenes.items()} == {"train": 3, "val": 1, "test": 1}
+    assert {split: len(scenes) for split, scenes in source.scenes.items()} == {
+        "train": 3,
+        "val": 1,
+        "test": 1,
+    }
     names = dataset.split("train").names
     assert Counter(world for _, world, _ in names) == {0: 9, 1: 6, 2: 6}
     assert [viewpoint for _, world, viewpoint in names if world == 0] == list(range(9))
     assert len(set(names)) == len(names)
     recorded = dataset.manifest.tables["scenes"]
-    assert [entry["file"] for entry in recorded["train"]] == [scene.name for scene in source.scenes["train"]]
+    assert [entry["file"] for entry in recorded["train"]] == [
+        scene.name for scene in source.scenes["train"]
+    ]
 
 
 def test_fewer_samples_of_a_folder_are_the_first_of_more(folder: Path, tmp_path: Path) -> None:
@@ -70,8 +79,13 @@ def test_how_many_samples_are_asked_for_deals_no_world_otherwise(tmp_path: Path)
     for n in range(20):
         (tmp_path / f"room{n:02d}.xml").write_text(ROOM.format(n=3 + n / 10))
     dealt = {
-        tuple(tuple(scene.name for scene in scenes) for scenes in read_scenes(tmp_path, counts, seed=0).scenes.values())
-        for counts in ({"train": n, "val": max(n // 10, 1), "test": max(n // 5, 1)} for n in (5, 9, 45, 4500))
+        tuple(
+            tuple(scene.name for scene in scenes)
+            for scenes in read_scenes(tmp_path, counts, seed=0).scenes.values()
+        )
+        for counts in (
+            {"train": n, "val": max(n // 10, 1), "test": max(n // 5, 1)} for n in (5, 9, 45, 4500)
+        )
     }
     assert [len(scenes) for scenes in dealt.pop()] == [16, 1, 3]
     assert not dealt
@@ -102,12 +116,14 @@ def test_assets_and_includes_travel_with_the_world(tmp_path: Path) -> None:
     with open(tmp_path / "parts" / "meshes" / "hill.bin", "ab") as file:
         np.array([0, 0, 0, 0, 1, 0, 0, 0, 0], np.float32).tofile(file)
     (tmp_path / "parts" / "more.xml").write_text(
-        '<mujoco><worldbody><geom name="included" type="sphere" size="1" pos="2 6 2"/></worldbody></mujoco>'
+        '<mujoco><worldbody><geom name="included" type="sphere" size="1" pos="2 6 '
+        '2"/></worldbody></mujoco>'
     )
     (tmp_path / "world.xml").write_text(
         '<mujoco><compiler meshdir="parts/meshes"/><asset><mesh name="ring" file="ring.stl"/>'
         '<hfield name="hill" file="hill.bin" size="3 3 1 0.2"/></asset>'
-        '<custom><numeric name="flight_bounds" data="0 0 1 12 12 4"/></custom><include file="parts/more.xml"/>'
+        '<custom><numeric name="flight_bounds" data="0 0 1 12 12 4"/></custom><include '
+        'file="parts/more.xml"/>'
         '<worldbody><geom type="mesh" mesh="ring" pos="9 6 2" euler="40 0 0"/>'
         '<geom type="hfield" hfield="hill" pos="6 6 0"/></worldbody></mujoco>'
     )
@@ -134,7 +150,9 @@ def test_assets_and_includes_travel_with_the_world(tmp_path: Path) -> None:
 def test_worlds_of_many_geoms_compile() -> None:
     def add(spec: mujoco.MjSpec) -> None:
         for n in range(12_000):
-            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], pos=[n % 100, n // 100, 0])
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], pos=[n % 100, n // 100, 0]
+            )
 
     world = write_world(add, flight_bounds=np.array([[0, 0, 1], [100, 100, 3]]))
     assert world.model.ngeom == 12_000
@@ -146,7 +164,11 @@ def test_the_bundled_scenes_keep_the_laws_at_full_size(name: str) -> None:
 
     recipe = preset("scene")
     source = read_scenes(SCENES / f"{name}.xml", {"train": 5, "val": 0, "test": 0}, seed=0)
-    samples = [s for u in range(2) for s in draw_unit(source, recipe, seed=0, split="train", unit=u).samples]
+    samples = [
+        s
+        for u in range(2)
+        for s in draw_unit(source, recipe, seed=0, split="train", unit=u).samples
+    ]
     for sample in samples:
         assert not (sample.observed & ~sample.occupancy).any()
         assert sample.observed.sum() > 100
@@ -157,7 +179,9 @@ def test_a_new_kind_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     (tmp_path / "my_worlds.py").write_text(text.split("```python\n")[-1].split("```")[0])
     monkeypatch.syspath_prepend(tmp_path)
     tables = {**SMALL, "world": {"size_m": (16.0, 16.0, 8.0), "radius_m": (0.1, 0.1)}}
-    recipe = make_recipe("my_worlds:Fence", {**tables, "accept": {"min_occupied_share": 0.0}}, where="test")
+    recipe = make_recipe(
+        "my_worlds:Fence", {**tables, "accept": {"min_occupied_share": 0.0}}, where="test"
+    )
     world = DrawnWorlds(recipe).world("train", 0, rng=np.random.default_rng(0))
     assert world.model.ngeom == 16
     assert world.model.geom_size[0, 0] == 0.1

@@ -13,7 +13,8 @@ from lidarsim.jit import kernel
 from scenegen.model.evaluation.config import PlanConfig
 
 TIE = 1e-9
-"""Paths whose lengths differ by less, in lattice steps, are equally long: what differs is rounding."""
+"""Paths whose lengths differ by less, in lattice steps, are equally long: what differs is
+rounding."""
 
 Blocked = Literal["start_blocked", "goal_blocked", "no_path"]
 
@@ -29,10 +30,11 @@ class Plan(NamedTuple):
 
 @dataclass(frozen=True)
 class Lattice:
-    """Every `step`-th voxel of a grid in each direction, counted from the middle one, shape // 2, where paths start.
+    """Every `step`-th voxel of a grid in each direction, counted from the middle one, shape // 2,
+    where paths start.
 
-    Nodes are numbered (a, b, c) from the least corner. The paper's "step size" of 0.6 m at the default grid gives
-    27 x 27 x 13 nodes.
+    Nodes are numbered (a, b, c) from the least corner. The paper's "step size" of 0.6 m at the
+    default grid gives 27 x 27 x 13 nodes.
     """
 
     grid: GridSpec
@@ -52,7 +54,8 @@ class Lattice:
 
     @property
     def start(self) -> NDArray[np.int64]:
-        """The start's node (3,): its voxel is shape // 2, whose least corner is the middle of an even grid."""
+        """The start's node (3,): its voxel is shape // 2, whose least corner is the middle of an
+        even grid."""
         return np.array([n // 2 // self.step for n in self.grid.shape])
 
     def voxels(self, nodes: ArrayLike) -> NDArray[np.int64]:
@@ -64,28 +67,41 @@ class Lattice:
         return np.asarray((self.voxels(nodes) + 0.5) * self.grid.voxel_m)
 
     def node_at(self, point: ArrayLike) -> NDArray[np.int64]:
-        """The node (3,) whose point is `point` (3,). Raises ValueError where there is none within 1e-6 m."""
+        """The node (3,) whose point is `point` (3,). Raises ValueError where there is none within
+        1e-6 m."""
         point = np.asarray(point, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
-            raise ValueError(f"goal = {point.tolist()} must be three finite metres in the map frame")
-        node = np.rint((point / self.grid.voxel_m - 0.5 - self.first) / self.step).astype(np.int64)
-        if (node < 0).any() or (node >= self.shape).any() or np.abs(self.centres(node) - point).max() > 1e-6:
             raise ValueError(
-                f"goal = {point.tolist()} is no node of the lattice: expected the centre of a voxel that lies a "
-                f"multiple of {self.step} voxels from {[n // 2 for n in self.grid.shape]} within {self.grid.shape}"
+                f"goal = {point.tolist()} must be three finite metres in the map frame"
+            )
+        node = np.rint((point / self.grid.voxel_m - 0.5 - self.first) / self.step).astype(np.int64)
+        if (
+            (node < 0).any()
+            or (node >= self.shape).any()
+            or np.abs(self.centres(node) - point).max() > 1e-6
+        ):
+            raise ValueError(
+                f"goal = {point.tolist()} is no node of the lattice: expected the centre of a "
+                f"voxel that lies a "
+                f"multiple of {self.step} voxels from {[n // 2 for n in self.grid.shape]} within "
+                f"{self.grid.shape}"
             )
         return node
 
 
-def plan_path(occupied: NDArray[np.bool_], goal: ArrayLike, grid: GridSpec, config: PlanConfig) -> Plan:
-    """The shortest path through free nodes from the map's middle to `goal` (3,), a node's point, map frame, metres.
+def plan_path(
+    occupied: NDArray[np.bool_], goal: ArrayLike, grid: GridSpec, config: PlanConfig
+) -> Plan:
+    """The shortest path through free nodes from the map's middle to `goal` (3,), a node's point,
+    map frame, metres.
 
-    `occupied` (*grid.shape) is the binary collision map. A node is free when its voxel is; every node has up to 26
-    neighbours, as far away as they are in space (the paper's section "Planning Evaluation", and `Lattice`). With
-    `config.edge_check` the voxels that the segment between two nodes meets with positive length must be free, too;
-    with `config.free_start` the start's own voxel need not be.
-    The answer is exact, and the same on every run: of two equally long ways to a node the first found stands, and of
-    two nodes equally far by length and estimate the farther from the start, then the lower number, comes first.
+    `occupied` (*grid.shape) is the binary collision map. A node is free when its voxel is; every
+    node has up to 26 neighbours, as far away as they are in space (the paper's section "Planning
+    Evaluation", and `Lattice`). With `config.edge_check` the voxels that the segment between two
+    nodes meets with positive length must be free, too; with `config.free_start` the start's own
+    voxel need not be. The answer is exact, and the same on every run: of two equally long ways to a
+    node the first found stands, and of two nodes equally far by length and estimate the farther
+    from the start, then the lower number, comes first.
 
     Raises ValueError where `goal` is no node or the map's shape is not the grid's.
     """
@@ -96,12 +112,21 @@ def plan_path(occupied: NDArray[np.bool_], goal: ArrayLike, grid: GridSpec, conf
         return Plan(None, "start_blocked")
     if occupied[tuple(lattice.voxels(end))]:
         return Plan(None, "goal_blocked")
-    nodes = _search(occupied, lattice.first, np.array(lattice.shape), lattice.step, start, end, config.edge_check)
+    nodes = _search(
+        occupied,
+        lattice.first,
+        np.array(lattice.shape),
+        lattice.step,
+        start,
+        end,
+        config.edge_check,
+    )
     return Plan(lattice.centres(nodes), None) if len(nodes) else Plan(None, "no_path")
 
 
 def checked(values: NDArray, name: str, grid: GridSpec, dtype: type) -> NDArray:
-    """`values` as a contiguous array of `dtype`. Raises ValueError where its shape is not the grid's."""
+    """`values` as a contiguous array of `dtype`. Raises ValueError where its shape is not the
+    grid's."""
     values = np.ascontiguousarray(values, dtype=dtype)
     if values.shape != grid.shape:
         raise ValueError(f"{name}: shape {values.shape} must be the grid's, {grid.shape}")
@@ -110,10 +135,11 @@ def checked(values: NDArray, name: str, grid: GridSpec, dtype: type) -> NDArray:
 
 @kernel
 def _search(occupied, first, shape, step, start, goal, edge_check):
-    """Nodes (n, 3) from `start` to `goal`, both free; (0, 3) where no path is. Lengths are in lattice steps.
+    """Nodes (n, 3) from `start` to `goal`, both free; (0, 3) where no path is. Lengths are in
+    lattice steps.
 
-    The straight line to the goal never exceeds what is left of a path, nor falls by more than an edge is long, so the
-    first arrival is the shortest.
+    The straight line to the goal never exceeds what is left of a path, nor falls by more than an
+    edge is long, so the first arrival is the shortest.
     """
     nb, nc = shape[1], shape[2]
     length = np.full(shape[0] * nb * nc, np.inf)
@@ -140,7 +166,9 @@ def _search(occupied, first, shape, step, start, goal, edge_check):
                     x, y, z = first[0] + step * i, first[1] + step * j, first[2] + step * k
                     if occupied[x, y, z]:
                         continue
-                    if edge_check and not _edge_is_free(occupied, x, y, z, a - i, b - j, c - k, step):
+                    if edge_check and not _edge_is_free(
+                        occupied, x, y, z, a - i, b - j, c - k, step
+                    ):
                         continue
                     left = math.sqrt((goal[0] - i) ** 2 + (goal[1] - j) ** 2 + (goal[2] - k) ** 2)
                     length[there] = reached
@@ -163,10 +191,12 @@ def _search(occupied, first, shape, step, start, goal, edge_check):
 
 @kernel
 def _edge_is_free(occupied, x, y, z, dx, dy, dz, step):
-    """Whether the voxels between two nodes are free: from (x, y, z) `step` voxels along (dx, dy, dz), each -1, 0 or 1.
+    """Whether the voxels between two nodes are free: from (x, y, z) `step` voxels along (dx, dy,
+    dz), each -1, 0 or 1.
 
-    From centre to centre along such a direction a segment runs through the voxels stepped on here and, at corners
-    and edges, past the others without entering them, so no other meets it with positive length.
+    From centre to centre along such a direction a segment runs through the voxels stepped on here
+    and, at corners and edges, past the others without entering them, so no other meets it with
+    positive length.
     """
     for n in range(1, step):  # noqa: SIM110 (numba knows no all() of a generator)
         if occupied[x + n * dx, y + n * dy, z + n * dz]:

@@ -21,21 +21,26 @@ class Measurement:
     """What a trial gave. Lengths and clearances are NaN where no path was found."""
 
     success: bool
-    """A path was found, and no point of it, sampled every `sample_m`, lies in an occupied voxel of the truth."""
+    """A path was found, and no point of it, sampled every `sample_m`, lies in an occupied voxel of
+    the truth."""
     waypoints_clear: bool
-    """The second reading: a path was found, and none of its waypoints lies in an occupied voxel of the truth."""
+    """The second reading: a path was found, and none of its waypoints lies in an occupied voxel of
+    the truth."""
     length_m: float = math.nan
     """Length of the refined path, metres."""
     min_clearance_m: float = math.nan
-    """Least value of the truth's TUDF at those points, metres: "Euclidean distance to the nearest obstacle using the
-    ground-truth TUDF ... along each trajectory" (the paper), to voxel centres and at most the truncation."""
+    """Least value of the truth's TUDF at those points, metres: "Euclidean distance to the nearest
+    obstacle using the ground-truth TUDF ... along each trajectory" (the paper), to voxel centres
+    and at most the truncation."""
     mean_clearance_m: float = math.nan
     """Its mean along the path's length (trapezoidal rule between the points), metres."""
     cause: Cause | None = None
-    """Why the trial failed; None for a success. `start_blocked`, `goal_blocked` and `no_path` are the predicted map's;
-    `initial_collides`: A*'s path, too, meets an occupied voxel of the truth; `refined_into_obstacle`: it does not."""
+    """Why the trial failed; None for a success. `start_blocked`, `goal_blocked` and `no_path` are
+    the predicted map's; `initial_collides`: A*'s path, too, meets an occupied voxel of the truth;
+    `refined_into_obstacle`: it does not."""
     hit: int | None = None
-    """The first occupied voxel of the truth that the refined path meets, counted in C order; None for none."""
+    """The first occupied voxel of the truth that the refined path meets, counted in C order; None
+    for none."""
 
 
 def run_trial(
@@ -47,8 +52,9 @@ def run_trial(
     grid: GridSpec,
     config: PlanConfig,
 ) -> Measurement:
-    """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps (*grid.shape); judge in
-    the truth (*grid.shape). Distances are metres. The paper's section "Planning with Predicted Distance Fields"."""
+    """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps
+    (*grid.shape); judge in the truth (*grid.shape). Distances are metres. The paper's section
+    "Planning with Predicted Distance Fields"."""
     plan = plan_path(occupied_pred, goal, grid, config)
     return follow(plan, tudf_pred, occupancy_truth, tudf_truth, grid, config)
 
@@ -61,7 +67,8 @@ def follow(
     grid: GridSpec,
     config: PlanConfig,
 ) -> Measurement:
-    """Refine what `plan_path` gave on the predicted distances, and judge it in the truth; see `run_trial`."""
+    """Refine what `plan_path` gave on the predicted distances, and judge it in the truth; see
+    `run_trial`."""
     refined = None if plan.waypoints is None else refine(plan.waypoints, tudf_pred, grid, config)
     return judge(plan, refined, occupancy_truth, tudf_truth, grid, config)
 
@@ -74,7 +81,8 @@ def judge(
     grid: GridSpec,
     config: PlanConfig,
 ) -> Measurement:
-    """Judge in the truth the path `refined` (n, 3) that was made of what `plan_path` gave; see `run_trial`."""
+    """Judge in the truth the path `refined` (n, 3) that was made of what `plan_path` gave; see
+    `run_trial`."""
     initial, reason = plan
     if initial is None or refined is None:
         return Measurement(success=False, waypoints_clear=False, cause=reason)
@@ -98,20 +106,27 @@ def judge(
 
 
 def met(path: NDArray[np.float64], grid: GridSpec, config: PlanConfig) -> NDArray[np.int64]:
-    """The voxels, counted in C order, each once, that hold the points at which a path (n, 3) is judged."""
+    """The voxels, counted in C order, each once, that hold the points at which a path (n, 3) is
+    judged."""
     legs = np.diff(path, axis=0)
-    pieces = np.maximum(np.ceil(np.linalg.norm(legs, axis=1) / config.sample_m - 1e-9), 1).astype(np.int64)
-    parts = [path[n] + legs[n] * (np.arange(1, count + 1) / count)[:, None] for n, count in enumerate(pieces)]
+    pieces = np.maximum(np.ceil(np.linalg.norm(legs, axis=1) / config.sample_m - 1e-9), 1).astype(
+        np.int64
+    )
+    parts = [
+        path[n] + legs[n] * (np.arange(1, count + 1) / count)[:, None]
+        for n, count in enumerate(pieces)
+    ]
     index = np.floor(np.concatenate([path[:1], *parts]) / grid.voxel_m).astype(np.int64)
     return np.unique(np.ravel_multi_index(tuple(index.T), grid.shape, mode="clip"))
 
 
 @kernel
 def _walk(path, occupancy, tudf, voxel_m, sample_m, smooth):
-    """Judge `path` (n, 3) at its waypoints and, between two, at equally spaced points at most `sample_m` apart.
+    """Judge `path` (n, 3) at its waypoints and, between two, at equally spaced points at most
+    `sample_m` apart.
 
-    Returns the number of the first occupied voxel that holds one, -1 for none; the path's length; the least and the
-    mean of `tudf` along it.
+    Returns the number of the first occupied voxel that holds one, -1 for none; the path's length;
+    the least and the mean of `tudf` along it.
     """
     hit = _hit(occupancy, path[0], voxel_m)
     before = _distance(tudf, path[0], voxel_m, smooth)
@@ -144,7 +159,8 @@ def _waypoints_clear(path, occupancy, voxel_m):
 
 @kernel
 def _distance(tudf, point, voxel_m, smooth):
-    """The field at a point: between voxel centres if `smooth`, or the value of the voxel that holds it."""
+    """The field at a point: between voxel centres if `smooth`, or the value of the voxel that holds
+    it."""
     if smooth:
         return field_at(tudf, point[0], point[1], point[2], voxel_m)[0]
     return np.float64(tudf[_voxel(tudf.shape, point, voxel_m)])
@@ -152,7 +168,8 @@ def _distance(tudf, point, voxel_m, smooth):
 
 @kernel
 def _hit(occupancy, point, voxel_m):
-    """The number of the voxel that holds a point, in C order, where it is occupied; -1 where it is not."""
+    """The number of the voxel that holds a point, in C order, where it is occupied; -1 where it is
+    not."""
     i, j, k = _voxel(occupancy.shape, point, voxel_m)
     return (i * occupancy.shape[1] + j) * occupancy.shape[2] + k if occupancy[i, j, k] else -1
 

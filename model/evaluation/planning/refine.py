@@ -1,4 +1,5 @@
-"""Refinement: gradient descent that smooths a path and pushes it away from obstacles by a distance field."""
+"""Refinement: gradient descent that smooths a path and pushes it away from obstacles by a distance
+field."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,25 +10,36 @@ from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import checked
 
 SHORTEST_STEP = 1e-12
-"""Steps shorter than this, in gradients, are not tried: the path stands at a minimum or on a kink of the field."""
+"""Steps shorter than this, in gradients, are not tried: the path stands at a minimum or on a kink
+of the field."""
 
 
-def refine(waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig) -> NDArray[np.float64]:
-    """The path (n, 3) after gradient descent on `_cost` from `waypoints` (n, 3), map frame, metres; ends stay.
+def refine(
+    waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig
+) -> NDArray[np.float64]:
+    """The path (n, 3) after gradient descent on `_cost` from `waypoints` (n, 3), map frame, metres;
+    ends stay.
 
-    The paper's section "Planning Evaluation", whose optimizer is not told; here each of `config.iterations` steps is
-    projected onto the box of the map's voxel centres, where the field is interpolated and never extrapolated, and
-    shortened until it brings Armijo's decrease, so that the cost never rises. Ends early where no step does.
+    The paper's section "Planning Evaluation", whose optimizer is not told; here each of
+    `config.iterations` steps is projected onto the box of the map's voxel centres, where the field
+    is interpolated and never extrapolated, and shortened until it brings Armijo's decrease, so that
+    the cost never rises. Ends early where no step does.
 
-    `tudf` (*grid.shape) is the predicted distance, metres. Raises ValueError where a waypoint lies outside that box.
+    `tudf` (*grid.shape) is the predicted distance, metres. Raises ValueError where a waypoint lies
+    outside that box.
     """
     path = np.ascontiguousarray(waypoints, dtype=np.float64)
     if path.ndim != 2 or path.shape[1] != 3 or not np.isfinite(path).all():
-        raise ValueError(f"waypoints: expected finite metres of shape (n, 3), got shape {path.shape}")
+        raise ValueError(
+            f"waypoints: expected finite metres of shape (n, 3), got shape {path.shape}"
+        )
     tudf = checked(tudf, "tudf", grid, np.float32)
     low, high = 0.5 * grid.voxel_m, (np.array(grid.shape) - 0.5) * grid.voxel_m
     if (path < low - 1e-9).any() or (path > high + 1e-9).any():
-        raise ValueError(f"waypoints: must lie between {low:g} and {high.tolist()} metres, the outermost voxel centres")
+        raise ValueError(
+            f"waypoints: must lie between {low:g} and {high.tolist()} metres, the outermost voxel "
+            f"centres"
+        )
     return _descend(
         path,
         tudf,
@@ -43,7 +55,8 @@ def refine(waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, con
 
 @kernel
 def field_at(tudf, x, y, z, voxel_m):
-    """The field at a point of the map, metres, and its gradient there: (value, d/dx, d/dy, d/dz)."""
+    """The field at a point of the map, metres, and its gradient there: (value, d/dx, d/dy,
+    d/dz)."""
     nx, ny, nz = tudf.shape
     i, u, in_x = _cell(x, voxel_m, nx)
     j, v, in_y = _cell(y, voxel_m, ny)
@@ -63,8 +76,9 @@ def field_at(tudf, x, y, z, voxel_m):
 
 @kernel
 def _cell(at, voxel_m, count):
-    """The voxel whose centre comes last before `at` along one axis, the way from there to the next centre, 0 to 1, and
-    whether (1.0 or 0.0) the field changes with `at`: it does not beyond the outermost centres."""
+    """The voxel whose centre comes last before `at` along one axis, the way from there to the next
+    centre, 0 to 1, and whether (1.0 or 0.0) the field changes with `at`: it does not beyond the
+    outermost centres."""
     steps = at / voxel_m - 0.5
     if steps <= 0.0:
         return 0, 0.0, 1.0 if steps == 0.0 else 0.0
@@ -77,8 +91,8 @@ def _cell(at, voxel_m, count):
 
 @kernel
 def _cost(path, tudf, voxel_m, safety_m, weight):
-    """J = sum |p[i+1] - 2 p[i] + p[i-1]|^2 + lambda_c sum max(0, d_s - D(p[i]))^2, m^2, over the waypoints between the
-    ends (the paper's section "Planning Evaluation"). D is `field_at`'s."""
+    """J = sum |p[i+1] - 2 p[i] + p[i-1]|^2 + lambda_c sum max(0, d_s - D(p[i]))^2, m^2, over the
+    waypoints between the ends (the paper's section "Planning Evaluation"). D is `field_at`'s."""
     total = 0.0
     for i in range(1, len(path) - 1):
         for axis in range(3):
@@ -91,8 +105,8 @@ def _cost(path, tudf, voxel_m, safety_m, weight):
 
 @kernel
 def _gradient(path, tudf, voxel_m, safety_m, weight, slope):
-    """Write the gradient of `_cost` to `slope` (n, 3), metres; 0 at the ends. On a kink of the interpolated field, it
-    is that of one side."""
+    """Write the gradient of `_cost` to `slope` (n, 3), metres; 0 at the ends. On a kink of the
+    interpolated field, it is that of one side."""
     slope[:] = 0.0
     for i in range(1, len(path) - 1):
         for axis in range(3):
@@ -111,7 +125,8 @@ def _gradient(path, tudf, voxel_m, safety_m, weight, slope):
 
 @kernel
 def _descend(path, tudf, voxel_m, safety_m, weight, iterations, first_step, shrink, armijo):
-    """Projected gradient descent (Bertsekas 1976): a step t to p' must bring armijo / t * |p' - p|^2 at least."""
+    """Projected gradient descent (Bertsekas 1976): a step t to p' must bring armijo / t * |p' -
+    p|^2 at least."""
     path = path.copy()
     slope, trial = np.empty_like(path), path.copy()
     here = _cost(path, tudf, voxel_m, safety_m, weight)
@@ -124,7 +139,9 @@ def _descend(path, tudf, voxel_m, safety_m, weight, iterations, first_step, shri
             for i in range(1, len(path) - 1):
                 for axis in range(3):
                     high = (tudf.shape[axis] - 0.5) * voxel_m
-                    trial[i, axis] = min(max(path[i, axis] - step * slope[i, axis], 0.5 * voxel_m), high)
+                    trial[i, axis] = min(
+                        max(path[i, axis] - step * slope[i, axis], 0.5 * voxel_m), high
+                    )
                     moved += (trial[i, axis] - path[i, axis]) ** 2
             if moved == 0.0:
                 return path

@@ -30,12 +30,14 @@ def draw_trials(
     rng: np.random.Generator,
     bounds: ArrayLike | None = None,
 ) -> Trials:
-    """`count` goals, or as many as there are, drawn without replacement from the lattice's outermost layer.
+    """`count` goals, or as many as there are, drawn without replacement from the lattice's
+    outermost layer.
 
-    The layer is that of `config.goal_faces`, less the nodes outside `bounds` (2, 3), least and greatest corner in the
-    map frame, metres, where given: the world's, so that goals lie in it. A goal counts when A* finds a path to it in
-    `occupancy_truth` (*grid.shape); "cases where no feasible solution is found using the ground-truth map are
-    excluded" (the paper's section "Planning with Predicted Distance Fields"), and counted here.
+    The layer is that of `config.goal_faces`, less the nodes outside `bounds` (2, 3), least and
+    greatest corner in the map frame, metres, where given: the world's, so that goals lie in it. A
+    goal counts when A* finds a path to it in `occupancy_truth` (*grid.shape); "cases where no
+    feasible solution is found using the ground-truth map are excluded" (the paper's section
+    "Planning with Predicted Distance Fields"), and counted here.
     """
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     lattice = Lattice(grid, config.step_voxels)
@@ -59,7 +61,8 @@ def draw_trials(
 
 
 def boundary_nodes(lattice: Lattice, faces: str) -> NDArray[np.int64]:
-    """Nodes (n, 3) of the outermost layer in x or y ("lateral"), or in z, too ("box"), in order; never the start."""
+    """Nodes (n, 3) of the outermost layer in x or y ("lateral"), or in z, too ("box"), in order;
+    never the start."""
     nodes = np.indices(lattice.shape).reshape(3, -1).T
     axes = 2 if faces == "lateral" else 3
     outer = (nodes == 0) | (nodes == np.array(lattice.shape) - 1)

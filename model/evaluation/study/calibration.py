@@ -1,4 +1,5 @@
-"""Whether probabilities are what they say: of voxels said to be occupied with p, a share of p should be."""
+"""Whether probabilities are what they say: of voxels said to be occupied with p, a share of p
+should be."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,24 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.jit import kernel
-from scenegen.model.evaluation.statistics import interval
+from scenegen.model.evaluation.statistics import estimate
 
 BINS = 20
 """Bins of probability, equally wide."""
 REGIONS = ("map", "unobserved", "near", "said_near", "seen", "unseen")
-"""Voxels of the whole map; the unknown ones among them; and of these, those near an obstacle, those predicted to be,
-those whose nearest obstacle returned something, and those whose nearest obstacle within the truncation did not."""
+"""Voxels of the whole map; the unknown ones among them; and of these, those near an obstacle, those
+predicted to be, those whose nearest obstacle returned something, and those whose nearest obstacle
+within the truncation did not."""
 READINGS = ("said", "corrected", "calibrated")
-"""The probability as it was said; with the class weight of the loss inverted; and as the method's calibration has it,
-where there is one."""
+"""The probability as it was said; with the class weight of the loss inverted; and as the method's
+calibration has it, where there is one."""
 COUNTS = ("voxels", "said", "occupied", "nll", "brier")
-"""Sums over the voxels in a bin: how many, their probabilities, how many are occupied; the negative logarithms of what
-was said of that which is, and the squared errors."""
+"""Sums over the voxels in a bin: how many, their probabilities, how many are occupied; the negative
+logarithms of what was said of that which is, and the squared errors."""
 SMALLEST = 1e-7
 """What a probability of 0 counts as where its logarithm is taken."""
 
 
 def regions(
+    scored: NDArray[np.bool_],
     unknown: NDArray[np.bool_],
     distance: NDArray[np.float32],
     true: NDArray[np.float32],
@@ -34,9 +37,10 @@ def regions(
     near_m: float,
     truncation_m: float,
 ) -> NDArray[np.uint8]:
-    """Which of `REGIONS` every voxel belongs to, a bit for each, from predicted and true distances and those to the
-    obstacles that returned something; the grids have one shape."""
-    bits = np.ones(unknown.shape, np.uint8)
+    """Which of `REGIONS` every voxel belongs to, a bit for each: none for voxels that are not
+    `scored`, and otherwise from predicted and true distances and those to the obstacles that
+    returned something; the grids have one shape."""
+    bits = scored.astype(np.uint8)
     parts = (unknown, unknown & (true <= near_m), unknown & (distance < near_m))
     met = unknown & (true < truncation_m - 1e-6)
     for n, part in enumerate((*parts, met & (seen <= true), met & (seen > true)), start=1):
@@ -47,8 +51,8 @@ def regions(
 def count(
     readings: Sequence[NDArray[np.float32]], occupancy: NDArray[np.bool_], bits: NDArray[np.uint8]
 ) -> NDArray[np.float64]:
-    """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first so many `READINGS`;
-    the grids have one shape, and `bits` tell the `regions`."""
+    """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first
+    so many `READINGS`; the grids have one shape, and `bits` tell the `regions`."""
     counts = np.zeros((len(REGIONS), len(READINGS), BINS, len(COUNTS)))
     for n, said in enumerate(readings):
         _count(said.reshape(-1), occupancy.reshape(-1), bits.reshape(-1), counts[:, n])
@@ -72,10 +76,13 @@ def _count(probability, occupancy, bits, counts):
                 counts[region, b, 4] += brier
 
 
-def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64], *, rng: np.random.Generator) -> dict[str, Any]:
-    """The reliability of N maps of `worlds` (N,): by region and reading, the bins that hold voxels; and over all voxels
-    the negative log-likelihood, the Brier score, and the expected calibration error, which is the mean of
-    |occupied - said| by bin, with 95 % intervals. Readings that nobody gave, and regions without voxels, are left out.
+def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[str, Any]:
+    """The reliability of N maps of `worlds` (N,): by region and reading, the bins that hold voxels;
+    and over all voxels
+    the negative log-likelihood, the Brier score, and the expected calibration error, which is the
+    mean of
+    |occupied - said| by bin, with 95 % intervals. Readings that nobody gave, and regions without
+    voxels, are left out.
 
     `counts` (N, regions, readings, BINS, counts) are those of `count`.
     """
@@ -88,8 +95,9 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64], *, rng: 
                 continue
             figures = {}
             for name, of in SCORES.items():
-                low, high = interval(maps.reshape(len(maps), -1), worlds, of, rng=rng)
-                figures[name] = {"mean": float(of(total.reshape(1, -1))[0]), "low": low, "high": high}
+                score = estimate(maps.reshape(len(maps), -1), worlds, of)
+                low, high = score.ends
+                figures[name] = {"mean": score.value, "low": low, "high": high}
             bins = [
                 {
                     "from": b / BINS,
@@ -102,7 +110,12 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64], *, rng: 
                 if voxels
             ]
             ece = figures.pop("ece")
-            found.setdefault(region, {})[reading] = {"ece": ece.pop("mean"), **ece, **figures, "bins": bins}
+            found.setdefault(region, {})[reading] = {
+                "ece": ece.pop("mean"),
+                **ece,
+                **figures,
+                "bins": bins,
+            }
     return found
 
 

@@ -4,6 +4,7 @@ import io
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.study.planning import FATES
 from scenegen.model.evaluation.study.report import at
 
@@ -16,8 +17,8 @@ Draw = Callable[[Any, str, Any, str], None]
 
 
 def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
-    """Every picture by its file's name, PNG. Raises ImportError without matplotlib, and ValueError for a report without
-    a study."""
+    """Every picture by its file's name, PNG. Raises ImportError without matplotlib, and ValueError
+    for a report without a study."""
     if "study" not in report:
         raise ValueError("the report holds no study; run bench with --study")
     panels: dict[str, tuple[str, str, Draw]] = {
@@ -32,6 +33,8 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
             "occupied",
             _reliability,
         ),
+        "precision-recall.png": ("recall", "precision", _against("recall", "precision")),
+        "success-by-precision.png": ("precision", "success", _against("precision", "success")),
         "risk.png": ("collided (solid: by risk; dotted: by a fixed threshold)", "success", _risk),
         "success-by-risk.png": (
             "risk of the bounds",
@@ -50,11 +53,18 @@ def _picture(report: Mapping[str, Any], x: str, y: str, draw_method: Draw) -> by
 
     kinds = report["study"]
     figure = Figure(figsize=(1.5 + 4.5 * len(kinds), 3.6), layout="constrained")
-    for axes, (kind, methods) in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds.items(), strict=True):
+    for axes, (kind, methods) in zip(
+        figure.subplots(1, len(kinds), squeeze=False)[0], kinds.items(), strict=True
+    ):
         axes.set(title=kind, xlabel=x, ylabel=y)
         axes.grid(alpha=0.3)
         for n, (name, study) in enumerate(methods.items()):
-            draw_method(axes, name, study | {"by_class": report["reconstruction"][kind][name]["by_class"]}, f"C{n}")
+            draw_method(
+                axes,
+                name,
+                study | {"by_class": report["reconstruction"][kind][name]["by_class"]},
+                f"C{n}",
+            )
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", fontsize="small")
     memory = io.BytesIO()
@@ -68,11 +78,14 @@ def _line(axes: Any, points: Iterable[tuple[float, Mapping[str, Any]]], **style:
     axes.plot([x for x, _ in shown], [figure["mean"] for _, figure in shown], marker=".", **style)
     if all(figure["low"] is not None for _, figure in shown):
         low, high = ([figure[end] for _, figure in shown] for end in ("low", "high"))
-        axes.fill_between([x for x, _ in shown], low, high, alpha=0.08, color=style.get("color"), linewidth=0)
+        axes.fill_between(
+            [x for x, _ in shown], low, high, alpha=0.08, color=style.get("color"), linewidth=0
+        )
 
 
 def _curve(varied: str) -> Draw:
-    """Success over the values of one choice, where the other is as usual; nodes alone, as the paper has it."""
+    """Success over the values of one choice, where the other is as usual; nodes alone, as the paper
+    has it."""
 
     def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
         rows = at(study["planning"], study["planning"][0], varied)
@@ -86,7 +99,10 @@ def _curve(varied: str) -> Draw:
 
 
 def _clearance(axes: Any, name: str, study: Any, colour: str) -> None:
-    points = [(0.5 * (row["from_m"] + row["to_m"]), row["success"]) for row in study["success_by_clearance"]]
+    points = [
+        (0.5 * (row["from_m"] + row["to_m"]), row["success"])
+        for row in study["success_by_clearance"]
+    ]
     _line(axes, points, color=colour, label=name)
 
 
@@ -118,17 +134,57 @@ def _reliability(axes: Any, name: str, study: Any, colour: str) -> None:
         if reading not in study["reliability"]["map"]:
             continue
         bins = study["reliability"]["map"][reading]["bins"]
-        axes.plot([one["said"] for one in bins], [one["occupied"] for one in bins], color=colour, marker=".", **style)
+        axes.plot(
+            [one["said"] for one in bins],
+            [one["occupied"] for one in bins],
+            color=colour,
+            marker=".",
+            **style,
+        )
+
+
+def _against(x: str, y: str) -> Draw:
+    """One metric by another over thresholds: a curve a method, with a ring at the paper's
+    threshold."""
+
+    def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
+        rows = [row for row in study["thresholds"] if row[x]["n"] and row[y]["n"]]
+        axes.plot(
+            [row[x]["mean"] for row in rows],
+            [row[y]["mean"] for row in rows],
+            ".-",
+            color=colour,
+            label=name,
+        )
+        for row in rows:
+            if row["value"] == getattr(Thresholds(), row["by"]):
+                axes.plot(
+                    row[x]["mean"],
+                    row[y]["mean"],
+                    "o",
+                    color=colour,
+                    fillstyle="none",
+                    markersize=9,
+                )
+
+    return draw_method
 
 
 def _by_risk(shown: Mapping[str, str]) -> Draw:
-    """Figures of the careful planner, each in its style, over the risk of the bounds that it plans on."""
+    """Figures of the careful planner, each in its style, over the risk of the bounds that it plans
+    on."""
 
     def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
         rows = [row for row in study["risk"]["settings"] if row["by"] == "risk"]
         for n, (told, dashes) in enumerate(shown.items()):
             label = None if n else name
-            _line(axes, [(row["value"], row[told]) for row in rows], color=colour, linestyle=dashes, label=label)
+            _line(
+                axes,
+                [(row["value"], row[told]) for row in rows],
+                color=colour,
+                linestyle=dashes,
+                label=label,
+            )
         if rows:
             axes.set_xscale("log")
 
@@ -136,16 +192,27 @@ def _by_risk(shown: Mapping[str, str]) -> Draw:
 
 
 def _risk(axes: Any, name: str, study: Any, colour: str) -> None:
-    """What the careful planner gains for what it risks, over the risk of its bounds and over fixed thresholds."""
-    styles: dict[bool, dict[str, Any]] = {True: {"linestyle": "-", "label": name}, False: {"linestyle": ":"}}
+    """What the careful planner gains for what it risks, over the risk of its bounds and over fixed
+    thresholds."""
+    styles: dict[bool, dict[str, Any]] = {
+        True: {"linestyle": "-", "label": name},
+        False: {"linestyle": ":"},
+    }
     for by_risk, style in styles.items():
-        rows = [row for row in study["risk"]["settings"] if (row["by"] == "risk") == by_risk and row["success"]["n"]]
+        rows = [
+            row
+            for row in study["risk"]["settings"]
+            if (row["by"] == "risk") == by_risk and row["success"]["n"]
+        ]
         points = sorted((row["collided"]["mean"], row["success"]["mean"]) for row in rows)
-        axes.plot(*zip(*points, strict=True) if points else ((), ()), color=colour, marker=".", **style)
+        axes.plot(
+            *zip(*points, strict=True) if points else ((), ()), color=colour, marker=".", **style
+        )
 
 
 def _fates(axes: Any, name: str, study: Any, colour: str) -> None:
-    """Why trials fail under the paper's protocol, with the method's own distances where it has some: a stacked bar."""
+    """Why trials fail under the paper's protocol, with the method's own distances where it has
+    some: a stacked bar."""
     counts = {row["field"]: row["fates"] for row in at(study["planning"], study["planning"][0])}
     fates = counts.get("tudf", counts["edt"])
     left, first = 0.0, not axes.patches

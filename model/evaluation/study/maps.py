@@ -15,7 +15,8 @@ from scenegen.model.evaluation.reconstruction import measure
 from scenegen.model.evaluation.study import calibration, risk
 from scenegen.model.evaluation.study.bounds import JUDGED, PARTS, judge_bounds
 from scenegen.model.evaluation.study.planning import fields_of, run_variants, variants
-from scenegen.model.evaluation.visibility import UNOBSERVED
+from scenegen.model.evaluation.study.thresholds import run_thresholds
+from scenegen.model.evaluation.visibility import UNOBSERVED, UNSCORED
 from scenegen.model.uncertainty.calibration import corrected
 from scenegen.sample import Sample
 from scenegen.truth import distance_field
@@ -37,6 +38,10 @@ class Study:
     """([N,] risks, regions, figures): see `judge_bounds`."""
     ause: NDArray[np.float64]
     """([N]): of the bounds; NaN without any."""
+    curve: NDArray[np.float64]
+    """([N,] thresholds, metrics): see `run_thresholds`."""
+    curve_trials: NDArray[np.float64]
+    """(trials, thresholds): which succeed."""
     settings: tuple[risk.Setting, ...]
     """What the careful planner goes by."""
     careful: NDArray[np.float64]
@@ -55,12 +60,15 @@ def study_map(
     grid: GridSpec,
     config: BenchConfig,
 ) -> Study:
-    """Study what a method `said` of a sample's map, whose two maps by the paper's thresholds are `occupied` and
-    `distance`; `classes` tells how each voxel was seen (`classify`), `seen` what returned (`seen_occupancy`)."""
+    """Study what a method `said` of a sample's map, whose two maps by the paper's thresholds are
+    `occupied` and `distance`; `classes` tells how each voxel was seen (`classify`), `seen` what
+    returned (`seen_occupancy`)."""
     truth = sample.occupancy, sample.tudf
     bins, edges = ranges(grid, config.variants.range_step_m)
     unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
+    scored = classes != UNSCORED
     bits = calibration.regions(
+        scored,
         unknown,
         distance,
         sample.tudf,
@@ -70,23 +78,38 @@ def study_map(
     )
     reliability = None
     if probability is not None:
-        readings = (probability, corrected(probability, config.variants.class_weight), said.probability)
-        reliability = calibration.count([one for one in readings if one is not None], sample.occupancy, bits)
+        readings = (
+            probability,
+            corrected(probability, config.variants.class_weight),
+            said.probability,
+        )
+        reliability = calibration.count(
+            [one for one in readings if one is not None], sample.occupancy, bits
+        )
     risks = () if said.uncertainty is None else said.uncertainty.risks
     judged, sparse = np.empty((0, len(PARTS), len(JUDGED))), np.nan
     if risks:
         judged, sparse = judge_bounds(said, distance, sample.tudf, bits)
     settings = risk.settings(said, config.variants)
     chosen, fields = variants(config.plan, config.variants), fields_of(said, occupied, grid)
+    unscored = np.where(scored, np.uint8(0), np.uint8(UNSCORED))
+    curve, curve_trials = run_thresholds(said, truth, goals, grid, config, classes=unscored)
     return Study(
         by_range=measure(
-            occupied, distance, *truth, classes=bins, class_count=len(edges) - 1, config=config.reconstruction
+            occupied,
+            distance,
+            *truth,
+            classes=np.where(scored, bins, UNSCORED),
+            class_count=len(edges) - 1,
+            config=config.reconstruction,
         )[2:],
         reliability=reliability,
         trials=run_variants(chosen, occupied, fields, truth, seen, goals, grid, config.plan),
         risks=risks,
         bounds=judged,
         ause=np.array(sparse),
+        curve=curve,
+        curve_trials=curve_trials,
         settings=settings,
         careful=risk.run_settings(settings, said, truth, goals, grid, config.plan),
     )
@@ -95,9 +118,11 @@ def study_map(
 def stack(parts: Sequence[Study], turns: Sequence[tuple[int, int]]) -> Study:
     """The studies of all maps as one, with those trials that `turns` name, each (trial, map)."""
     counted = [part.reliability for part in parts]
-    trials, careful = (
-        np.array([getattr(parts[n], name)[turn] for turn, n in turns]).reshape(-1, *getattr(parts[0], name).shape[1:])
-        for name in ("trials", "careful")
+    trials, careful, curve_trials = (
+        np.array([getattr(parts[n], name)[turn] for turn, n in turns]).reshape(
+            len(turns), *getattr(parts[0], name).shape[1:]
+        )
+        for name in ("trials", "careful", "curve_trials")
     )
     return Study(
         by_range=np.array([part.by_range for part in parts]),
@@ -106,6 +131,8 @@ def stack(parts: Sequence[Study], turns: Sequence[tuple[int, int]]) -> Study:
         risks=parts[0].risks,
         bounds=np.array([part.bounds for part in parts]),
         ause=np.array([part.ause for part in parts]),
+        curve=np.array([part.curve for part in parts]),
+        curve_trials=curve_trials,
         settings=parts[0].settings,
         careful=careful,
     )
@@ -113,10 +140,13 @@ def stack(parts: Sequence[Study], turns: Sequence[tuple[int, int]]) -> Study:
 
 @functools.cache
 def ranges(grid: GridSpec, step_m: float) -> tuple[NDArray[np.uint8], tuple[float, ...]]:
-    """How far each voxel's centre (*grid.shape) is from the map's middle, where the sensor is: the number of its bin;
-    and the edges of the bins, `step_m` wide, metres."""
+    """How far each voxel's centre (*grid.shape) is from the map's middle, where the sensor is: the
+    number of its bin; and the edges of the bins, `step_m` wide, metres."""
     middle = 0.5 * (np.array(grid.shape) - 1)
-    away = np.sqrt(sum((np.indices(grid.shape)[axis] - middle[axis]) ** 2 for axis in range(3))) * grid.voxel_m
-    count = min(math.floor(float(away.max()) / step_m) + 1, 255)
+    away = (
+        np.sqrt(sum((np.indices(grid.shape)[axis] - middle[axis]) ** 2 for axis in range(3)))
+        * grid.voxel_m
+    )
+    count = min(math.floor(float(away.max()) / step_m) + 1, UNSCORED)
     bins = np.minimum(away / step_m, count - 1).astype(np.uint8)
     return bins, tuple(step_m * n for n in range(count + 1))

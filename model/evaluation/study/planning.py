@@ -1,4 +1,5 @@
-"""The planning protocol varied: how A* searches, what refines, how much clearance counts; and why trials fail."""
+"""The planning protocol varied: how A* searches, what refines, how much clearance counts; and why
+trials fail."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -22,15 +23,16 @@ SEARCHES = {
     "nodes, free start": (False, True),
     "edges, free start": (True, True),
 }
-"""What A* asks of the collision map: whether edges must be free, too, and whether the start's voxel is free anyway
-(`edge_check` and `free_start` of `PlanConfig`)."""
+"""What A* asks of the collision map: whether edges must be free, too, and whether the start's voxel
+is free anyway (`edge_check` and `free_start` of `PlanConfig`)."""
 FIELDS = ("edt", "tudf", "min")
-"""What the refinement reads: the transform of the predicted occupancy, the predicted distances, or the lesser of both
-in each voxel."""
+"""What the refinement reads: the transform of the predicted occupancy, the predicted distances, or
+the lesser of both in each voxel."""
 FATES = ("reached", "no_path", "known", "missed", "unseen")
-"""What becomes of a trial. `no_path`: A* finds none on the method's map. The others failed at the first occupied voxel
-of the truth that the path meets: the method's own map held it occupied (`known`); it did not, and the voxel belongs to
-an obstacle that returned something (`missed`), or to one that did not (`unseen`)."""
+"""What becomes of a trial. `no_path`: A* finds none on the method's map. The others failed at the
+first occupied voxel of the truth that the path meets: the method's own map held it occupied
+(`known`); it did not, and the voxel belongs to an obstacle that returned something (`missed`), or
+to one that did not (`unseen`)."""
 COLUMNS = (*PLAN_METRICS, "fate")
 """Figures of a trial under a variant."""
 
@@ -50,8 +52,8 @@ class Variant:
 
 
 def variants(plan: PlanConfig, study: StudyConfig) -> tuple[Variant, ...]:
-    """Every search and field at the weight and safety distance of `plan`; and with the start as it is predicted, every
-    field at each other weight, and at each other safety distance."""
+    """Every search and field at the weight and safety distance of `plan`; and with the start as it
+    is predicted, every field at each other weight, and at each other safety distance."""
     usual = (plan.clearance_weight, plan.safety_m)
     weights = [(weight, plan.safety_m) for weight in study.clearance_weights]
     safeties = [(plan.clearance_weight, safety) for safety in study.safeties_m]
@@ -64,13 +66,17 @@ def variants(plan: PlanConfig, study: StudyConfig) -> tuple[Variant, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def fields_of(said: Prediction, occupied: NDArray[np.bool_], grid: GridSpec) -> dict[str, NDArray[np.float32]]:
-    """The fields (*grid.shape), metres, that a prediction whose binary map is `occupied` offers: `FIELDS`, or the first
-    alone where it holds no distances."""
+def fields_of(
+    said: Prediction, occupied: NDArray[np.bool_], grid: GridSpec
+) -> dict[str, NDArray[np.float32]]:
+    """The fields (*grid.shape), metres, that a prediction whose binary map is `occupied` offers:
+    `FIELDS`, or the first alone where it holds no distances."""
     edt = distance_field(occupied, grid)
     if said.tudf is None:
         return {"edt": edt}
-    tudf = said.distance(Thresholds(), grid)  # which are of no account where distances are predicted
+    tudf = said.distance(
+        Thresholds(), grid
+    )  # which are of no account where distances are predicted
     return {"edt": edt, "tudf": tudf, "min": np.minimum(edt, tudf)}
 
 
@@ -84,11 +90,13 @@ def run_variants(
     grid: GridSpec,
     plan: PlanConfig,
 ) -> NDArray[np.float64]:
-    """Every trial of one map under each variant, (goals, variants, len(COLUMNS)), fates as indices into `FATES`.
+    """Every trial of one map under each variant, (goals, variants, len(COLUMNS)), fates as indices
+    into `FATES`.
 
-    `occupied` and `fields` are the method's; `truth` is occupancy and distances, `seen` the occupancy of the obstacles
-    that returned something (`seen_occupancy`); all (*grid.shape). A variant whose field is not among `fields` has NaN
-    throughout. Paths are searched once a goal and search, and refined once where two searches found the same.
+    `occupied` and `fields` are the method's; `truth` is occupancy and distances, `seen` the
+    occupancy of the obstacles that returned something (`seen_occupancy`); all (*grid.shape). A
+    variant whose field is not among `fields` has NaN throughout. Paths are searched once a goal and
+    search, and refined once where two searches found the same.
     """
     found = np.full((len(goals), len(chosen), len(COLUMNS)), np.nan)
     settings = {
@@ -114,13 +122,17 @@ def run_variants(
 def _search(
     occupied: NDArray[np.bool_], goal: NDArray[np.float64], grid: GridSpec, plan: PlanConfig
 ) -> dict[str, Plan]:
-    """What each search finds: the same object where it is the same path, or none for the same reason."""
+    """What each search finds: the same object where it is the same path, or none for the same
+    reason."""
     plans: dict[str, Plan] = {}
     for search, (edge_check, free_start) in SEARCHES.items():
         found = plans.get(search.removesuffix(", free start"))
         if found is None or found.reason == "start_blocked":
             found = plan_path(
-                occupied, goal, grid, dataclasses.replace(plan, edge_check=edge_check, free_start=free_start)
+                occupied,
+                goal,
+                grid,
+                dataclasses.replace(plan, edge_check=edge_check, free_start=free_start),
             )
         plans[search] = next((old for old in plans.values() if _same(old, found)), found)
     return plans

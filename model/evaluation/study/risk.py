@@ -1,5 +1,5 @@
-"""The careful planner over its risk, beside the same planner with fixed thresholds; and whether paths collide as often
-as they were said to."""
+"""The careful planner over its risk, beside the same planner with fixed thresholds; and whether
+paths collide as often as they were said to."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -20,9 +20,11 @@ from scenegen.truth import distance_field
 
 TOLD = ("success", "collided", "abstained", "length", "min_clearance")
 """Figures of a trial."""
+OUTCOMES = TOLD[:3]
 CHANCES = ("independent", "worst_voxel")
-"""How likely a path was said to collide, from the calibrated probabilities of the voxels that it meets: were these
-independent, or were the likeliest alone to count. The truth lies between, where voxels are occupied together."""
+"""How likely a path was said to collide, from the calibrated probabilities of the voxels that it
+meets: were these independent, or were the likeliest alone to count. The truth lies between, where
+voxels are occupied together."""
 EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Bins of these."""
 
@@ -32,10 +34,12 @@ class Setting:
     """What the planner goes by."""
 
     by: str
-    """``risk`` of the bounds; or a fixed threshold of ``probability`` or of ``distance``, metres."""
+    """``risk`` of the bounds; or a fixed threshold of ``probability`` or of ``distance``,
+    metres."""
     value: float
     promised: float | None = None
-    """What share of its paths collides at most, as the method's calibration has it; None where it does not say."""
+    """What share of its paths collides at most, as the method's calibration has it; None where it
+    does not say."""
 
 
 def settings(said: Prediction, study: StudyConfig) -> tuple[Setting, ...]:
@@ -48,7 +52,10 @@ def settings(said: Prediction, study: StudyConfig) -> tuple[Setting, ...]:
         return tuple(fixed)
     risks = said.uncertainty.risks
     promised = getattr(said.uncertainty, "path_risks", ()) or (None,) * len(risks)
-    bounds = [Setting(by="risk", value=risk, promised=most) for risk, most in zip(risks, promised, strict=True)]
+    bounds = [
+        Setting(by="risk", value=risk, promised=most)
+        for risk, most in zip(risks, promised, strict=True)
+    ]
     return (*bounds, *fixed)
 
 
@@ -60,18 +67,28 @@ def run_settings(
     grid: GridSpec,
     plan: PlanConfig,
 ) -> NDArray[np.float64]:
-    """Every trial of one map at each setting, (goals, settings, TOLD and then CHANCES); NaN for what a trial without a
-    path, or a method without calibrated probabilities, lacks."""
+    """Every trial of one map at each setting, (goals, settings, TOLD and then CHANCES); NaN for
+    what a trial without a path, or a method without calibrated probabilities, lacks."""
     found = np.full((len(goals), len(chosen), len(TOLD) + len(CHANCES)), np.nan)
     chance = said.probability
-    free = None if chance is None else np.log1p(-np.minimum(chance.reshape(-1).astype(np.float64), 1 - 1e-7))
+    free = (
+        None
+        if chance is None
+        else np.log1p(-np.minimum(chance.reshape(-1).astype(np.float64), 1 - 1e-7))
+    )
     for s, setting in enumerate(chosen):
         blocked, field = _maps(setting, said, grid)
         for g, goal in enumerate(goals):
             done = plan_carefully(blocked, field, goal, grid, plan)
             trial = done.judged(*truth, grid, plan)
             planned = done.path is not None
-            figures = (trial.success, planned and not trial.success, not planned, trial.length_m, trial.min_clearance_m)
+            figures = (
+                trial.success,
+                planned and not trial.success,
+                not planned,
+                trial.length_m,
+                trial.min_clearance_m,
+            )
             found[g, s, : len(TOLD)] = figures
             if planned and free is not None:
                 on_path = free[done.voxels]
@@ -79,7 +96,9 @@ def run_settings(
     return found
 
 
-def _maps(setting: Setting, said: Prediction, grid: GridSpec) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+def _maps(
+    setting: Setting, said: Prediction, grid: GridSpec
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
     """The collision map and the field that a setting makes of a prediction."""
     if setting.by == "risk":
         low = said.low(setting.value)
@@ -90,13 +109,16 @@ def _maps(setting: Setting, said: Prediction, grid: GridSpec) -> tuple[NDArray[n
 
 
 def risk_of(
-    trials: NDArray[np.float64], chosen: Sequence[Setting], worlds: NDArray[np.int64], rng: np.random.Generator
+    trials: NDArray[np.float64], chosen: Sequence[Setting], worlds: NDArray[np.int64]
 ) -> dict[str, Any]:
-    """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths were said to collide,
-    how many did, over all settings."""
+    """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths
+    were said to collide, how many did, over all settings."""
     rows = [
         dataclasses.asdict(setting)
-        | {name: figure(trials[:, s, n], worlds, rng=rng) for n, name in enumerate((*TOLD, *CHANCES))}
+        | {
+            name: figure(trials[:, s, n], worlds, "outcome" if name in OUTCOMES else "amount")
+            for n, name in enumerate((*TOLD, *CHANCES))
+        }
         for s, setting in enumerate(chosen)
     ]
     collided = trials[:, :, TOLD.index("collided")].reshape(-1)
@@ -108,7 +130,11 @@ def risk_of(
         for low, high in pairwise(EDGES):
             inside = (said >= low) & ((said < high) | (high == EDGES[-1]))
             if inside.any():
-                had = figure(collided[inside], repeated[inside], rng=rng)
-                values = {"said": float(said[inside].mean()), "paths": int(inside.sum()), "collided": had}
+                had = figure(collided[inside], repeated[inside], "outcome")
+                values = {
+                    "said": float(said[inside].mean()),
+                    "paths": int(inside.sum()),
+                    "collided": had,
+                }
                 paths[name].append({"from": low, "to": high, **values})
     return {"settings": rows, "paths": paths}

@@ -1,4 +1,5 @@
-"""Every check, one object each. A new one is written into the file of its like, and nowhere else."""
+"""Every check, one object each. A new one is written into the file of its like, and nowhere
+else."""
 
 from scenegen.verify.check import Check
 from scenegen.verify.checks import between_splits, derived, files, repeated, stored

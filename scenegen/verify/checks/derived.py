@@ -1,4 +1,5 @@
-"""Checks that compute grids and distances anew from what they follow from, and compare them bit for bit."""
+"""Checks that compute grids and distances anew from what they follow from, and compare them bit for
+bit."""
 
 from typing import Any
 
@@ -22,7 +23,10 @@ def _same(sample: Sample, name: str, again: NDArray[Any], source: str, page: Pag
     differing = np.argwhere(stored.view(bits) != again.view(bits))
     first = tuple(int(n) for n in differing[0]) if len(differing) else ()
     here = f", at {first} {stored[first]} is stored, {again[first]} expected" if first else ""
-    page.fault(f"{sample.where}: {name} is not what follows from {source}: {len(differing)} voxels differ{here}")
+    page.fault(
+        f"{sample.where}: {name} is not what follows from {source}: {len(differing)} voxels "
+        f"differ{here}"
+    )
 
 
 def _tudf(sample: Sample, page: Page) -> None:
@@ -50,22 +54,34 @@ def _occupancy(sample: Sample, page: Page) -> None:
 
 
 def _owners(sample: Sample, page: Page) -> None:
-    if sample.solids is None or sample.shard.worlds is None or sample.row not in sample.shard.audited:
+    if (
+        sample.solids is None
+        or sample.shard.worlds is None
+        or sample.row not in sample.shard.audited
+    ):
         return
     page.count(samples=1)
     world = sample.shard.worlds.world(sample.world)
     contract = sample.contract
-    plain: dict[str, Any] = {name: sample.fields.get(name, np.empty(0)) for name in SCHEMA}  # of its own scan
+    plain: dict[str, Any] = {
+        name: sample.fields.get(name, np.empty(0)) for name in SCHEMA
+    }  # of its own scan
     again = labelled(Plain(**plain), world, contract.lidar, contract.grid, contract.recipe.labels)
     for name in LABELS:
         _same(sample, name, getattr(again, name), f"world {sample.world}", page)
 
 
 CHECKS = (
-    Check(name="tudf", proves="Distances follow from `occupancy`, bit for bit.", field="tudf", sample=_tudf),
+    Check(
+        name="tudf",
+        proves="Distances follow from `occupancy`, bit for bit.",
+        field="tudf",
+        sample=_tudf,
+    ),
     Check(
         name="voxels",
-        proves="`observed` follows from the ranges and poses of all scans and the origin, bit for bit.",
+        proves="`observed` follows from the ranges and poses of all scans and the origin, bit for "
+        "bit.",
         sample=_observed,
     ),
     Check(
@@ -76,10 +92,15 @@ CHECKS = (
     ),
     Check(
         name="owners",
-        proves="Geoms and classes of 5 % of the samples with labels (of 8 a shard at least) follow from the "
+        proves="Geoms and classes of 5 % of the samples with labels (of 8 a shard at least) "
+        "follow from the "
         "archived world.",
         field="voxel_geom",
         sample=_owners,
     ),
-    Check(name="occupancy", proves="`occupancy` follows from the archived world, bit for bit.", sample=_occupancy),
+    Check(
+        name="occupancy",
+        proves="`occupancy` follows from the archived world, bit for bit.",
+        sample=_occupancy,
+    ),
 )

@@ -1,4 +1,5 @@
-"""Checks of the manifest, and of files as a whole: can they be read, and are they what the manifest lists?"""
+"""Checks of the manifest, and of files as a whole: can they be read, and are they what the manifest
+lists?"""
 
 import hashlib
 from collections import Counter
@@ -15,7 +16,8 @@ def _written_for_these_parameters(shard: Shard, page: Page) -> None:
     page.kept.append(shard.rejected)
     page.expect(
         shard.file.attributes["parameters"] == shard.task.contract.fingerprint,
-        f"{shard.task.entry.file}: was written for other parameters than the manifest's: one of the two was edited, or "
+        f"{shard.task.entry.file}: was written for other parameters than the manifest's: one of "
+        f"the two was edited, or "
         "the shard is another dataset's",
     )
 
@@ -29,14 +31,17 @@ def _rejections_add_up(contract: Contract, page: Page) -> None:
             total.update(rejected[what])
         page.expect(
             dict(total) == contract.rejected[what],
-            f"{manifest.NAME}: rejected.{what} = {contract.rejected[what]}, the shards count {dict(total)}",
+            f"{manifest.NAME}: rejected.{what} = {contract.rejected[what]}, the shards count "
+            f"{dict(total)}",
         )
 
 
 MANIFEST = Check(
     name="manifest",
-    proves="Every value in `dataset.json` has the type and bounds of the format; its shards have plain names, follow "
-    "in order, hold what `counts` asks for, were written for its parameters and reject what it says; no other `.h5` "
+    proves="Every value in `dataset.json` has the type and bounds of the format; its shards have "
+    "plain names, follow "
+    "in order, hold what `counts` asks for, were written for its parameters and reject what it "
+    "says; no other `.h5` "
     "or `.zip` file lies in the folder.",
     quick=True,
     shard=_written_for_these_parameters,
@@ -58,7 +63,8 @@ def _same_sum(signed: SignedFile, page: Page) -> None:
     found = hashlib.file_digest(signed.file, "sha256").hexdigest()
     page.count(files=1)
     page.expect(
-        found == signed.sha256, f"{signed.name}: SHA-256 {found[:16]}…, the manifest lists {signed.sha256[:16]}…"
+        found == signed.sha256,
+        f"{signed.name}: SHA-256 {found[:16]}…, the manifest lists {signed.sha256[:16]}…",
     )
 
 
@@ -72,25 +78,32 @@ CHECKSUMS = Check(
 
 LAYOUT = Check(
     name="layout",
-    proves="A shard holds the fields of the format and nothing else, in their types and shapes: hard links alone, no "
-    "data in other files, no filter but gzip, shuffle and fletcher32, one chunk a sample, no byte between; every "
+    proves="A shard holds the fields of the format and nothing else, in their types and shapes: "
+    "hard links alone, no "
+    "data in other files, no filter but gzip, shuffle and fletcher32, one chunk a sample, no byte "
+    "between; every "
     "chunk unpacks to just its size (with `--quick`, every chunk but those of `tudf` and `free`).",
     quick=True,
 )
-"""The walk over a shard writes the faults: opening the file and unpacking its samples is the examination."""
+"""The walk over a shard writes the faults: opening the file and unpacking its samples is the
+examination."""
 
 
 def _expected_worlds(worlds: Worlds, page: Page) -> None:
     task, there = worlds.task, sorted(worlds.archive.documents)
-    expected = list(task.contract.numbering(task.entry.split).worlds(task.start, task.stop - task.start))
+    expected = list(
+        task.contract.numbering(task.entry.split).worlds(task.start, task.stop - task.start)
+    )
     if task.cut:  # the shard's samples say which, see below
         expected = [number for number in there if number in set(expected)] or expected
     page.expect(
-        there == expected, f"{task.entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}"
+        there == expected,
+        f"{task.entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}",
     )
     page.expect(
         task.entry.first_world == expected[0],
-        f"{task.entry.file}: first_world = {task.entry.first_world}, its samples begin with {expected[0]}",
+        f"{task.entry.file}: first_world = {task.entry.first_world}, its samples begin with "
+        f"{expected[0]}",
     )
     if task.contract.scenes is None:
         return
@@ -102,16 +115,22 @@ def _expected_worlds(worlds: Worlds, page: Page) -> None:
             digest.update(name.encode() + hashlib.sha256(content).digest())
         page.expect(
             digest.hexdigest() == (listed[number].get("sha256") if number < len(listed) else None),
-            f"{task.entry.worlds}: {number:06d}.xml is not the world that the manifest's recipe.scenes names",
+            f"{task.entry.worlds}: {number:06d}.xml is not the world that the manifest's "
+            f"recipe.scenes names",
         )
 
 
 def _worlds_of_samples(shard: Shard, page: Page) -> None:
     if not shard.task.cut or shard.worlds is None:
         return
-    there, found = sorted(shard.worlds.archive.documents), sorted(set(shard.file.column("world").tolist()))
+    there, found = (
+        sorted(shard.worlds.archive.documents),
+        sorted(set(shard.file.column("world").tolist())),
+    )
     name = shard.task.entry.worlds
-    page.expect(there == found, f"{name}: holds worlds {_spans(there)}, its samples are of {_spans(found)}")
+    page.expect(
+        there == found, f"{name}: holds worlds {_spans(there)}, its samples are of {_spans(found)}"
+    )
 
 
 def _spans(numbers: Sequence[int]) -> str:
@@ -120,7 +139,8 @@ def _spans(numbers: Sequence[int]) -> str:
 
 ARCHIVES = Check(
     name="archives",
-    proves="An archive has plain member names, bounded sizes and self-contained MJCF, and holds just the worlds of "
+    proves="An archive has plain member names, bounded sizes and self-contained MJCF, and holds "
+    "just the worlds of "
     "its shard's samples; worlds from your own MJCF are those that the recipe names.",
     quick=True,
     archive=_expected_worlds,

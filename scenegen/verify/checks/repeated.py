@@ -1,4 +1,5 @@
-"""Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way from the seed."""
+"""Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way
+from the seed."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -47,14 +48,16 @@ def _cast_again(sample: Sample, page: Page) -> None:
             ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
             which = f", earlier scan {number}" if number else ""
             page.fault(
-                f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray {ray} has "
-                f"{scan.ranges[ray]} m, the solids of world {sample.world} are {found[n]:.7g} m away"
+                f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; "
+                f"ray {ray} has "
+                f"{scan.ranges[ray]} m, the solids of world {sample.world} are {found[n]:.7g} m "
+                f"away"
             )
 
 
 def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
-    """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the stored ones. Raises
-    BrokenError."""
+    """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
+    stored ones. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
     world, engine = worlds.made(sample.world)
     unit, view = divmod(sample.shard.places[sample.row], contract.viewpoints)
@@ -76,7 +79,10 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
         np.count_nonzero(again.ranges.view("<u4") != stored.ranges.view("<u4"))
         for again, stored in zip(seen, sample.scans, strict=True)
     )
-    page.expect(not wrong, f"{sample.where}: {wrong} ranges are not what its noise {contract.recipe.noise} gives")
+    page.expect(
+        not wrong,
+        f"{sample.where}: {wrong} ranges are not what its noise {contract.recipe.noise} gives",
+    )
     return clean
 
 
@@ -86,7 +92,9 @@ def _fly_again(shard: Shard, page: Page) -> None:
         return
     contract = task.contract
     foreign = contract.engine not in ENGINES.known or not contract.noise_is_ours
-    if foreign or not (contract.drawn or contract.scenes is not None or contract.rescan is not None):
+    if foreign or not (
+        contract.drawn or contract.scenes is not None or contract.rescan is not None
+    ):
         page.skipped = task.not_comparable
         return
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number, 1)))
@@ -99,12 +107,15 @@ def _fly_again(shard: Shard, page: Page) -> None:
     except BrokenError as error:
         page.fault(str(error))
     if task.not_comparable:
-        page.excuse(f"not comparable, {task.not_comparable}: what comes out otherwise here is no fault")
+        page.excuse(
+            f"not comparable, {task.not_comparable}: what comes out otherwise here is no fault"
+        )
 
 
 def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
-    """Units of which the shard has samples, and (row, view) of these; where the dataset was scanned again, those alone
-    of which it has the first views in a row, for the noise of a view depends on its number. Raises BrokenError."""
+    """Units of which the shard has samples, and (row, view) of these; where the dataset was scanned
+    again, those alone of which it has the first views in a row, for the noise of a view depends on
+    its number. Raises BrokenError."""
     task = shard.task
     found: dict[int, list[tuple[int, int]]] = {}
     for row, place in enumerate(shard.places):
@@ -119,7 +130,8 @@ def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
 
 
 def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], page: Page) -> None:
-    """Fly a unit again, and compare its world and those of its samples that are there, (row, view), bit for bit."""
+    """Fly a unit again, and compare its world and those of its samples that are there, (row, view),
+    bit for bit."""
     task = shard.task
     assert shard.worlds is not None
     archive = shard.worlds.archive
@@ -129,7 +141,9 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
             return [
                 [
                     Pose(*pose)
-                    for pose in task.contract.of_scans(partial(shard.file.value, row=row), "position", "quaternion")
+                    for pose in task.contract.of_scans(
+                        partial(shard.file.value, row=row), "position", "quaternion"
+                    )
                 ]
                 for row, _ in views
             ]
@@ -156,15 +170,20 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
 CHECKS = (
     Check(
         name="rays",
-        proves="The ranges of 5 % of the samples (of 8 a shard at least), of all their scans, are those that another "
-        "engine finds: for MuJoCo's the analytic one, with closed forms for primitives and the triangles of meshes and "
-        "height fields, for all others MuJoCo's; with noise, those of the clean scan are, of which the same noise "
-        "makes the stored ones; the directions of a raster are computed anew from [sensor.md](sensor.md).",
+        proves="The ranges of 5 % of the samples (of 8 a shard at least), of all their scans, are "
+        "those that another "
+        "engine finds: for MuJoCo's the analytic one, with closed forms for primitives and the "
+        "triangles of meshes and "
+        "height fields, for all others MuJoCo's; with noise, those of the clean scan are, of "
+        "which the same noise "
+        "makes the stored ones; the directions of a raster are computed anew from "
+        "[sensor.md](sensor.md).",
         sample=_cast_again,
     ),
     Check(
         name="regenerated",
-        proves="One flight a shard, flown again from recipe and seed (or, in a dataset scanned again, scanned from its "
+        proves="One flight a shard, flown again from recipe and seed (or, in a dataset scanned "
+        "again, scanned from its "
         "stored poses), gives the same world and the same samples, bit for bit.",
         shard=_fly_again,
     ),

@@ -1,6 +1,8 @@
-"""Datasets in other programs' formats, one a file: a format says which files a sample becomes, and what is in them.
+"""Datasets in other programs' formats, one a file: a format says which files a sample becomes, and
+what is in them.
 
-A format with a number `together` puts so many samples into one file; its `encode` takes a list of numbers and samples.
+A format with a number `together` puts so many samples into one file; its `encode` takes a list of
+numbers and samples.
 """
 
 from lidarsim.registry import Registry

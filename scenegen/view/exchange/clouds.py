@@ -41,7 +41,8 @@ class Pcd(_Cloud):
 
 
 class Npz(_Cloud):
-    """Every field of the sample under its name, the returns under `points`, and the grid's `voxel_m`; compressed."""
+    """Every field of the sample under its name, the returns under `points`, and the grid's
+    `voxel_m`; compressed."""
 
     suffix = ".npz"
 
@@ -51,7 +52,9 @@ class Npz(_Cloud):
         fields = {name: getattr(sample, name) for name in sample.names}
         points = sample.points(lidar, frame=self.choices.frame)
         fields |= {"points": points, "voxel_m": np.float64(grid.voxel_m)}
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:  # NumPy has no levels
+        with zipfile.ZipFile(
+            file, "w", zipfile.ZIP_DEFLATED, compresslevel=1
+        ) as members:  # NumPy has no levels
             for name, values in fields.items():
                 with members.open(f"{name}.npy", "w") as member:
                     np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)

@@ -1,4 +1,5 @@
-"""A dataset's samples, one after another, into a folder in another format; a stopped run goes on where it was."""
+"""A dataset's samples, one after another, into a folder in another format; a stopped run goes on
+where it was."""
 
 import contextlib
 import dataclasses
@@ -53,9 +54,10 @@ def convert(
 ) -> Converted:
     """Write every sample of `splits` as the format `form`, called `to`, has it.
 
-    `workers` processes of this machine write some samples each, or whatever `execute` has do it. What is there already
-    is passed over. Each file appears whole or not at all; the disk is trusted to keep it, unlike a dataset's. Raises
-    DatasetError where `out` holds another conversion, or the disk refuses.
+    `workers` processes of this machine write some samples each, or whatever `execute` has do it.
+    What is there already is passed over. Each file appears whole or not at all; the disk is trusted
+    to keep it, unlike a dataset's. Raises DatasetError where `out` holds another conversion, or the
+    disk refuses.
     """
     execute = execute or Local("", workers)
     _claim(dataset, out, to, choices)
@@ -67,11 +69,15 @@ def convert(
     ]
     tasks = execute.mine(whole)
     total = sum(len(rows.numbers) for rows in tasks)
-    folders = {(out / name).parent for rows in tasks for name in form.names(rows.split, rows.numbers[0])}
+    folders = {out} | {
+        (out / name).parent for rows in tasks for name in form.names(rows.split, rows.numbers[0])
+    }
     parts: dict[Rows, Converted] = {}
     with undone_if_stopped(lambda: _clear(folders)):
         try:
-            with closing(execute(partial(_write, dataset, out, form), tasks, lambda: on_start(total))) as results:
+            with closing(
+                execute(partial(_write, dataset, out, form), tasks, lambda: on_start(total))
+            ) as results:
                 for rows, done in results:
                     parts[rows] = done
                     on_sample(len(rows.numbers))
@@ -118,12 +124,16 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, Co
     return rows, Converted(written, there, 0, tuple(broken))
 
 
-def _sound(samples: Split, numbers: Sequence[int], *, checked: bool) -> tuple[dict[int, Sample], list[str]]:
-    """Samples by number, and a line for each that cannot be read; with `checked`, every field of them is read here."""
+def _sound(
+    samples: Split, numbers: Sequence[int], *, checked: bool
+) -> tuple[dict[int, Sample], list[str]]:
+    """Samples by number, and a line for each that cannot be read or has not its digest; with
+    `checked`, every field of them is read here."""
     found, lines = dict[int, Sample](), list[str]()
     for number in numbers:
         try:
             sample = samples[number]
+            samples.check(number)
             for name in sample.names if checked else ():
                 getattr(sample, name)
             found[number] = sample
@@ -148,7 +158,9 @@ def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
     there = list(out.iterdir()) if out.is_dir() else [out] if out.exists() else []
     if state.exists():
         if state.read_bytes() != content:
-            raise DatasetError(f"{out}: holds another dataset or another conversion; choose another folder")
+            raise DatasetError(
+                f"{out}: holds another dataset or another conversion; choose another folder"
+            )
         return
     if any(path.suffix != ".tmp" for path in there):
         raise DatasetError(f"{out}: is there, and no conversion of ours; choose another folder")

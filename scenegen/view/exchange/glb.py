@@ -20,7 +20,8 @@ THICK_M = 0.01
 
 
 def encode_world(world: World) -> bytes:
-    """The content of the file. Corners of round solids lie on them; planes end at the flight's box."""
+    """The content of the file. Corners of round solids lie on them; planes end at the flight's
+    box."""
     scene = trimesh.Scene()
     colours = (255 * world.model.geom_rgba).astype(np.uint8)
     for n, (mesh, geom) in enumerate(zip(surfaces(world), world.solids.geom, strict=True)):
@@ -42,14 +43,18 @@ def surfaces(world: World) -> list[Any]:
         meshes.append(mesh.apply_transform(frame))
     for first, last in pairwise(solids.mesh_start):
         corners = solids.triangles[first:last].reshape(-1, 3)
-        meshes.append(trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False))
+        meshes.append(
+            trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+        )
     return meshes
 
 
 def _plane(world: World) -> Any:
     """A thin box below z = 0 as wide as the flight's box and its distance from the middle."""
     reach = 2 * float(np.abs(world.flight_bounds).max())
-    return trimesh.creation.box((2 * reach, 2 * reach, THICK_M)).apply_translation((0, 0, -THICK_M / 2))
+    return trimesh.creation.box((2 * reach, 2 * reach, THICK_M)).apply_translation(
+        (0, 0, -THICK_M / 2)
+    )
 
 
 def _ellipsoid(size: NDArray[np.float64]) -> Any:
@@ -58,7 +63,9 @@ def _ellipsoid(size: NDArray[np.float64]) -> Any:
 
 def _capsule(size: NDArray[np.float64]) -> Any:
     mesh = trimesh.creation.capsule(2 * size[1], size[0], count=(SIDES, SIDES // 2))
-    return mesh.apply_translation(-mesh.bounds.mean(axis=0))  # versions of trimesh place it differently
+    return mesh.apply_translation(
+        -mesh.bounds.mean(axis=0)
+    )  # versions of trimesh place it differently
 
 
 SURFACES: dict[int, Callable[[NDArray[np.float64]], Any]] = {

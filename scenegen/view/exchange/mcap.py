@@ -1,8 +1,9 @@
-"""MCAP recordings (mcap.dev) with ROS 2 messages: scans and voxels as point clouds, maps as voxel grids, and where the
-sensor was.
+"""MCAP recordings (mcap.dev) with ROS 2 messages: scans and voxels as point clouds, maps as voxel
+grids, and where the sensor was.
 
-Messages are in CDR (OMG's Common Data Representation, little-endian), where a number begins at a multiple of its size.
-Their definitions are ROS's own common interfaces and Foxglove's VoxelGrid, written here as far as they are used.
+Messages are in CDR (OMG's Common Data Representation, little-endian), where a number begins at a
+multiple of its size. Their definitions are ROS's own common interfaces and Foxglove's VoxelGrid,
+written here as far as they are used.
 """
 
 import io
@@ -20,22 +21,27 @@ RULE = "\n" + 80 * "=" + "\n"
 TIME = f"{RULE}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 HEADER = f"{RULE}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{TIME}"
 CLOUD = (
-    "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n"
+    "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool "
+    "is_bigendian\n"
     "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
-    f"{RULE}MSG: sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n{HEADER}"
+    f"{RULE}MSG: sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 "
+    f"count\n{HEADER}"
 )
 POSES = (
-    f"{RULE}MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"
+    f"{RULE}MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion "
+    f"orientation\n"
     f"{RULE}MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
     f"{RULE}MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
 )
 POSE = f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{POSES}{HEADER}"
 VOXEL_GRID = (
-    "builtin_interfaces/Time timestamp\nstring frame_id\ngeometry_msgs/Pose pose\nuint32 row_count\n"
+    "builtin_interfaces/Time timestamp\nstring frame_id\ngeometry_msgs/Pose pose\nuint32 "
+    "row_count\n"
     "uint32 column_count\ngeometry_msgs/Vector3 cell_size\nuint32 slice_stride\nuint32 row_stride\n"
     "uint32 cell_stride\nfoxglove_msgs/PackedElementField[] fields\nuint8[] data\n"
     f"{RULE}MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
-    f"{RULE}MSG: foxglove_msgs/PackedElementField\nstring name\nuint32 offset\nuint8 type\n{POSES}{TIME}"
+    f"{RULE}MSG: foxglove_msgs/PackedElementField\nstring name\nuint32 offset\nuint8 "
+    f"type\n{POSES}{TIME}"
 )
 SCHEMAS = {
     "sensor_msgs/msg/PointCloud2": CLOUD,
@@ -50,9 +56,10 @@ FRAME = "world"
 
 
 class Mcap:
-    """``train-000000.mcap`` with the first samples, a second apart, and so on. Topics are ``/scan``, the returns;
-    ``/observed``, ``/free`` and ``/occupancy``, centres of voxels; all PointCloud2 in the world; ``/map``, a VoxelGrid
-    with those three as fields, 0 or 1; and ``/pose``, the body's PoseStamped."""
+    """``train-000000.mcap`` with the first samples, a second apart, and so on. Topics are
+    ``/scan``, the returns; ``/observed``, ``/free`` and ``/occupancy``, centres of voxels; all
+    PointCloud2 in the world; ``/map``, a VoxelGrid with those three as fields, 0 or 1; and
+    ``/pose``, the body's PoseStamped."""
 
     together = 100
 
@@ -63,26 +70,37 @@ class Mcap:
         """The file that begins with a sample."""
         return (f"{split}-{number // self.together:06d}.mcap",)
 
-    def encode(self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
+    def encode(
+        self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor
+    ) -> tuple[bytes, ...]:
         """Its content."""
         from mcap.writer import CompressionType, Writer
 
         memory = io.BytesIO()
         writer = Writer(memory, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="scenegen")
-        clouds, poses, maps = (writer.register_schema(name, "ros2msg", text.encode()) for name, text in SCHEMAS.items())
+        clouds, poses, maps = (
+            writer.register_schema(name, "ros2msg", text.encode()) for name, text in SCHEMAS.items()
+        )
         schemas = dict.fromkeys((*VOXELS, "scan"), clouds) | {"map": maps, "pose": poses}
-        topics = {name: writer.register_channel(f"/{name}", "cdr", schema) for name, schema in schemas.items()}
+        topics = {
+            name: writer.register_channel(f"/{name}", "cdr", schema)
+            for name, schema in schemas.items()
+        }
         for number, sample in samples:
             points = {"scan": sample.points(lidar)}
             centres = grid.centres(sample.origin)
             points |= {name: centres[getattr(sample, name)] for name in VOXELS}
             messages = {name: encode_cloud(found, number) for name, found in points.items()}
-            messages["map"] = encode_map({name: getattr(sample, name) for name in VOXELS}, sample.origin, grid, number)
+            messages["map"] = encode_map(
+                {name: getattr(sample, name) for name in VOXELS}, sample.origin, grid, number
+            )
             messages["pose"] = encode_pose(sample.position, sample.quaternion, number)
             for name, data in messages.items():
                 at = number * 10**9
-                writer.add_message(topics[name], log_time=at, publish_time=at, data=data, sequence=number)
+                writer.add_message(
+                    topics[name], log_time=at, publish_time=at, data=data, sequence=number
+                )
         writer.finish()
         return (memory.getvalue(),)
 
@@ -107,7 +125,9 @@ def encode_cloud(points: NDArray[np.float64], second: int) -> bytes:
     return out.content
 
 
-def encode_pose(position: NDArray[np.float64], quaternion: NDArray[np.float64], second: int) -> bytes:
+def encode_pose(
+    position: NDArray[np.float64], quaternion: NDArray[np.float64], second: int
+) -> bytes:
     """A PoseStamped of a position (3,) and a quaternion w, x, y, z."""
     out = _Cdr()
     out.header(second)
@@ -116,9 +136,13 @@ def encode_pose(position: NDArray[np.float64], quaternion: NDArray[np.float64], 
 
 
 def encode_map(
-    fields: Mapping[str, NDArray[np.bool_]], origin: NDArray[np.float64], grid: GridSpec, second: int
+    fields: Mapping[str, NDArray[np.bool_]],
+    origin: NDArray[np.float64],
+    grid: GridSpec,
+    second: int,
 ) -> bytes:
-    """A VoxelGrid of `fields` (X, Y, Z), whose least corner is `origin` (3,) in the world, metres."""
+    """A VoxelGrid of `fields` (X, Y, Z), whose least corner is `origin` (3,) in the world,
+    metres."""
     out = _Cdr()
     out.header(second)
     out.put("7d", *origin, 0, 0, 0, 1)

@@ -1,8 +1,10 @@
-"""OctoMap's binary trees (.bt): what the sensor knows, observed cells as occupied and free ones, in the world's frame.
+"""OctoMap's binary trees (.bt): what the sensor knows, observed cells as occupied and free ones, in
+the world's frame.
 
-The format is that of `OcTree::writeBinary` (github.com/OctoMap/octomap): a text header, then the inner nodes depth
-first, two bits a child: 0 unknown, 1 free, 2 occupied, 3 an inner node. Cells are multiples of the voxel from the
-world's origin, so the map moves by up to half a voxel along each axis.
+The format is that of `OcTree::writeBinary` (github.com/OctoMap/octomap): a text header, then the
+inner nodes depth first, two bits a child: 0 unknown, 1 free, 2 occupied, 3 an inner node. Cells are
+multiples of the voxel from the world's origin, so the map moves by up to half a voxel along each
+axis.
 """
 
 import numpy as np
@@ -35,7 +37,9 @@ class OctoMap:
         known = np.argwhere(sample.observed | sample.free)
         keys = known + np.rint(sample.origin / grid.voxel_m).astype(np.int64) + MIDDLE
         if len(keys) and not (keys.min() >= 0 and keys.max() < 2 * MIDDLE):
-            raise DatasetError(f"origin {sample.origin.tolist()}: beyond an OctoMap of {grid.voxel_m} m cells")
+            raise DatasetError(
+                f"origin {sample.origin.tolist()}: beyond an OctoMap of {grid.voxel_m} m cells"
+            )
         state = np.where(sample.observed[tuple(known.T)], OCCUPIED, FREE)
         nodes, tree = _tree(keys, state)
         head = f"# Octomap OcTree binary file\nid OcTree\nsize {nodes}\nres {grid.voxel_m:.17g}\ndata\n"
@@ -43,7 +47,8 @@ class OctoMap:
 
 
 def _tree(keys: NDArray[np.int64], state: NDArray[np.int64]) -> tuple[int, bytes]:
-    """The number of nodes, and the inner ones as bytes, of a tree with leaves at `keys` (n, 3), each with its state."""
+    """The number of nodes, and the inner ones as bytes, of a tree with leaves at `keys` (n, 3),
+    each with its state."""
     if not len(keys):
         return 0, b""
     codes = np.zeros(len(keys), np.int64)

@@ -1,8 +1,9 @@
 """SemanticKITTI's voxel grids, for programs that read its scene-completion task.
 
-Its development kit (semantic-kitti.org, "voxels") defines them: a grid in C order of x, y, z; `.bin` and `.invalid` are
-bits, the first voxel highest; `.label` is uint16. Ours are as large as the dataset's grid, the sensor in the middle and
-axes along the world's, where SemanticKITTI's begin at the car.
+Its development kit (semantic-kitti.org, "voxels") defines them: a grid in C order of x, y, z;
+`.bin` and `.invalid` are bits, the first voxel highest; `.label` is uint16. Ours are as large as
+the dataset's grid, the sensor in the middle and axes along the world's, where SemanticKITTI's begin
+at the car.
 """
 
 import numpy as np
@@ -16,8 +17,8 @@ SEQUENCES = {"train": "00", "val": "08", "test": "11"}
 
 
 class SemanticKitti:
-    """``sequences/00/voxels/000007.bin``, the observed voxels; ``.label``, the truth; and ``.invalid``, all zero unless
-    unseen voxels are to be left out."""
+    """``sequences/00/voxels/000007.bin``, the observed voxels; ``.label``, the truth; and
+    ``.invalid``, all zero unless unseen voxels are to be left out."""
 
     def __init__(self, choices: Choices):
         self.choices = choices

@@ -30,8 +30,11 @@ def test_hits_where_arithmetic_says() -> None:
         ('type="plane" size="0 0 1" pos="-3 0 0" euler="0 -90 0"', np.inf),
         ('type="sphere" size="1" pos="5 0 0" rgba="1 1 1 0"', np.inf),
     ):
-        found = AnalyticEngine.of(model_of(geom)).cast(np.zeros((1, 3)), ahead[None], 10.0)[0, 0]
+        engine = AnalyticEngine.of(model_of(geom))
+        found = engine.cast(np.zeros((1, 3)), ahead[None], 10.0)[0, 0]
         assert found == pytest.approx(distance, abs=1e-12), geom
+        endless = engine.hits(np.zeros((1, 3)), ahead[None], np.inf)
+        assert (endless.geoms >= 0) == np.isfinite(endless.ranges), geom
 
 
 def from_mujoco(
@@ -61,7 +64,9 @@ def test_hits_are_mujocos(seed: int) -> None:
         np.testing.assert_allclose(hits.ranges[p], ranges, rtol=0, atol=1e-6)
         seen = np.isfinite(ranges)
         assert seen.sum() > 100
-        np.testing.assert_allclose(hits.points[p][seen], (origins[p] + ranges[:, None] * rays[p])[seen], atol=1e-6)
+        np.testing.assert_allclose(
+            hits.points[p][seen], (origins[p] + ranges[:, None] * rays[p])[seen], atol=1e-6
+        )
         np.testing.assert_allclose(hits.normals[p][seen], normals[seen], rtol=0, atol=1e-5)
         assert np.isnan(hits.points[p][~seen]).all()
         assert np.isnan(hits.normals[p][~seen]).all()
@@ -80,9 +85,13 @@ def test_a_ray_from_inside_returns_where_it_comes_out_as_mujocos_does(shape: str
     assert np.isfinite(ranges).sum() == (0 if shape == "plane" else 200)
 
 
-@pytest.mark.parametrize("ray", [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0], [2, 0, 0], [1e-200, 0, 0], [1e200, 0, 0]])
+@pytest.mark.parametrize(
+    "ray", [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0], [2, 0, 0], [1e-200, 0, 0], [1e200, 0, 0]]
+)
 def test_what_is_no_direction_meets_nothing(ray: list[float]) -> None:
-    engine = AnalyticEngine.of(model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"'))
+    engine = AnalyticEngine.of(
+        model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"')
+    )
     good = [1.0, 0.0, 0.0]
     found = engine.hits([[0.0, 0.0, 0.0]], [[good, ray, good]], 10.0)
     np.testing.assert_array_equal(found.ranges, [[1.0, np.inf, 1.0]])
@@ -98,7 +107,11 @@ def test_an_empty_world_and_a_crowded_one() -> None:
     one = solids_of(model_of('type="sphere" size="1" pos="5 0 0"'))
     many = 1_000_000
     fields = ("shape", "size", "position", "rotation", "lower", "upper")
-    crowd = replace(one, **{name: np.repeat(getattr(one, name), many, axis=0) for name in fields}, geom=np.arange(many))
+    crowd = replace(
+        one,
+        **{name: np.repeat(getattr(one, name), many, axis=0) for name in fields},
+        geom=np.arange(many),
+    )
     hits = AnalyticEngine(crowd).hits([[0.0, 0.0, 0.0]], ray, 10.0)
     assert hits.ranges == 4.0
     assert hits.geoms == 0  # the first of those that are as near
@@ -111,7 +124,11 @@ def test_moved_solids_are_seen_where_they_are() -> None:
     at = {int(shape): np.flatnonzero(second.shape == shape) for shape in second.shape}
     order = np.concatenate([at[shape][k : k + 1] for shape, k in counted(first.shape)])
     moved = replace(
-        first, **{name: getattr(second, name)[order] for name in ("size", "position", "rotation", "lower", "upper")}
+        first,
+        **{
+            name: getattr(second, name)[order]
+            for name in ("size", "position", "rotation", "lower", "upper")
+        },
     )
     engine = AnalyticEngine(first)
     before = engine.cast(origins, rays, 12.0)
@@ -136,7 +153,11 @@ def test_threads_share_poses_and_change_nothing(monkeypatch: pytest.MonkeyPatch)
     alone = AnalyticEngine(solids, threads=1).cast(origins, rays, 12.0)
     monkeypatch.setattr(analytic, "RAYS_A_THREAD", 100)
     pools = []
-    monkeypatch.setattr(analytic, "ThreadPoolExecutor", lambda n: pools.append(n) or ThreadPoolExecutor(n))
-    np.testing.assert_array_equal(AnalyticEngine(solids, threads=3).cast(origins, rays, 12.0), alone)
+    monkeypatch.setattr(
+        analytic, "ThreadPoolExecutor", lambda n: pools.append(n) or ThreadPoolExecutor(n)
+    )
+    np.testing.assert_array_equal(
+        AnalyticEngine(solids, threads=3).cast(origins, rays, 12.0), alone
+    )
     AnalyticEngine(solids, threads=3).cast(origins[:1], rays[:1], 12.0)
     assert pools == [3]  # none for one pose

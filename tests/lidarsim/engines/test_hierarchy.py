@@ -7,7 +7,8 @@ from lidarsim.engines.hierarchy import IN_LEAF, LEVELS, Hierarchy
 
 
 def leaves(tree: Hierarchy, lower: np.ndarray, upper: np.ndarray) -> tuple[list[int], int]:
-    """All items, in the order in which the tree's leaves hold them, and its depth; boxes are checked on the way."""
+    """All items, in the order in which the tree's leaves hold them, and its depth; boxes are
+    checked on the way."""
     items: list[int] = []
     deepest, waiting = 0, [(0, 1)] if len(tree.boxes) else []
     while waiting:

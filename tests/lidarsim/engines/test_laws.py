@@ -10,7 +10,13 @@ from lidarsim.engines import ENGINES, Engine
 HFIELD = '<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3" elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>'
 MESHES = """<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
 <mesh name="n" vertex="-1 -1 0  1 -1 0  1 1 0  -1 1 0  0 0 1.5"/>"""
-SIZES = {"plane": "0 0 1", "sphere": "0.7", "capsule": "0.3 0.8", "ellipsoid": "0.3 0.8 0.5", "cylinder": "0.6 0.4"}
+SIZES = {
+    "plane": "0 0 1",
+    "sphere": "0.7",
+    "capsule": "0.3 0.8",
+    "ellipsoid": "0.3 0.8 0.5",
+    "cylinder": "0.6 0.4",
+}
 SIZES |= {"box": "0.3 0.8 0.5"}
 DATA = {"hfield": 'hfield="h"', "mesh": 'mesh="m"'}
 PROCESSORS = "mujoco", "analytic"
@@ -71,7 +77,9 @@ def test_two_engines_agree_on_every_shape_alone(shape: str) -> None:
     lidar = Lidar(rows=40, columns=60, vertical_fov_deg=180.0, max_range_m=6.0)
     hits = 0
     for yaw in np.linspace(0.0, 6.0, 12):
-        pose = Pose.level([RADIUS_M * np.cos(yaw), RADIUS_M * np.sin(yaw), 1.2 * np.sin(5 * yaw)], yaw)
+        pose = Pose.level(
+            [RADIUS_M * np.cos(yaw), RADIUS_M * np.sin(yaw), 1.2 * np.sin(5 * yaw)], yaw
+        )
         one, other = (cast(made(name, model), lidar, pose).ranges for name in PROCESSORS)
         np.testing.assert_allclose(one, other, rtol=0, atol=2e-6)
         hits += int(np.isfinite(one).sum())
@@ -99,7 +107,9 @@ def test_any_shape_and_memory_layout_of_rays_will_do(name: str) -> None:
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 2, 60)
     flat = engine.cast(origins, rays, 12.0)
-    np.testing.assert_array_equal(engine.cast(origins, rays.reshape(2, 3, 4, 5, 3), 12.0), flat.reshape(2, 3, 4, 5))
+    np.testing.assert_array_equal(
+        engine.cast(origins, rays.reshape(2, 3, 4, 5, 3), 12.0), flat.reshape(2, 3, 4, 5)
+    )
     np.testing.assert_array_equal(engine.cast(origins, rays[:, ::-2], 12.0), flat[:, ::-2])
     np.testing.assert_array_equal(engine.cast(origins, np.asfortranarray(rays), 12.0), flat)
     np.testing.assert_array_equal(engine.cast(origins, rays[:, 7], 12.0), flat[:, 7])
@@ -111,7 +121,9 @@ def test_any_shape_and_memory_layout_of_rays_will_do(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_data_that_were_never_forwarded_are_refused_and_not_taken_for_an_empty_world(name: str) -> None:
+def test_data_that_were_never_forwarded_are_refused_and_not_taken_for_an_empty_world(
+    name: str,
+) -> None:
     model = model_of('type="box" size="1 1 1" pos="3 0 0"')
     data, lidar, pose = mujoco.MjData(model), Lidar(), Pose.level((0, 0, 0))
     with pytest.raises(ValueError, match="never forwarded"):
@@ -134,8 +146,10 @@ class Odd:
     ("ranges", "told"),
     [
         (np.ones((16, 120)), r"Odd.cast gave ranges of shape \(16, 120\), expected \(1, 16, 120\)"),
-        (np.full((1, 16, 120), np.nan), "Odd.cast gave ranges below 0, or that are no numbers"),
-        (np.full((1, 16, 120), -1.0), "Odd.cast gave ranges below 0, or that are no numbers"),
+        *(
+            (np.full((1, 16, 120), wrong), "Odd.cast gave 1920 ranges that are not from 0 to 10 m")
+            for wrong in (np.nan, -1.0, -np.inf, 10.00001, 1e300)
+        ),
     ],
 )
 def test_ranges_that_are_none_are_told_of(ranges: np.ndarray, told: str) -> None:
@@ -143,12 +157,22 @@ def test_ranges_that_are_none_are_told_of(ranges: np.ndarray, told: str) -> None
         cast(Odd(ranges), Lidar(), Pose.level((0, 0, 0)))  # type: ignore[arg-type]
 
 
-BAD_RAYS = [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0], [-np.inf, np.nan, 0], [2, 0, 0], [1e-200, 0, 0], [1e200, 0, 0]]
+BAD_RAYS = [
+    [0, 0, 0],
+    [np.nan, 0, 1],
+    [np.inf, 0, 0],
+    [-np.inf, np.nan, 0],
+    [2, 0, 0],
+    [1e-200, 0, 0],
+    [1e200, 0, 0],
+]
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
 def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(name: str) -> None:
-    engine = made(name, model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"'))
+    engine = made(
+        name, model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"')
+    )
     good, down = [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]
     found = engine.cast(np.zeros((1, 3)), [[good, *BAD_RAYS, down]], 10.0)
     np.testing.assert_array_equal(found, [[1.0, *[np.inf] * len(BAD_RAYS), 1.0]])
@@ -170,8 +194,29 @@ def test_from_inside_a_solid_rays_return_where_they_come_out(name: str, shape: s
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
+def test_a_plane_is_seen_from_its_front_and_on_it_within_its_size(name: str) -> None:
+    """MuJoCo's planes have a front, +z, and half sizes of which 0 means without end."""
+    floor, tile = (
+        made(name, model_of(f'type="plane" size="{size}"')) for size in ("0 0 1", "1 2 1")
+    )
+    down = np.array(
+        [[[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.6, -0.8], [0.8, 0.0, -0.6], [0.0, 0.0, 1.0]]]
+    )
+    far = [1.5, 1.875, 1.875, 2.5, np.inf]
+    np.testing.assert_allclose(floor.cast([[0.0, 0.0, 1.5]], down, 9.0), [far], rtol=1e-12)
+    far[1] = far[3] = np.inf
+    np.testing.assert_allclose(tile.cast([[0.0, 0.0, 1.5]], down, 9.0), [far], rtol=1e-12)
+    for engine in (floor, tile):
+        assert np.isinf(engine.cast([[0.0, 0.0, -1.5]], -down, 9.0)).all()
+        np.testing.assert_array_equal(
+            engine.cast([[0.5, 0.5, 0.0]], down, 9.0), [[0.0, 0.0, 0.0, 0.0, np.inf]]
+        )
+
+
+@pytest.mark.parametrize("name", PROCESSORS)
 @pytest.mark.parametrize(
-    "world", ["<mujoco/>", '<mujoco><worldbody><geom size="1" rgba="1 1 1 0"/></worldbody></mujoco>']
+    "world",
+    ["<mujoco/>", '<mujoco><worldbody><geom size="1" rgba="1 1 1 0"/></worldbody></mujoco>'],
 )
 def test_a_world_with_nothing_to_see_gives_no_returns(name: str, world: str) -> None:
     scan = cast(made(name, mujoco.MjModel.from_xml_string(world)), Lidar(), Pose.level((0, 0, 0)))

@@ -27,13 +27,21 @@ AXES = np.concatenate([np.eye(3), -np.eye(3)])
 def test_many_worlds_at_once_give_the_analytic_engines_bits() -> None:
     rng = np.random.default_rng(0)
     solids = [solids_of(random_model(rng)) for _ in range(4)]
-    solids += [solids_of(model_of()), solids_of(model_of('type="plane" size="0 0 1"'))]  # no solid, no box
+    solids += [
+        solids_of(model_of()),
+        solids_of(model_of('type="plane" size="2 0 1"')),
+    ]  # no solid, no box
     which = np.array([3, 1, 0, 5, 2, 2, 4, 0, 1])
     origins, rays = random_rays(rng, len(which), 1000)
     origins[0], origins[1] = solids[3].position[4] + 0.1, solids[1].position[7]  # inside a solid
     rays[:, :6] = AXES
     rays[:, 6:200, 2] = 0.0
     rays[:, 6:200] /= np.linalg.norm(rays[:, 6:200], axis=-1, keepdims=True)
+    rays[:, 200:220] *= 1 + np.linspace(-9e-7, 9e-7, 20)[:, None]  # units to a millionth
+    for p, world in enumerate(which):  # at corners, where triangles meet
+        corners = solids[world].triangles.reshape(-1, 3)[:100]
+        rays[p, 220 : 220 + len(corners)] = corners - origins[p]
+    rays[:, 220:320] /= np.linalg.norm(rays[:, 220:320], axis=-1, keepdims=True)
     for reach in (6.0, 1e7):
         ranges = cast(Worlds(solids, device="cpu"), origins, rays, reach, which=which).numpy()
         for p, world in enumerate(which):
@@ -44,17 +52,26 @@ def test_many_worlds_at_once_give_the_analytic_engines_bits() -> None:
 
 @pytest.mark.parametrize("turn", ["0 0 0", "0 0 90", "90 0 90"])
 def test_rays_along_the_axes_miss_nothing(turn: str) -> None:
-    """From points level with faces, edges and centres, along all axes: where products of 0 and infinity would lurk."""
-    sorts = [f'type="{shape}" size="{size}" euler="{turn}"' for shape, size in SIZES.items() if shape != "plane"]
+    """From points level with faces, edges and centres, along all axes: where products of 0 and
+    infinity would lurk."""
+    sorts = [
+        f'type="{shape}" size="{size}" euler="{turn}"'
+        for shape, size in SIZES.items()
+        if shape != "plane"
+    ]
     sorts.append(f'type="mesh" mesh="n" euler="{turn}"')
     model = model_of(*(f'{sort} pos="{4 * n} 0 0"' for n, sort in enumerate(sorts)))
     steps = np.array([-0.8, -0.6, -0.5, -0.3, 0.0, 0.3, 0.5, 0.7, 0.8])
     around = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    origins = np.concatenate([around + np.array([x, 0, 0]) for x in [*range(0, 4 * len(sorts), 4), -3]])
+    origins = np.concatenate(
+        [around + np.array([x, 0, 0]) for x in [*range(0, 4 * len(sorts), 4), -3]]
+    )
     rays = np.broadcast_to(AXES, (len(origins), 6, 3))
     ranges = WarpEngine(solids_of(model), device="cpu").cast(origins, rays, 100.0)
     np.testing.assert_array_equal(ranges, AnalyticEngine.of(model).cast(origins, rays, 100.0))
-    towards = ranges[len(around) * len(sorts) :, 0].reshape(9, 9, 9)[:, 4, 4]  # along x, through the ball's centre
+    towards = ranges[len(around) * len(sorts) :, 0].reshape(9, 9, 9)[
+        :, 4, 4
+    ]  # along x, through the ball's centre
     np.testing.assert_allclose(towards, 3.0 - 0.7 - steps, atol=1e-12)
 
 
@@ -65,9 +82,15 @@ def test_the_engine_keeps_the_protocol() -> None:
     origins, rays = random_rays(rng, 2, 60)
     flat = engine.cast(origins, rays, 12.0)
     np.testing.assert_array_equal(flat, AnalyticEngine.of(model).cast(origins, rays, 12.0))
-    np.testing.assert_array_equal(engine.cast(origins, rays.reshape(2, 3, 4, 5, 3), 12.0), flat.reshape(2, 3, 4, 5))
-    np.testing.assert_array_equal(engine.cast(origins[1:], np.asfortranarray(rays)[1:, ::-2], 12.0), flat[1:, ::-2])
-    np.testing.assert_array_equal(engine.cast(origins.tolist(), rays[:, 7].tolist(), 12.0), flat[:, 7])
+    np.testing.assert_array_equal(
+        engine.cast(origins, rays.reshape(2, 3, 4, 5, 3), 12.0), flat.reshape(2, 3, 4, 5)
+    )
+    np.testing.assert_array_equal(
+        engine.cast(origins[1:], np.asfortranarray(rays)[1:, ::-2], 12.0), flat[1:, ::-2]
+    )
+    np.testing.assert_array_equal(
+        engine.cast(origins.tolist(), rays[:, 7].tolist(), 12.0), flat[:, 7]
+    )
     assert engine.cast(origins, np.empty((2, 0, 3)), 12.0).shape == (2, 0)
     assert engine.cast(np.empty((0, 3)), np.empty((0, 7, 3)), 12.0).shape == (0, 7)
     odd = np.array([[0.0, 0, 0], [np.nan, 0, 1], [2.0, 0, 0], [np.inf, 0, 0]])
@@ -82,13 +105,22 @@ def test_voxels_are_those_of_voxelize() -> None:
         Pose.level((3 + 6 * n, 3 * n, 0.4 * n), 0.5 * np.pi * n) for n in range(3)
     ]  # rays in the grid's own planes
     origins = np.array([pose.position for pose in poses])
-    rays = np.array([rotate(pose.quaternion, lidar.directions_body).reshape(-1, 3) for pose in poses])
+    rays = np.array(
+        [rotate(pose.quaternion, lidar.directions_body).reshape(-1, 3) for pose in poses]
+    )
     ranges = cast(Worlds(map(solids_of, models), device="cpu"), origins, rays, lidar.max_range_m)
-    for grid, shift in ((GridSpec(shape=(40, 30, 20), voxel_m=0.25), 0.0), (GridSpec(shape=(9, 7, 30)), 3.05)):
+    for grid, shift in (
+        (GridSpec(shape=(40, 30, 20), voxel_m=0.25), 0.0),
+        (GridSpec(shape=(9, 7, 30)), 3.05),
+    ):
         corners = grid.origin_at(origins) + shift  # of the second, a part lies behind the sensor
-        observed, free = voxelize(ranges, origins, rays, lidar.max_range_m, grid=grid, corners=corners)
+        observed, free = voxelize(
+            ranges, origins, rays, lidar.max_range_m, grid=grid, corners=corners
+        )
         for p, (model, pose) in enumerate(zip(models, poses, strict=True)):
-            seen = lidarsim.voxelize(lidarsim.cast(AnalyticEngine.of(model), lidar, pose), grid, corners[p])
+            seen = lidarsim.voxelize(
+                lidarsim.cast(AnalyticEngine.of(model), lidar, pose), grid, corners[p]
+            )
             np.testing.assert_array_equal(observed.numpy()[p], seen.observed)
             np.testing.assert_array_equal(free.numpy()[p], seen.free)
         assert observed.numpy().any()
@@ -97,7 +129,10 @@ def test_voxels_are_those_of_voxelize() -> None:
 
 def test_torch_takes_and_gives_arrays_without_a_copy() -> None:
     torch = pytest.importorskip("torch")
-    solids, rays = solids_of(model_of('type="sphere" size="1" pos="5 0 0"')), np.tile(AXES, (2, 1, 1))
+    solids, rays = (
+        solids_of(model_of('type="sphere" size="1" pos="5 0 0"')),
+        np.tile(AXES, (2, 1, 1)),
+    )
     directions, origins = torch.tensor(rays), torch.zeros((2, 3), dtype=torch.float64)
     given = [wp.from_torch(tensor, dtype=wp.vec3d) for tensor in (origins, directions)]
     ranges = cast(Worlds([solids, solids], device="cpu"), *given, 10.0)
@@ -126,7 +161,8 @@ def test_what_a_kernel_cannot_take_is_refused_in_one_line() -> None:
 @pytest.mark.skipif(WarpEngine.missing() == "", reason="a GPU is here")
 def test_without_a_gpu_the_engine_says_so_in_one_line() -> None:
     with pytest.raises(
-        ValueError, match=r"^the engine warp needs an NVIDIA GPU.*; the engine analytic gives the same ranges$"
+        ValueError,
+        match=r"^the engine warp needs an NVIDIA GPU.*; the engine analytic gives the same ranges$",
     ):
         WarpEngine.of(mujoco.MjModel.from_xml_string("<mujoco/>"))
     with pytest.raises(ValueError, match="Warp finds no GPU on this machine"):
@@ -144,7 +180,8 @@ def test_without_warp_the_engine_names_the_extra(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_kernels_compile_for_gpus_without_fused_multiplications(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """A fused multiplication rounds once where the processor rounds twice, and bits would differ. No GPU is needed."""
+    """A fused multiplication rounds once where the processor rounds twice, and bits would differ.
+    No GPU is needed."""
     import lidarsim.gpu.rays
     import lidarsim.gpu.voxels
     import scenegen.truth.gpu

@@ -21,7 +21,8 @@ from lidarsim.sensors.catalogue import NAMED
 
 ENGINE = AnalyticEngine.of(
     mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><geom type="plane" size="9 9 1"/><geom size="1" pos="4 0 1"/></worldbody></mujoco>'
+        '<mujoco><worldbody><geom type="plane" size="9 9 1"/><geom size="1" pos="4 0 '
+        '1"/></worldbody></mujoco>'
     )
 )
 SCAN = cast(ENGINE, Lidar(), Pose.level((0.0, 0.0, 2.0)))
@@ -35,7 +36,11 @@ def test_no_noise_gives_the_clean_bits() -> None:
 
 def test_a_text_becomes_stages_and_they_become_it() -> None:
     chain = Noise.parse("divergence:2.5:returns=last, range:0.01:share=0.002,dropout")
-    assert chain.stages == (Divergence(mrad=2.5, returns="last"), Range(sigma_m=0.01, share=0.002), Dropout())
+    assert chain.stages == (
+        Divergence(mrad=2.5, returns="last"),
+        Range(sigma_m=0.01, share=0.002),
+        Dropout(),
+    )
     assert str(chain) == "divergence:mrad=2.5:returns=last,range:sigma_m=0.01:share=0.002,dropout"
 
 
@@ -44,7 +49,9 @@ def test_every_stage_reads_back_from_its_text(name: str) -> None:
     stage = STAGES.find(name)()
     for item in dataclasses.fields(stage):
         value = getattr(stage, item.name)
-        other = {bool: not value, str: "dual"}.get(type(value), 7 if item.name in ("rays", "poses") else 0.25)
+        other = {bool: not value, str: "dual"}.get(
+            type(value), 7 if item.name in ("rays", "poses") else 0.25
+        )
         changed = dataclasses.replace(stage, **{item.name: other})
         assert Noise.parse(str(Noise((changed,)))).stages == (changed,)
     assert str(Noise((stage,))) == name
@@ -70,7 +77,8 @@ def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_befo
 
 
 @pytest.mark.parametrize(
-    "text", ["range:0.05:share=0.01", "range,quantise:0.1,dropout,far", "grazing,faint,near:3,depth"]
+    "text",
+    ["range:0.05:share=0.01", "range,quantise:0.1,dropout,far", "grazing,faint,near:3,depth"],
 )
 def test_no_return_moves_further_than_the_bound(text: str) -> None:
     chain = Noise.parse(text)
@@ -114,11 +122,16 @@ class Shift:
     def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges + self.by_m)
     def bound_m(self, max_range_m): return abs(self.by_m)
 """)
-    chain = Noise.parse("my_noise:Shift:0.5,range:0")
+    for text in ("my_noise:Shift:9.5,range:0", "my_noise:Shift:-9.5"):
+        with pytest.raises(
+            ValueError, match=r"noise stage my_noise:Shift:by_m=-?9.5 gave .* 0 to 10 m"
+        ):
+            Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(0))
+    chain = Noise.parse("my_noise:Shift:-0.5,range:0")
     told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
-    assert str(chain) == "my_noise:Shift:by_m=0.5,range:sigma_m=0.0"
+    assert str(chain) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
     left = np.isfinite(told)
-    np.testing.assert_allclose(told[left], SCAN.ranges[left] + 0.5, rtol=1e-6)
+    np.testing.assert_allclose(told[left], SCAN.ranges[left] - 0.5, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

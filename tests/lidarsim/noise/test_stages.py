@@ -1,4 +1,5 @@
-"""Every stage against the distribution that it states: moments, and a statistical test with a fixed seed."""
+"""Every stage against the distribution that it states: moments, and a statistical test with a fixed
+seed."""
 
 import dataclasses
 import math
@@ -41,7 +42,9 @@ def ahead(count: int, reach_m: float = REACH_M) -> BeamTable:
 
 
 def world(*geoms: str) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{''.join(geoms)}</worldbody></mujoco>")
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{''.join(geoms)}</worldbody></mujoco>"
+    )
 
 
 def applied(stage: Stage, ranges: Any, sensor: Any = None, seed: int = 5) -> np.ndarray:
@@ -52,7 +55,9 @@ def applied(stage: Stage, ranges: Any, sensor: Any = None, seed: int = 5) -> np.
 
 
 @pytest.mark.parametrize("at_m", [2.0, 10.0])
-@pytest.mark.parametrize("stage", [Range(sigma_m=0.03), Range(sigma_m=0.0, share=0.01), Range(quadratic_per_m=0.002)])
+@pytest.mark.parametrize(
+    "stage", [Range(sigma_m=0.03), Range(sigma_m=0.0, share=0.01), Range(quadratic_per_m=0.002)]
+)
 def test_range_noise_is_normal_with_the_stated_deviation(stage: Range, at_m: float) -> None:
     moved = applied(stage, np.full(RAYS, at_m)) - at_m
     sigma = stage.sigma_m + stage.share * at_m + stage.quadratic_per_m * at_m**2
@@ -65,7 +70,9 @@ def test_range_noise_is_normal_with_the_stated_deviation(stage: Range, at_m: flo
 
 def test_depth_noise_grows_with_the_square_of_the_depth_and_not_of_the_range() -> None:
     tilt = math.radians(40)
-    rays = np.array([[math.cos(tilt), side * math.sin(tilt), 0.0, 0.0] for side in (-1, 1)] * (RAYS // 2))
+    rays = np.array(
+        [[math.cos(tilt), side * math.sin(tilt), 0.0, 0.0] for side in (-1, 1)] * (RAYS // 2)
+    )
     sensor, stage = BeamTable(rays=rays, max_range_m=REACH_M), Depth(quadratic_per_m=0.005)
     moved = applied(stage, np.full(RAYS, 8.0), sensor) - 8.0
     depth = 8.0 * math.cos(tilt)
@@ -92,7 +99,12 @@ def test_quantised_ranges_are_the_nearest_steps() -> None:
 
 
 def test_nothing_returns_from_nearer_than_the_least_range() -> None:
-    assert applied(Near(min_range_m=0.3), [0.1, 0.299, 0.31, 7.0]).tolist() == [np.inf, np.inf, np.float32(0.31), 7.0]
+    assert applied(Near(min_range_m=0.3), [0.1, 0.299, 0.31, 7.0]).tolist() == [
+        np.inf,
+        np.inf,
+        np.float32(0.31),
+        7.0,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -104,7 +116,9 @@ def test_nothing_returns_from_nearer_than_the_least_range() -> None:
         (Far(power=1), 25.0, 0.25),
     ],
 )
-def test_returns_are_lost_with_the_stated_probability(stage: Stage, at_m: float, share: float) -> None:
+def test_returns_are_lost_with_the_stated_probability(
+    stage: Stage, at_m: float, share: float
+) -> None:
     left = applied(stage, np.full(RAYS, at_m))
     lost = int(np.isinf(left).sum())
     assert stats.binomtest(lost, RAYS, share).pvalue > 0.01
@@ -123,7 +137,9 @@ def seen(stage: Stage, *geoms: str, rays: int = RAYS) -> Returns:
     model = world(*geoms)
     engine = AnalyticEngine.of(model)
     scan = cast(engine, ahead(rays), LEVEL)
-    return Noise((stage,)).observe(scan, engine, rng=np.random.default_rng(3), albedo=albedo_of(model))
+    return Noise((stage,)).observe(
+        scan, engine, rng=np.random.default_rng(3), albedo=albedo_of(model)
+    )
 
 
 @pytest.mark.parametrize(("turn_deg", "share"), [(0, 0.0), (60, 0.0), (80, 0.5), (85, 0.75)])
@@ -176,8 +192,8 @@ def test_spurious_returns_are_even_along_the_way(at_m: float) -> None:
 
 
 def edge(near_m: float, far_m: float, covered: float) -> tuple[str, str]:
-    """A wall at `far_m`, and one at `near_m` whose upper edge lies so that it stands `covered` m above
-    the axis."""
+    """A wall at `far_m`, and one at `near_m` whose upper edge lies so that it stands `covered` m
+    above the axis."""
     return (
         f'<geom type="box" size="0.5 60 60" pos="{far_m + 0.5} 0 0"/>',
         f'<geom type="box" size="0.01 60 30" pos="{near_m + 0.01} 0 {covered - 30}"/>',
@@ -211,8 +227,12 @@ def test_the_share_of_a_cone_on_either_side_of_an_edge_is_that_of_a_disk(aside: 
 
 def test_the_strongest_echo_is_the_one_of_most_light() -> None:
     stage = Divergence(mrad=10, rays=100)
-    assert seen(stage, *edge(10.0, 20.0, -0.02), rays=5).ranges[0] == pytest.approx(np.full(5, 20.0), abs=1e-3)
-    assert seen(stage, *edge(10.0, 20.0, 0.02), rays=5).ranges[0] == pytest.approx(np.full(5, 10.0), abs=1e-3)
+    assert seen(stage, *edge(10.0, 20.0, -0.02), rays=5).ranges[0] == pytest.approx(
+        np.full(5, 20.0), abs=1e-3
+    )
+    assert seen(stage, *edge(10.0, 20.0, 0.02), rays=5).ranges[0] == pytest.approx(
+        np.full(5, 10.0), abs=1e-3
+    )
     alone = seen(dataclasses.replace(stage, returns="dual"), wall(0), rays=5)
     assert np.isinf(alone.ranges[1]).all()
     assert np.isinf(seen(stage, rays=5).ranges).all()
@@ -225,13 +245,18 @@ def turning(rays: int = 200, scan_s: float = 0.1) -> BeamTable:
     return BeamTable(rays=np.stack(columns, axis=-1), max_range_m=REACH_M)
 
 
-ROOM = [f'<geom type="box" size="{s}" pos="{p}"/>' for s, p in (("1 20 5", "11 0 0"), ("1 20 5", "-11 0 0"))]
+ROOM = [
+    f'<geom type="box" size="{s}" pos="{p}"/>'
+    for s, p in (("1 20 5", "11 0 0"), ("1 20 5", "-11 0 0"))
+]
 ROOM += [f'<geom type="box" size="20 1 5" pos="0 {side} 0"/>' for side in (11, -11)]
 
 
 @pytest.mark.parametrize("engine_of", [AnalyticEngine.of, MujocoEngine.of])
 @pytest.mark.parametrize("turned", [0.0, 200.0])
-def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(engine_of: Any, turned: float) -> None:
+def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(
+    engine_of: Any, turned: float
+) -> None:
     """The room is 20 m wide: a point on a wall has 10 m for its greater coordinate."""
     engine = engine_of(world(*ROOM))
     motion = Motion(forward_mps=8.0, left_mps=-2.0, yaw_rate_deg_s=turned, poses=400)
@@ -248,7 +273,8 @@ def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(engine_
 
 
 def test_a_ray_along_the_motion_is_shorter_by_the_way_flown() -> None:
-    """One ray at 0.1 s, straight at the wall 10 m ahead, at 3 m/s; and beside it, turned by the yaw meanwhile."""
+    """One ray at 0.1 s, straight at the wall 10 m ahead, at 3 m/s; and beside it, turned by the yaw
+    meanwhile."""
     sensor = BeamTable(rays=np.array([[1.0, 0, 0, 0.0], [1.0, 0, 0, 0.1]]), max_range_m=REACH_M)
     engine = AnalyticEngine.of(world(*ROOM))
     scan = cast(engine, sensor, LEVEL)
@@ -280,5 +306,7 @@ def test_a_stage_that_asks_for_surfaces_needs_an_engine_that_knows_them() -> Non
     model = world(wall(0))
     engine = MujocoEngine.of(model)
     with pytest.raises(ValueError, match="use the engine analytic"):
-        Noise((Grazing(),)).observe(cast(engine, ahead(3), LEVEL), engine, rng=np.random.default_rng(0))
+        Noise((Grazing(),)).observe(
+            cast(engine, ahead(3), LEVEL), engine, rng=np.random.default_rng(0)
+        )
     assert View(engine, ahead(3), LEVEL).albedo is None

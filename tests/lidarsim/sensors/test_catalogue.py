@@ -1,4 +1,5 @@
-"""Every sensor of the catalogue against figures of its document, measured on its rays; and sensors that cannot be."""
+"""Every sensor of the catalogue against figures of its document, measured on its rays; and sensors
+that cannot be."""
 
 import dataclasses
 import math
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 
 from lidarsim import BeamTable, Lidar, MujocoEngine, Pose, cast
-from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS
+from lidarsim.noise.chain import Noise
+from lidarsim.noise.ranges import Range
+from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.catalogue import NAMED
 from lidarsim.sensors.device import Device
 from lidarsim.sensors.nonrepetitive import Coil, Rosette
@@ -17,26 +20,60 @@ from lidarsim.sensors.pinhole import Pinhole
 from lidarsim.sensors.spinning import Spinning
 
 SPINNING = {
-    # beams, lowest and highest beam in degrees, degrees from column to column at 10 Hz, points a second
+    # beams, lowest and highest beam in degrees, degrees from column to column at 10 Hz, points a
+    # second
     "velodyne-vlp-16": (16, -15.0, 15.0, 0.199, 0.289e6),
     "velodyne-hdl-32e": (32, -30.67, 10.67, 0.166, 0.695e6),
     "velodyne-hdl-64e": (64, -24.33, 2.0, 0.1728, 1.333e6),
-    **{f"ouster-os0-{n}": (n, -45.0, 45.0, 360 / 1024, n * 10240) for n in (32, 64, 128)},
-    **{f"ouster-os1-{n}": (n, -22.5, 22.5, 360 / 1024, n * 10240) for n in (32, 64, 128)},
-    **{f"ouster-os2-{n}": (n, -11.25, 11.25, 360 / 1024, n * 10240) for n in (32, 64, 128)},
+    **{
+        f"ouster-{model}-{beams}": (beams, low, high, 360 / 1024, beams * 10240)
+        for model, low, highest in (
+            ("os0", -46.26, (43.47, 44.7, 45.75)),
+            ("os1", -21.82, (20.03, 20.67, 20.95)),
+            ("os2", -11.09, (10.24, 10.58, 10.76)),
+        )
+        for beams, high in zip((32, 64, 128), highest, strict=True)
+    },
     "hesai-xt-32": (32, -16.0, 15.0, 0.18, 0.64e6),
-    "hesai-qt-128": (128, -52.6, 52.6, 0.4, 1.152e6),
+    "hesai-qt-128": (128, -52.627, 52.627, 0.4, 1.152e6),
     "robosense-helios-1615": (32, -16.0, 15.0, 0.2, 0.576e6),
     "robosense-helios-16p": (16, -15.0, 15.0, 0.2, 0.288e6),
 }
-RANGES_M = {"velodyne-vlp-16": 100, "velodyne-hdl-64e": 120, "ouster-os0-64": 50, "ouster-os1-64": 120}
-RANGES_M |= {"ouster-os2-64": 240, "hesai-xt-32": 120, "hesai-qt-128": 50, "livox-mid-360": 70, "livox-avia": 450}
+RANGES_M = {
+    "velodyne-vlp-16": 100,
+    "velodyne-hdl-64e": 120,
+    "ouster-os0-64": 50,
+    "ouster-os1-64": 120,
+}
+RANGES_M |= {
+    "ouster-os2-64": 240,
+    "hesai-xt-32": 120,
+    "hesai-qt-128": 50,
+    "livox-mid-360": 70,
+    "livox-avia": 450,
+}
 
 
 def angles_deg(sensor: Device) -> tuple[np.ndarray, np.ndarray]:
     """Elevation and azimuth of every ray."""
     x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
     return np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
+
+
+def test_angles_do_not_hang_on_the_last_bit_of_an_arctangent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Other processors have another one: a figure halfway between two steps was printed either
+    way."""
+    tie = Spinning(elevations_deg=(-11.25, 0.005, 33.335), columns=16)
+    told, true = device.angles_deg(tie.directions_body), np.arctan2
+    np.testing.assert_array_equal(
+        told[0], np.repeat(np.array(tie.elevations_deg)[:, None], 16, axis=1)
+    )
+    np.testing.assert_allclose(told, angles_deg(tie), atol=1e-9)
+    for way in (-math.inf, math.inf):
+        monkeypatch.setattr(np, "arctan2", lambda y, x, way=way: np.nextafter(true(y, x), way))
+        np.testing.assert_array_equal(device.angles_deg(tie.directions_body), told)
 
 
 def test_the_registry_and_the_catalogue_hold_the_same_sensors() -> None:
@@ -49,14 +86,16 @@ def test_the_registry_and_the_catalogue_hold_the_same_sensors() -> None:
 def test_a_sensor_has_unit_rays_rising_times_and_a_source(name: str) -> None:
     sensor = SENSORS.find(name)
     assert sensor.name == name
-    assert len(sensor.source) > 20
+    assert min(len(sensor.source), len(sensor.checked), len(sensor.error)) > 20
     table = BeamTable.of(sensor)
     assert (table.shape, table.made_by) == (sensor.shape, name)
     assert sensor.times_s.min() >= 0
     assert (np.diff(sensor.times_s, axis=-1) >= 0).all()
     assert 0 <= sensor.min_range_m < sensor.max_range_m == RANGES_M.get(name, sensor.max_range_m)
     rays = sensor.directions_body.reshape(-1, 3)
-    assert len(np.unique(rays @ (1.0, 1e3, 1e6))) > 0.999 * len(rays)  # hardly two look the same way
+    assert len(np.unique(rays @ (1.0, 1e3, 1e6))) > 0.999 * len(
+        rays
+    )  # hardly two look the same way
 
 
 @pytest.mark.parametrize("name", SPINNING)
@@ -71,22 +110,81 @@ def test_a_spinning_sensors_rays_are_as_documented(name: str) -> None:
     assert len(np.unique(elevation[:, 0].round(6))) == beams
     steps = np.diff(np.unwrap(np.radians(azimuth), axis=1), axis=1)
     np.testing.assert_allclose(np.degrees(steps), -step_deg, rtol=2e-3)  # clockwise from above
-    np.testing.assert_allclose(steps.sum(axis=1), -2 * math.pi, rtol=5e-3)  # a turn, but for its last column
+    np.testing.assert_allclose(
+        steps.sum(axis=1), -2 * math.pi, rtol=5e-3
+    )  # a turn, but for its last column
     assert elevation.size * sensor.rate_hz == pytest.approx(points_hz, rel=3e-3)
     assert sensor.times_s.max() < 1 / sensor.rate_hz
 
 
 @pytest.mark.parametrize(
-    ("name", "firing", "gap_us"), [("velodyne-vlp-16", [-15, 1, -13, 3], 2.304), ("hesai-xt-32", [15, 14, 13], 1.512)]
+    ("name", "row", "elevation", "azimuth"),
+    [
+        ("ouster-os0-128", 0, 45.75, 11.24),
+        ("ouster-os0-32", 31, -46.26, -11.35),
+        ("ouster-os1-128", 64, -0.64, 4.22),
+        ("ouster-os1-64", 0, 20.67, 1.41),
+        ("ouster-os2-128", 127, -11.09, -2.04),
+        ("hesai-qt-128", 0, -52.62676282, 10.10830596),
+        ("hesai-qt-128", 54, -0.202883525, -5.89103442),
+        ("hesai-qt-128", 96, 19.19081372, -6.25017485),
+    ],
 )
-def test_beams_fire_in_the_documented_order_while_the_head_turns(name: str, firing: list[int], gap_us: float) -> None:
+def test_staggered_beams_point_where_the_makers_drivers_place_them(
+    name: str, row: int, elevation: float, azimuth: float
+) -> None:
+    """Ouster's own formula, and Hesai's: column c at 2π c / columns, azimuths clockwise, begun at
+    the rear."""
+    sensor = NAMED[name]
+    turned = 360 / sensor.shape[1] * np.arange(sensor.shape[1]) + 360 * 10 * sensor.times_s[row, 0]
+    around, up = np.radians(180 - turned - azimuth), math.radians(elevation)
+    expected = np.stack(
+        [math.cos(up) * np.cos(around), math.cos(up) * np.sin(around), 0 * around + math.sin(up)],
+        -1,
+    )
+    np.testing.assert_allclose(sensor.directions_body[row], expected, atol=2e-5)
+
+
+def test_the_qt_128_is_dense_at_the_horizon_and_looks_up_with_73_of_its_beams() -> None:
+    elevation, _ = angles_deg(NAMED["hesai-qt-128"])
+    up = np.sort(elevation[:, 0])
+    assert (up > 0).sum() == 73
+    assert (np.diff(up).min(), np.diff(up).max()) == pytest.approx((0.43, 1.599), abs=1e-3)
+    assert np.argsort(NAMED["hesai-qt-128"].times_s[:, 0])[:2].tolist() == [
+        98,
+        64,
+    ]  # channels 99 and 65
+
+
+def test_ousters_precision_is_the_data_sheets_at_its_best_and_at_its_worst() -> None:
+    stage = next(
+        stage
+        for stage in Noise.parse(NAMED["ouster-os1-64"].noise).stages
+        if isinstance(stage, Range)
+    )
+    assert stage.sigma_m == 0.007
+    assert stage.sigma_m + stage.share * 120 == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "firing", "gap_us"),
+    [("velodyne-vlp-16", [-15, 1, -13, 3], 2.304), ("hesai-xt-32", [15, 14, 13], 1.512)],
+)
+def test_beams_fire_in_the_documented_order_while_the_head_turns(
+    name: str, firing: list[int], gap_us: float
+) -> None:
     sensor = NAMED[name]
     elevation, azimuth = angles_deg(sensor)
     order = np.argsort(sensor.times_s[:, 0])
     assert elevation[order, 0][: len(firing)] == pytest.approx(firing)
-    assert np.diff(sensor.times_s[order, 0]) == pytest.approx(np.full(len(order) - 1, gap_us * 1e-6))
+    assert np.diff(sensor.times_s[order, 0]) == pytest.approx(
+        np.full(len(order) - 1, gap_us * 1e-6)
+    )
+    assert sensor.times_s.min() == pytest.approx({"hesai-xt-32": 0.368e-6}.get(name, 0.0))
     turned = np.unwrap(np.radians(azimuth[order, 5]))
-    assert np.diff(turned) == pytest.approx(np.full(len(order) - 1, -2 * math.pi * 10 * gap_us * 1e-6))
+    assert np.diff(turned) == pytest.approx(
+        np.full(len(order) - 1, -2 * math.pi * 10 * gap_us * 1e-6)
+    )
 
 
 def test_at_twice_the_rate_a_fixed_cycle_gives_half_the_columns() -> None:
@@ -99,9 +197,12 @@ def test_at_twice_the_rate_a_fixed_cycle_gives_half_the_columns() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "points_hz", "up"), [("livox-mid-360", 2e5, (-7, 52)), ("livox-avia", 2.4e5, (-38.6, 38.6))]
+    ("name", "points_hz", "up"),
+    [("livox-mid-360", 2e5, (-7, 52)), ("livox-avia", 2.4e5, (-38.6, 38.6))],
 )
-def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(name: str, points_hz: float, up: Any) -> None:
+def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(
+    name: str, points_hz: float, up: Any
+) -> None:
     sensor = NAMED[name]
     elevation, azimuth = angles_deg(sensor)
     assert sensor.shape == (points_hz / 10,)
@@ -115,17 +216,27 @@ def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(name: str, poi
 
     def cells(seed: int, window_s: float) -> set[tuple[int, int]]:
         up, around = angles_deg(dataclasses.replace(sensor, seed=seed, window_s=window_s))
-        return set(zip(np.floor(up).astype(int).tolist(), np.floor(around).astype(int).tolist(), strict=True))
+        return set(
+            zip(
+                np.floor(up).astype(int).tolist(),
+                np.floor(around).astype(int).tolist(),
+                strict=True,
+            )
+        )
 
     one, other = cells(1, 0.02), cells(2, 0.02)
     assert len(one & other) < 0.8 * len(one)
     assert one < cells(1, 0.1)
     again = dataclasses.replace(sensor, seed=1)
-    np.testing.assert_array_equal(again.directions_body, dataclasses.replace(sensor, seed=1).directions_body)
+    np.testing.assert_array_equal(
+        again.directions_body, dataclasses.replace(sensor, seed=1).directions_body
+    )
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
-def test_a_rosette_fills_the_ring_between_the_difference_and_the_sum_of_its_prisms(share: float) -> None:
+def test_a_rosette_fills_the_ring_between_the_difference_and_the_sum_of_its_prisms(
+    share: float,
+) -> None:
     half = math.radians(20)
     rosette = Rosette(horizontal_fov_deg=40, vertical_fov_deg=40, second_share=share, window_s=1.0)
     away = np.arccos(np.clip(rosette.directions_body[:, 0], -1, 1))
@@ -156,7 +267,9 @@ def test_the_tilt_is_the_rasters() -> None:
 def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body() -> None:
     """At a yaw of 90° the body's x axis is the world's y axis."""
     sensor = Spinning(elevations_deg=(0.0,), columns=4, lever_arm_m=(0.5, 0.0, 0.2))
-    model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1" pos="1 7 3.2"/></worldbody></mujoco>')
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom size="1" pos="1 7 3.2"/></worldbody></mujoco>'
+    )
     scan = cast(MujocoEngine.of(model), sensor, Pose.level((1.0, 2.0, 3.0), yaw_rad=math.pi / 2))
     assert scan.pose.position == pytest.approx([1.0, 2.5, 3.2])
     assert scan.ranges[np.isfinite(scan.ranges)] == pytest.approx([3.5])
@@ -167,15 +280,35 @@ IMPOSSIBLE: list[tuple[type, dict[str, Any], str]] = [
     (Spinning, {"elevations_deg": (), "columns": 8}, "one beam at least"),
     (Spinning, {"elevations_deg": 5, "columns": 8}, "elevations_deg = 5: expected a list"),
     (Spinning, {"elevations_deg": (0, 1), "columns": 8, "max_range_m": 0}, "max_range_m = 0"),
-    (Spinning, {"elevations_deg": (0, 1), "columns": 8, "min_range_m": 200}, "less than max_range_m = 100"),
+    (
+        Spinning,
+        {"elevations_deg": (0, 1), "columns": 8, "min_range_m": 200},
+        "less than max_range_m = 100",
+    ),
     (Spinning, {"elevations_deg": (0, 1)}, "expected one of the two"),
     (Spinning, {"elevations_deg": (0, 1, 1), "columns": 8}, "two beams point the same way"),
-    (Spinning, {"elevations_deg": (0, 1), "columns": 8, "azimuth_offsets_deg": (0.5,)}, "1 numbers for 2 beams"),
-    (Spinning, {"elevations_deg": tuple(np.radians(range(-15, 16, 2))), "columns": 8}, "look like radians"),
-    (Spinning, {"elevations_deg": (0, 1), "columns": 900, "horizontal_fov_deg": 6.2832}, "is 360 degrees in radians"),
+    (
+        Spinning,
+        {"elevations_deg": (0, 1), "columns": 8, "azimuth_offsets_deg": (0.5,)},
+        "1 numbers for 2 beams",
+    ),
+    (
+        Spinning,
+        {"elevations_deg": tuple(np.radians(range(-15, 16, 2))), "columns": 8},
+        "look like radians",
+    ),
+    (
+        Spinning,
+        {"elevations_deg": (0, 1), "columns": 900, "horizontal_fov_deg": 6.2832},
+        "is 360 degrees in radians",
+    ),
     (Lidar, {"horizontal_fov_deg": 6.28}, "is 360 degrees in radians"),
     (Lidar, {"pitch_deg": 0.5236}, "is 30 degrees in radians"),
-    (Spinning, {"elevations_deg": (0, 1), "columns": 1000, "firing_times_s": (0.0, 0.5)}, "within the cycle"),
+    (
+        Spinning,
+        {"elevations_deg": (0, 1), "columns": 1000, "firing_times_s": (0.0, 0.5)},
+        "within the cycle",
+    ),
     (Spinning, {"elevations_deg": (0, 1), "columns": 1_000_000}, "2 × 1000000 rays"),
     (Spinning, {"elevations_deg": (0, 91), "columns": 8}, "from -90 to 90"),
     (Pinhole, {"horizontal_fov_deg": 1.5}, "from 4 to 170"),
@@ -186,8 +319,12 @@ IMPOSSIBLE: list[tuple[type, dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("family", "values", "told"), IMPOSSIBLE, ids=[told for _, _, told in IMPOSSIBLE])
-def test_an_impossible_sensor_is_told_of_in_one_line(family: type, values: dict[str, Any], told: str) -> None:
+@pytest.mark.parametrize(
+    ("family", "values", "told"), IMPOSSIBLE, ids=[told for _, _, told in IMPOSSIBLE]
+)
+def test_an_impossible_sensor_is_told_of_in_one_line(
+    family: type, values: dict[str, Any], told: str
+) -> None:
     with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
         family(**values)
     assert told in str(error.value)

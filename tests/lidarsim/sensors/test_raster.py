@@ -17,7 +17,9 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 def elevation_deg(directions: np.ndarray) -> np.ndarray:
     """Angle above the horizon, by arctangent of height over ground distance."""
-    return np.degrees(np.arctan2(directions[..., 2], np.hypot(directions[..., 0], directions[..., 1])))
+    return np.degrees(
+        np.arctan2(directions[..., 2], np.hypot(directions[..., 0], directions[..., 1]))
+    )
 
 
 def azimuth_deg(directions: np.ndarray) -> np.ndarray:
@@ -35,12 +37,15 @@ def test_defaults_are_the_specified_sensor() -> None:
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("mount", ["tilt", "band"])
 def test_every_ray_follows_the_layout_at_any_attitude(seed: int, mount: str) -> None:
-    """Against `reference.lidar_directions`: products of scipy rotations, restated from the specification."""
+    """Against `reference.lidar_directions`: products of scipy rotations, restated from the
+    specification."""
     quaternion = reference.random_quaternion(np.random.default_rng(seed))
     got = rotate(quaternion, Lidar(mount=mount).directions_body)
     assert got.shape == (16, 120, 3)
     assert got.dtype == np.float64
-    np.testing.assert_allclose(got, reference.lidar_directions(quaternion, mount=mount), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        got, reference.lidar_directions(quaternion, mount=mount), rtol=0, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("mount", ["tilt", "band"])
@@ -51,9 +56,12 @@ def test_every_ray_follows_the_layout_at_any_attitude(seed: int, mount: str) -> 
 def test_other_sizes_spread_rows_over_the_fov_ends_included_and_columns_over_the_turn(
     rows: int, columns: int, vertical: float, pitch: float, mount: str
 ) -> None:
-    """A single column looks straight ahead; apart from that, the specification's angles for any counts."""
+    """A single column looks straight ahead; apart from that, the specification's angles for any
+    counts."""
     quaternion = reference.random_quaternion(np.random.default_rng(rows))
-    lidar = Lidar(rows=rows, columns=columns, vertical_fov_deg=vertical, pitch_deg=pitch, mount=mount)
+    lidar = Lidar(
+        rows=rows, columns=columns, vertical_fov_deg=vertical, pitch_deg=pitch, mount=mount
+    )
     expected = reference.lidar_directions(
         quaternion,
         rows=rows,
@@ -62,13 +70,19 @@ def test_other_sizes_spread_rows_over_the_fov_ends_included_and_columns_over_the
         pitch_deg=pitch,
         mount=mount,
     )
-    expected = expected if columns > 1 else expected[:, 1:]  # of two columns, the second is at azimuth 0
-    np.testing.assert_allclose(rotate(quaternion, lidar.directions_body), expected, rtol=0, atol=1e-14)
+    expected = (
+        expected if columns > 1 else expected[:, 1:]
+    )  # of two columns, the second is at azimuth 0
+    np.testing.assert_allclose(
+        rotate(quaternion, lidar.directions_body), expected, rtol=0, atol=1e-14
+    )
 
 
 def test_a_horizontal_fov_below_a_full_turn_includes_both_its_ends() -> None:
     lidar = Lidar(rows=1, columns=4, horizontal_fov_deg=90.0, pitch_deg=0.0)
-    np.testing.assert_allclose(azimuth_deg(rotate(LEVEL, lidar.directions_body))[0], [-45, -15, 15, 45], atol=1e-12)
+    np.testing.assert_allclose(
+        azimuth_deg(rotate(LEVEL, lidar.directions_body))[0], [-45, -15, 15, 45], atol=1e-12
+    )
 
 
 def test_a_single_row_is_the_sensors_horizon() -> None:
@@ -85,7 +99,8 @@ def test_directions_are_unit_vectors(seed: int, mount: str) -> None:
 
 
 def test_directions_are_unit_vectors_for_an_attitude_rounded_to_float32() -> None:
-    """An attitude that a Pose accepts gives rays along which a range is in metres, to the last micrometre."""
+    """An attitude that a Pose accepts gives rays along which a range is in metres, to the last
+    micrometre."""
     for seed in range(20):
         rounded = reference.random_quaternion(np.random.default_rng(seed)).astype(np.float32)
         pose = Pose(position=np.zeros(3), quaternion=rounded.astype(np.float64))
@@ -94,7 +109,8 @@ def test_directions_are_unit_vectors_for_an_attitude_rounded_to_float32() -> Non
 
 
 def test_forward_rays_cover_minus_60_to_0_degrees_and_rear_rays_0_to_60() -> None:
-    """The tilted sensor looks down in front and up behind: the specification's picture of the layout."""
+    """The tilted sensor looks down in front and up behind: the specification's picture of the
+    layout."""
     directions = rotate(LEVEL, Lidar().directions_body)
     forward, rear = directions[:, 60], directions[:, 0]
     np.testing.assert_allclose(elevation_deg(forward), np.linspace(-60, 0, 16), atol=1e-10)
@@ -121,7 +137,10 @@ def test_band_mount_has_the_same_elevations_in_every_column() -> None:
 
 
 def test_mounts_agree_without_pitch_and_differ_with_it() -> None:
-    level = [rotate(LEVEL, Lidar(mount=mount, pitch_deg=0.0).directions_body) for mount in ("tilt", "band")]
+    level = [
+        rotate(LEVEL, Lidar(mount=mount, pitch_deg=0.0).directions_body)
+        for mount in ("tilt", "band")
+    ]
     np.testing.assert_allclose(level[0], level[1], rtol=0, atol=1e-15)
     pitched = [rotate(LEVEL, Lidar(mount=mount).directions_body) for mount in ("tilt", "band")]
     assert np.abs(pitched[0] - pitched[1]).max() > 0.8
@@ -132,12 +151,16 @@ def test_mounts_agree_without_pitch_and_differ_with_it() -> None:
 def test_yaw_turns_every_ray_about_the_vertical(yaw: float) -> None:
     turned = rotate(Pose.level((1.0, 2.0, 3.0), yaw).quaternion, Lidar().directions_body)
     c, s = np.cos(yaw), np.sin(yaw)
-    expected = rotate(LEVEL, Lidar().directions_body) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    expected = (
+        rotate(LEVEL, Lidar().directions_body)
+        @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    )
     np.testing.assert_allclose(turned, expected, rtol=0, atol=1e-13)
 
 
 def test_the_attitude_is_applied_after_the_mounting() -> None:
-    """A sensor nose down on a body rolled 90 degrees about x looks to the side that was down: its left."""
+    """A sensor nose down on a body rolled 90 degrees about x looks to the side that was down: its
+    left."""
     roll = Rotation.from_euler("x", 90, degrees=True).as_quat()[[3, 0, 1, 2]]
     centre = rotate(roll, Lidar(rows=3, columns=2).directions_body)[1, 1]
     np.testing.assert_allclose(centre, [np.sqrt(3) / 2, 0.5, 0.0], atol=1e-12)
@@ -154,7 +177,17 @@ def test_level_pose_holds_its_position_and_turns_x_to_the_yaw() -> None:
 
 def test_facing_a_direction_is_a_turn_by_its_angle() -> None:
     rng = np.random.default_rng(6)
-    plain = [(1, 0), (0, 1), (-1, 0), (0, -1), (-1, -1e-300), (-1, 1e-9), (1e-9, -1), (3e-5, 4e-5), (-6e80, -8e80)]
+    plain = [
+        (1, 0),
+        (0, 1),
+        (-1, 0),
+        (0, -1),
+        (-1, -1e-300),
+        (-1, 1e-9),
+        (1e-9, -1),
+        (3e-5, 4e-5),
+        (-6e80, -8e80),
+    ]
     for x, y in [*plain, *rng.normal(size=(500, 2)).tolist()]:
         pose = Pose.facing((1.0, -2.0, 3.5), (x, y))
         expected = Pose.level((1.0, -2.0, 3.5), np.arctan2(y, x))
@@ -167,7 +200,10 @@ def test_facing_a_direction_is_a_turn_by_its_angle() -> None:
 
 def test_a_quaternion_and_its_negative_are_one_attitude() -> None:
     quaternion = reference.random_quaternion(np.random.default_rng(5))
-    one, other = rotate(quaternion, Lidar().directions_body), rotate(-quaternion, Lidar().directions_body)
+    one, other = (
+        rotate(quaternion, Lidar().directions_body),
+        rotate(-quaternion, Lidar().directions_body),
+    )
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-15)
 
 
@@ -226,18 +262,26 @@ def test_a_bad_grid_parameter_is_refused_by_name(parameter: str, value: object) 
         ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), "quaternion"),
     ],
 )
-def test_a_bad_pose_is_refused_by_name(position: tuple[float, ...], quaternion: tuple[float, ...], named: str) -> None:
+def test_a_bad_pose_is_refused_by_name(
+    position: tuple[float, ...], quaternion: tuple[float, ...], named: str
+) -> None:
     with pytest.raises(ValueError, match=named):
         Pose(position=np.array(position), quaternion=np.array(quaternion))
 
 
 def test_settings_and_poses_cannot_be_changed_after_the_check() -> None:
-    for value, name in ((Lidar(), "rows"), (GridSpec(), "voxel_m"), (Pose.level((0, 0, 0)), "position")):
+    for value, name in (
+        (Lidar(), "rows"),
+        (GridSpec(), "voxel_m"),
+        (Pose.level((0, 0, 0)), "position"),
+    ):
         with pytest.raises(AttributeError):
             setattr(value, name, 1)
 
 
-@pytest.mark.parametrize(("shape", "voxel"), [((80, 80, 40), 0.2), ((3, 4, 5), 0.25), ((1, 1, 1), 7.0)])
+@pytest.mark.parametrize(
+    ("shape", "voxel"), [((80, 80, 40), 0.2), ((3, 4, 5), 0.25), ((1, 1, 1), 7.0)]
+)
 def test_the_grid_is_centred_on_the_position(shape: tuple[int, int, int], voxel: float) -> None:
     grid = GridSpec(shape=shape, voxel_m=voxel)
     position = np.array([3.25, -7.5, 1.125])

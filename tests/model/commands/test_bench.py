@@ -11,7 +11,9 @@ from tests.conftest import Once
 
 
 @pytest.fixture
-def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+def here(
+    once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Path:
     """A folder with a small dataset under data/, to stand in."""
 
     def generate(folder: Path) -> None:
@@ -34,7 +36,9 @@ def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     return tmp_path
 
 
-def test_without_arguments_it_takes_what_is_under_data(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_arguments_it_takes_what_is_under_data(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, said, _ = run(capsys, "bench", "--quick", "--workers", 1)
     assert code == 0
     assert "pillar, reconstruction" in said
@@ -43,7 +47,9 @@ def test_without_arguments_it_takes_what_is_under_data(here: Path, capsys: pytes
     assert report["command"] == "scenegen bench --quick --workers 1"
     assert report["reconstruction"]["pillar"]["truth"]["iou"]["mean"] == 1.0
     assert (here / "bench" / "report.md").read_text().startswith("# Bench")
-    code, said, _ = run(capsys, "bench", "--method", "returns", "--quick", "--workers", 1, "--json", "-o", "other")
+    code, said, _ = run(
+        capsys, "bench", "--method", "returns", "--quick", "--workers", 1, "--json", "-o", "other"
+    )
     assert (code, json.loads(said)) == (0, json.loads((here / "other" / "report.json").read_text()))
 
 
@@ -53,7 +59,8 @@ def test_bad_use_ends_in_one_line(
     (here / "wrong.h5").write_bytes(b"")
     for words, code, named in (
         (("elsewhere",), 1, "not a dataset"),
-        (("data/pillar", "--method", "magic"), 1, "known: returns"),
+        (("data/pillar", "--method", "magic"), 2, "known: returns"),
+        (("data/pillar", "--method", "extrud"), 2, "did you mean 'extrude'?"),
         (("data/pillar", "--predictions", "wrong.h5"), 1, "cannot be read as HDF5"),
         (("data/pillar", "data/pillar"), 1, "two datasets of one kind"),
         (("data/pillar", "--split", "all"), 2, "--split"),

@@ -8,13 +8,16 @@ from tests.command_line import run
 
 
 def test_bad_use_ends_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folders: list[Path]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    folders: list[Path],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "net.onnx").write_bytes(b"")
     for words, code, told in (
         (("net.onnx", folders[0]), 1, "calibrate its .safetensors file, then export"),
-        (("absent", folders[0]), 1, "no such network"),
+        (("absent", folders[0]), 2, "no such network"),
         (("proposed", "elsewhere"), 1, "not a dataset"),
         (("proposed", folders[0]), 1, "the network's on"),
         (("proposed", folders[0], "--trials", "-1"), 2, "--trials"),

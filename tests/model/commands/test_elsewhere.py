@@ -1,4 +1,5 @@
-"""What works shard by shard gives the same wherever it is done: `--on` for verify, convert, bench and complete."""
+"""What works shard by shard gives the same wherever it is done: `--on` for verify, convert, bench
+and complete."""
 
 from pathlib import Path
 
@@ -27,14 +28,20 @@ def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("words", everywhere.COMMANDS, ids=lambda words: "-".join(map(str, words[:1] + words[3:4])))
-def test_a_command_gives_the_same_elsewhere(here: Path, capsys: Shell, words: tuple[object, ...]) -> None:
+@pytest.mark.parametrize(
+    "words", everywhere.COMMANDS, ids=lambda words: "-".join(map(str, words[:1] + words[3:4]))
+)
+def test_a_command_gives_the_same_elsewhere(
+    here: Path, capsys: Shell, words: tuple[object, ...]
+) -> None:
     """Reports are equal, and files byte by byte."""
     local = everywhere.outcome(capsys, here, words, "out", "--workers", 1)
     assert everywhere.outcome(capsys, here, words, "out", *AWAY) == local
 
 
-def as_ranks(capsys: Shell, monkeypatch: pytest.MonkeyPatch, *words: object) -> list[tuple[int, str, str]]:
+def as_ranks(
+    capsys: Shell, monkeypatch: pytest.MonkeyPatch, *words: object
+) -> list[tuple[int, str, str]]:
     """What each of several ranks says, the last one first."""
     monkeypatch.setenv("SCENEGEN_WORLD_SIZE", str(RANKS))
     found = []
@@ -55,7 +62,10 @@ def test_verify(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> N
     for name, check in whole.items():
         for what, count in check["counts"].items():
             if what != "compared" and not (name == "manifest" and what == "files"):
-                assert sum(part[name]["counts"].get(what, 0) for part in parts) in (count, 0), (name, what)
+                assert sum(part[name]["counts"].get(what, 0) for part in parts) in (count, 0), (
+                    name,
+                    what,
+                )
         if parts[0][name]["skipped"]:
             assert "compares all 7 shards" in parts[0][name]["detail"]
     assert parts[0]["splits"]["skipped"]
@@ -65,7 +75,8 @@ def test_verify(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> N
 def test_verify_names_the_file_that_crashes_its_process(
     here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where an executor calls the function in a process of its own: that lives on, and so does the next task."""
+    """Also where an executor calls the function in a process of its own: that lives on, and so does
+    the next task."""
     monkeypatch.setattr("scenegen.verify.folder.examine", die_of_one)
     code, said, _ = run(capsys, "verify", "d", "--json", "--quick", *AWAY)
     examined = checks(said)["examined"]
@@ -95,7 +106,8 @@ def test_convert(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch, to:
 
 
 def test_complete(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same file, on one thread; whichever rank finds all parts joins them; parts of a lost run are kept."""
+    """The same file, on one thread; whichever rank finds all parts joins them; parts of a lost run
+    are kept."""
     words = everywhere.COMPLETE
     assert run(capsys, *words, "-o", "whole.h5")[:2] == (0, "written: whole.h5\n")
     said = [said for _, said, _ in as_ranks(capsys, monkeypatch, *words, "-o", "ranks.h5")]
@@ -117,9 +129,13 @@ def test_complete(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) ->
     assert "complete a dataset's split" in complaint
 
 
-def test_a_bench_of_ranks_is_refused(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bench_of_ranks_is_refused(
+    here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """They cannot bring a report together, and say so before any work."""
-    for code, _, complaint in as_ranks(capsys, monkeypatch, *everywhere.BENCH, "-o", "ranks", "--quiet"):
+    for code, _, complaint in as_ranks(
+        capsys, monkeypatch, *everywhere.BENCH, "-o", "ranks", "--quiet"
+    ):
         assert (code, complaint.count("\n")) == (1, 1)
         assert "give --on ray or --on slurm" in complaint
     assert not (here / "ranks").exists()

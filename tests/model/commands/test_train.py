@@ -32,7 +32,9 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_complete_and_bench_work_together(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, said, _ = run(capsys, "train", "--epochs", 2, "--lambda-occupancy", 0.7, *QUICK)
     assert code == 0
     assert said.count("epoch ") == 3
@@ -42,26 +44,53 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
     assert settings["command"].startswith("scenegen train --epochs 2")
     assert settings["settings"]["network"]["width"] == 4
     network, grid, about = load_network(here / "runs" / "proposed" / "best.safetensors")
-    about["settings"]["loss"] |= {"near_m": 0.9, "jaccard": 1.0}  # which no option says; of an earlier commit
+    about["settings"]["loss"] |= {
+        "near_m": 0.9,
+        "jaccard": 1.0,
+    }  # which no option says; of an earlier commit
     save_network(here / "runs" / "proposed" / "best.safetensors", network, grid, about)
     code, _, _ = run(
-        capsys, "train", "--weights", "runs/proposed", "--maps", 1, "--beta", 2, "--out", "runs/tuned", *QUICK[2:]
+        capsys,
+        "train",
+        "--weights",
+        "runs/proposed",
+        "--maps",
+        1,
+        "--beta",
+        2,
+        "--out",
+        "runs/tuned",
+        *QUICK[2:],
     )
     tuned = json.loads((here / "runs" / "tuned" / "config.json").read_text())["settings"]["loss"]
     assert (code, LossConfig(**tuned)) == (0, LossConfig(occupancy=0.7, beta_m=2, near_m=0.9)), (
         "the network's own, but for what is given"
     )
-    code, said, _ = run(capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu")
+    code, said, _ = run(
+        capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu"
+    )
     assert (code, said) == (0, "written: predictions.h5\n")
-    code, said, _ = run(capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu")
+    code, said, _ = run(
+        capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu"
+    )
     assert (code, said) == (0, "replaced: predictions.h5\n")
     with h5py.File("predictions.h5") as file:
         assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
-    words = ("--weights", "runs/proposed", "--predictions", "predictions.h5", "--method", "returns", "--quick")
+    words = (
+        "--weights",
+        "runs/proposed",
+        "--predictions",
+        "predictions.h5",
+        "--method",
+        "returns",
+        "--quick",
+    )
     code, said, _ = run(capsys, "bench", *words, "--workers", 1)
     assert code == 0
     report = json.loads((here / "bench" / "report.json").read_text())["reconstruction"]["pillar"]
-    assert report["proposed"]["near_mae"]["mean"] == pytest.approx(report["predictions"]["near_mae"]["mean"], abs=1e-4)
+    assert report["proposed"]["near_mae"]["mean"] == pytest.approx(
+        report["predictions"]["near_mae"]["mean"], abs=1e-4
+    )
     scans = [here / "drive" / "velodyne" / f"{n:06d}.bin" for n in range(2)]
     for scan in scans:
         write_points(scan, np.random.default_rng(0).uniform(-1, 1, (50, 3)), None, {})
@@ -83,15 +112,30 @@ def test_train_complete_and_bench_work_together(here: Path, capsys: pytest.Captu
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_stream_trains_without_a_dataset(here: Path, small: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("--stream", f"{small}=2", "--stream", "geometric.toml", "--stream-seed", 3, "--interval", 8, *QUICK)
+def test_a_stream_trains_without_a_dataset(
+    here: Path, small: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (
+        "--stream",
+        f"{small}=2",
+        "--stream",
+        "geometric.toml",
+        "--stream-seed",
+        3,
+        "--interval",
+        8,
+        *QUICK,
+    )
     (here / "geometric.toml").write_text(small.read_text().replace("pillar", "geometric"))
     code, said, _ = run(capsys, "train", *words, "--maps", 16, "--val-maps", 6)
     assert code == 0
     assert said.count("epoch ") == 3
     settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())["settings"]
     assert settings["kinds"] == ["pillar+geometric"]
-    assert "each was seen once: stream pillar+geometric" in (here / "runs" / "proposed" / "card.md").read_text()
+    assert (
+        "each was seen once: stream pillar+geometric"
+        in (here / "runs" / "proposed" / "card.md").read_text()
+    )
     code, said, _ = run(capsys, "train", "data/pillar", *words, "--maps", 24, "--val-maps", 6)
     assert code == 2
 
@@ -101,6 +145,8 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
     for words, code, named in (
         (("train", "elsewhere"), 1, "not a dataset"),
         (("train", "--variant", "best"), 2, "--variant"),
+        (("train", "--variant", "propose"), 2, "did you mean 'proposed'?"),
+        (("bench", "--weights", "propsed"), 2, "did you mean 'proposed'?"),
         (("train", "--lr", "-1"), 2, "'--lr': -1 is not a finite number above 0"),
         (("train", "--width", 2000), 2, "--width"),
         (("train", "--batch", 10**9), 2, "--batch"),
@@ -109,10 +155,18 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
         (("train", "--stream", "pilar", "--maps", 8), 1, "did you mean 'pillar'?"),
         (("train", "--stream", "pillar=much", "--maps", 8), 2, "expected NAME or NAME=WEIGHT"),
         (("train", "--stream", "pillar=-1", "--maps", 8), 1, "weight of pillar = -1.0"),
-        (("train", "data/pillar", "--stream", "pillar", "--maps", 8, "--val-maps", 8), 2, "leave one of the two out"),
+        (
+            ("train", "data/pillar", "--stream", "pillar", "--maps", 8, "--val-maps", 8),
+            2,
+            "leave one of the two out",
+        ),
         (("train", "data/pillar=much"), 2, "expected NAME or NAME=WEIGHT"),
         (("train", "data/pillar=0"), 1, "train: weight of data/pillar = 0.0"),
-        (("train", "data/pillar=2", "--stream", "pillar", "--maps", 8), 2, "datasets validate, and have no weights"),
+        (
+            ("train", "data/pillar=2", "--stream", "pillar", "--maps", 8),
+            2,
+            "datasets validate, and have no weights",
+        ),
         (("train", "--val-maps", 8), 2, "name one, such as --stream pillar"),
         (("train", "data/pillar", "--stream", "pillar", "--maps", 8), 1, "seed 0: its grid is"),
         (("complete", "data/pillar", "--batch", 10**9), 2, "--batch"),
@@ -127,10 +181,14 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
         (("export", "-o", "/dev/full"), 2, "/dev/full: is not a regular file"),
         (("train", "--device", "tpu"), 1, "--device tpu"),
         (("complete", "data/pillar", "--weights", "pickle.pt"), 1, "pickled checkpoint"),
-        (("complete", "data/pillar", "--weights", "nowhere"), 1, "no such network"),
-        (("complete", "nothing.ply", "--weights", "nowhere"), 1, "no such network"),
-        (("bench", "--weights", "nowhere"), 1, "no such network"),
-        (("bench", "--method", "returns", "--method", "returns"), 1, "two rows are called 'returns'"),
+        (("complete", "data/pillar", "--weights", "nowhere"), 2, "no such network"),
+        (("complete", "nothing.ply", "--weights", "nowhere"), 2, "no such network"),
+        (("bench", "--weights", "nowhere"), 2, "no such network"),
+        (
+            ("bench", "--method", "returns", "--method", "returns"),
+            1,
+            "two rows are called 'returns'",
+        ),
         (("train", "--seed", 2**64), 2, "--seed"),
         (("export", "pickle.pt"), 1, "pickled checkpoint"),
     ):
@@ -148,7 +206,9 @@ def test_without_datasets_it_says_which_command_makes_one(
     assert "scenegen generate --kind pillar" in error
 
 
-WITHOUT_TORCH = "import sys; sys.modules['torch'] = None; from scenegen.__main__ import main; main()"
+WITHOUT_TORCH = (
+    "import sys; sys.modules['torch'] = None; from scenegen.__main__ import main; main()"
+)
 
 
 def test_without_torch_it_says_what_to_install(tmp_path: Path, shell: Shell) -> None:
@@ -165,7 +225,8 @@ def test_without_torch_it_says_what_to_install(tmp_path: Path, shell: Shell) -> 
 
 
 def train_until_stopped(error: Path) -> None:
-    """The command line, which answers signals as the installed script does, in a process of its own."""
+    """The command line, which answers signals as the installed script does, in a process of its
+    own."""
     sys.stderr = error.open("w")
     torch.set_num_threads(1)
     sys.argv = ["scenegen", "train", "--epochs", "1000", "--patience", "3", *map(str, QUICK)]
@@ -196,11 +257,14 @@ def test_the_same_command_goes_on_after_a_signal(
     )  # patience runs out
     ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK)
     assert (ended, f"epoch {begun + 1}:" in said, "epoch 1:" in said) == (0, True, begun == 0)
-    for words in ((), ("--resume",)):
-        ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK, *words)
-        assert (ended, said.startswith("runs/proposed: this run is complete already")) == (0, True)
+    ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK)
+    assert (ended, said.startswith("runs/proposed: this run is complete already")) == (0, True)
     ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK, "--json")
-    assert (ended, json.loads(said)["folder"], json.loads(said)["best"]["epoch"] >= 1) == (0, "runs/proposed", True)
+    assert (ended, json.loads(said)["folder"], json.loads(said)["best"]["epoch"] >= 1) == (
+        0,
+        "runs/proposed",
+        True,
+    )
 
 
 @pytest.mark.slow
@@ -210,4 +274,9 @@ def test_networks_prints_what_they_cost(capsys: pytest.CaptureFixture[str]) -> N
     rows = {(row["variant"], row["stem_stride"]): row for row in json.loads(said)}
     assert len(rows) == 2 * len(VARIANTS)
     assert rows["proposed", 2]["parameters"] == 305_496
-    assert rows["occ", 2]["macs"] < rows["shared", 2]["macs"] < rows["dual", 2]["macs"] < rows["proposed", 2]["macs"]
+    assert (
+        rows["occ", 2]["macs"]
+        < rows["shared", 2]["macs"]
+        < rows["dual", 2]["macs"]
+        < rows["proposed", 2]["macs"]
+    )

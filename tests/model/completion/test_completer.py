@@ -34,7 +34,9 @@ def observed() -> np.ndarray:
 
 
 @pytest.mark.parametrize("variant", ["proposed", "occ", "tudf"])
-def test_a_batch_is_completed_as_the_network_says(tmp_path: Path, observed: np.ndarray, variant: str) -> None:
+def test_a_batch_is_completed_as_the_network_says(
+    tmp_path: Path, observed: np.ndarray, variant: str
+) -> None:
     network = save(tmp_path / "net.safetensors", variant)
     with torch.no_grad():
         output = network({"observed": torch.from_numpy(observed)})
@@ -87,7 +89,9 @@ def test_a_completion_that_is_no_number_ends_in_one_line(tmp_path: Path) -> None
         for parameter in network.head.parameters():
             parameter.copy_(3e38 * torch.randn_like(parameter).sign())
     save_network(tmp_path / "wild.safetensors", network, GRID, {})
-    with pytest.raises(PredictionError, match="wild: occupancy_probability holds NaN or infinity") as caught:
+    with pytest.raises(
+        PredictionError, match="wild: occupancy_probability holds NaN or infinity"
+    ) as caught:
         Completer.from_pretrained(tmp_path / "wild.safetensors")(np.zeros(GRID.shape, bool))
     assert "\n" not in str(caught.value)
 
@@ -174,7 +178,9 @@ def test_bundled_networks_complete_the_papers_grid(name: str) -> None:
 
 def test_a_network_of_more_inputs_warns_where_it_gets_observed_voxels_alone() -> None:
     completer = Completer.from_pretrained()
-    with pytest.warns(UserWarning, match="columns takes observed, free, and derives what is not given"):
+    with pytest.warns(
+        UserWarning, match="columns takes observed, free, and derives what is not given"
+    ):
         completer(np.zeros(completer.grid.shape, bool))
 
 
@@ -196,15 +202,25 @@ def test_a_network_says_where_a_sensor_is_not_that_of_its_training() -> None:
 def test_a_network_names_a_sensor_that_is_a_table_of_rays() -> None:
     ouster = SENSORS.find("ouster-os1-64")
     said = unlike("net", {}, ouster)
-    assert said.endswith("sensor is a raster of 16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here")
+    assert said.endswith(
+        "sensor is a raster of 16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here"
+    )
     said = unlike("net", {"lidar": entry_of(ouster)}, Lidar())
-    assert said.endswith("sensor is ouster-os1-64 of 64 × 1024 rays in training, a raster of 16 × 120 rays here")
+    assert said.endswith(
+        "sensor is ouster-os1-64 of 64 × 1024 rays in training, a raster of 16 × 120 rays here"
+    )
 
 
 def test_a_network_says_where_noise_is_not_that_of_its_training() -> None:
     met = "dropout:share=0.05"
-    assert unlike("net", {"noise": ["", met]}, Lidar(), None, met) == unlike("net", {"noise": ["", met]}, Lidar()) == ""
+    assert (
+        unlike("net", {"noise": ["", met]}, Lidar(), None, met)
+        == unlike("net", {"noise": ["", met]}, Lidar())
+        == ""
+    )
     said = unlike("net", {}, Lidar(), None, met)
     assert said.startswith("net was trained on other noise, so expect worse completions: ")
     assert said.endswith("noise is none in training, dropout:share=0.05 here")
-    assert "noise is dropout:share=0.05 in training, none here" in unlike("net", {"noise": [met]}, Lidar())
+    assert "noise is dropout:share=0.05 in training, none here" in unlike(
+        "net", {"noise": [met]}, Lidar()
+    )

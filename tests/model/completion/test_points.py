@@ -1,4 +1,5 @@
-"""Clouds of points: what three formats hold comes back, and files that promise more than they hold are refused."""
+"""Clouds of points: what three formats hold comes back, and files that promise more than they hold
+are refused."""
 
 import struct
 from pathlib import Path
@@ -18,7 +19,9 @@ HEAD = "element vertex {count}\nproperty float x\nproperty float y\nproperty flo
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
 @pytest.mark.parametrize("coloured", [False, True])
-def test_what_trimesh_writes_as_ply_comes_back(tmp_path: Path, encoding: str, coloured: bool) -> None:
+def test_what_trimesh_writes_as_ply_comes_back(
+    tmp_path: Path, encoding: str, coloured: bool
+) -> None:
     colours = np.full((50, 4), 7, np.uint8) if coloured else None
     cloud = trimesh.PointCloud(POINTS, colors=colours)
     (tmp_path / "scan.ply").write_bytes(cloud.export(file_type="ply", encoding=encoding))
@@ -27,8 +30,10 @@ def test_what_trimesh_writes_as_ply_comes_back(tmp_path: Path, encoding: str, co
 
 def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path: Path) -> None:
     head = (
-        "ply\nformat binary_big_endian 1.0\ncomment caf\xe9\nelement vertex 50\nproperty uchar i\nproperty double z\n"
-        "property float y\nproperty float x\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "ply\nformat binary_big_endian 1.0\ncomment caf\xe9\nelement vertex 50\nproperty uchar "
+        "i\nproperty double z\n"
+        "property float y\nproperty float x\nelement face 1\nproperty list uchar int "
+        "vertex_indices\nend_header\n"
     )
     rows = np.zeros(50, dtype=[("i", "u1"), ("z", ">f8"), ("y", ">f4"), ("x", ">f4")])
     for axis, column in zip("xyz", POINTS.T, strict=True):
@@ -57,13 +62,33 @@ def npy(header: str) -> str:
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.ply", "ply\nformat ascii 1.0\n" + HEAD.format(count=10**12) + "1 2 3\n" * 3, "promises 1000000000000"),
-        ("b.ply", "ply\nformat ascii 1.0\n" + HEAD.format(count=5) + "1 2 3\n" * 3, "promises 5 points and holds 3"),
-        ("c.ply", "ply\nformat binary_little_endian 1.0\n" + HEAD.format(count=5) + "x" * 40, "holds 3"),
+        (
+            "a.ply",
+            "ply\nformat ascii 1.0\n" + HEAD.format(count=10**12) + "1 2 3\n" * 3,
+            "promises 1000000000000",
+        ),
+        (
+            "b.ply",
+            "ply\nformat ascii 1.0\n" + HEAD.format(count=5) + "1 2 3\n" * 3,
+            "promises 5 points and holds 3",
+        ),
+        (
+            "c.ply",
+            "ply\nformat binary_little_endian 1.0\n" + HEAD.format(count=5) + "x" * 40,
+            "holds 3",
+        ),
         ("d.ply", "ply\nformat ascii 1.0\n" + HEAD.format(count=-1), "promises -1 points"),
         ("e.ply", "ply\nformat zip 1.0\n" + HEAD.format(count=1), "expected a header"),
-        ("f.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n", "no lists"),
-        ("g.ply", "ply\nformat ascii 1.0\n" + HEAD.format(count=1).replace(" y", " x") + "1 2 3\n", "x, y and z"),
+        (
+            "f.ply",
+            "ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n",
+            "no lists",
+        ),
+        (
+            "g.ply",
+            "ply\nformat ascii 1.0\n" + HEAD.format(count=1).replace(" y", " x") + "1 2 3\n",
+            "x, y and z",
+        ),
         ("h.ply", "ply\n" * 10_000, "its header has no end"),
         ("i.ply", "", "its header has no end"),
         ("a.npy", "\x93NUMPY\1\0\x28\x23" + "(" * 9000, "cannot be read"),
@@ -107,7 +132,12 @@ PCD = "VERSION .7\nFIELDS {fields}\nSIZE {size}\nTYPE {type}\nCOUNT {count}\nWID
 
 
 def pcd(form: str, n: int = 3, **said: str) -> bytes:
-    usual = {"fields": "intensity _ z y x", "size": "2 1 8 4 4", "type": "U U F F F", "count": "1 3 1 1 1"}
+    usual = {
+        "fields": "intensity _ z y x",
+        "size": "2 1 8 4 4",
+        "type": "U U F F F",
+        "count": "1 3 1 1 1",
+    }
     return PCD.format(**{**usual, "form": form, "n": n, **said}).encode()
 
 
@@ -138,13 +168,17 @@ def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path: Path) ->
         ("none.npz", b"PK\x05\x06" + bytes(18)),
     ],
 )
-def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path: Path, name: str, content: bytes) -> None:
+def test_files_of_other_programs_that_hold_nothing_are_refused(
+    tmp_path: Path, name: str, content: bytes
+) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(DatasetError, match=name):
         read_points(tmp_path / name)
 
 
-def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path: Path, monkeypatch: Any) -> None:
+def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(
+    tmp_path: Path, monkeypatch: Any
+) -> None:
     monkeypatch.setattr("scenegen.model.completion.points.MOST_SCAN_BYTES", 10_000)
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
     assert (tmp_path / "bomb.npz").stat().st_size < 10_000

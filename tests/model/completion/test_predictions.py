@@ -1,5 +1,7 @@
 """Predictions on disk: what the bench takes, and single scans."""
 
+import gc
+import resource
 import warnings
 from pathlib import Path
 
@@ -22,16 +24,28 @@ from tests.model.conftest import make_dataset
 
 def completer(tmp_path: Path, grid: object, variant: str = "proposed") -> Completer:
     torch.manual_seed(0)
-    save_network(tmp_path / "net.safetensors", Network(NetworkConfig(variant=variant, width=4)), grid, {})
+    save_network(
+        tmp_path / "net.safetensors", Network(NetworkConfig(variant=variant, width=4)), grid, {}
+    )
     return Completer.from_pretrained(tmp_path / "net.safetensors")
 
 
 @pytest.mark.parametrize("variant", ["proposed", "tudf"])
-def test_a_predictions_file_is_what_the_bench_takes(folders: list[Path], tmp_path: Path, variant: str) -> None:
+def test_a_predictions_file_is_what_the_bench_takes(
+    folders: list[Path], tmp_path: Path, variant: str
+) -> None:
     dataset = Dataset(folders[1])
     net = completer(tmp_path, dataset.grid, variant)
     told = []
-    predict_split(net, folders[1], "test", tmp_path / "p.h5", batch=2, on_start=told.append, on_done=told.append)
+    predict_split(
+        net,
+        folders[1],
+        "test",
+        tmp_path / "p.h5",
+        batch=2,
+        on_start=told.append,
+        on_done=told.append,
+    )
     assert told == [5, 2, 2, 1]
     method = Predicted(tmp_path / "p.h5")
     method.check(dataset, "test")
@@ -44,7 +58,9 @@ def test_a_predictions_file_is_what_the_bench_takes(folders: list[Path], tmp_pat
         if variant == "tudf":
             assert read.occupancy_probability is None
         else:
-            np.testing.assert_allclose(read.occupancy_probability, direct.occupancy_probability, atol=1e-5)
+            np.testing.assert_allclose(
+                read.occupancy_probability, direct.occupancy_probability, atol=1e-5
+            )
 
 
 def test_a_failure_leaves_no_file(folders: list[Path], tmp_path: Path) -> None:
@@ -67,7 +83,9 @@ def test_maps_of_another_grid_are_refused(folders: list[Path], tmp_path: Path) -
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npy", ".xyz"])
-def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders: list[Path], tmp_path: Path, suffix: str) -> None:
+def test_a_scan_of_a_sample_is_completed_as_the_sample_is(
+    folders: list[Path], tmp_path: Path, suffix: str
+) -> None:
     dataset = Dataset(folders[0])
     sample = dataset.split("train")[0]
     net = completer(tmp_path, dataset.grid)
@@ -83,7 +101,9 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders: list[Path], t
     used = predict_scan(net, path, out, sensor=sample.position, thresholds=Thresholds())
     lost = int(suffix == ".npy")
     count = len(points)
-    assert used == f"{count} of {count + lost} points used, {lost} without a return, 0 outside the map"
+    assert (
+        used == f"{count} of {count + lost} points used, {lost} without a return, 0 outside the map"
+    )
     expected = net(sample.observed)
     with h5py.File(out) as file:
         assert np.array_equal(file["observed"][:], sample.observed)
@@ -93,7 +113,8 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders: list[Path], t
     predict_scan(net, path, tmp_path / "out.ply", sensor=sample.position, thresholds=thresholds)
     cloud = np.asarray(trimesh.load(tmp_path / "out.ply").vertices)
     assert np.array_equal(
-        np.unique(dataset.grid.index(cloud, sample.origin), axis=0), np.argwhere(expected.occupied(thresholds))
+        np.unique(dataset.grid.index(cloud, sample.origin), axis=0),
+        np.argwhere(expected.occupied(thresholds)),
     )
 
 
@@ -120,19 +141,29 @@ def test_files_that_are_no_scans_are_refused(folders: list[Path], tmp_path: Path
         assert not (tmp_path / out).exists()
 
 
-def test_points_beyond_the_map_and_without_a_return_are_counted(folders: list[Path], tmp_path: Path) -> None:
+def test_points_beyond_the_map_and_without_a_return_are_counted(
+    folders: list[Path], tmp_path: Path
+) -> None:
     net = completer(tmp_path, Dataset(folders[0]).grid)
     far = [[1e300, 0, 0], [-50, 0, 0], [0, 0, 1e7]]
     np.save(tmp_path / "scan.npy", [[0, 0, 0], [0.1, 0, 0], *far, [np.nan, 0, 0], [0, np.inf, 0]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        used = predict_scan(net, tmp_path / "scan.npy", tmp_path / "out.h5", thresholds=Thresholds())
+        used = predict_scan(
+            net, tmp_path / "scan.npy", tmp_path / "out.h5", thresholds=Thresholds()
+        )
     assert used == "2 of 7 points used, 2 without a return, 3 outside the map"
     np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
     with pytest.raises(DatasetError, match="0 of 4 points used, 4 without a return"):
         predict_scan(net, tmp_path / "scan.npy", tmp_path / "none.h5", thresholds=Thresholds())
     with pytest.raises(DatasetError, match="--sensor"):
-        predict_scan(net, tmp_path / "scan.npy", tmp_path / "none.h5", sensor=[0, 0, np.nan], thresholds=Thresholds())
+        predict_scan(
+            net,
+            tmp_path / "scan.npy",
+            tmp_path / "none.h5",
+            sensor=[0, 0, np.nan],
+            thresholds=Thresholds(),
+        )
 
 
 def test_only_completions_are_replaced(folders: list[Path], tmp_path: Path) -> None:
@@ -153,6 +184,28 @@ def test_only_completions_are_replaced(folders: list[Path], tmp_path: Path) -> N
         predict_split(net, folders[0], "test", tmp_path / "out.h5")
     with h5py.File(tmp_path / "out.h5") as file:
         assert "theirs" in file
+
+
+@pytest.mark.parametrize("room", [1, 3000, 40_000])
+def test_a_full_disk_ends_in_one_line_and_leaves_nothing(
+    room: int, folders: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As a limit of files' sizes has it; HDF5 itself says more, and goes on saying it."""
+    net = completer(tmp_path, Dataset(folders[0]).grid)
+    np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
+    before = set(tmp_path.iterdir())
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        with pytest.raises(DatasetError, match=r"p\.h5: File too large"):
+            predict_split(net, folders[0], "train", tmp_path / "p.h5")
+        with pytest.raises(DatasetError, match=r"s\.h5: File too large"):
+            predict_scan(net, tmp_path / "scan.npy", tmp_path / "s.h5", thresholds=Thresholds())
+        gc.collect()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert set(tmp_path.iterdir()) == before
+    assert capfd.readouterr() == ("", "")
 
 
 def test_an_empty_split_names_a_way_on_that_exists(tmp_path: Path) -> None:

@@ -12,4 +12,9 @@ COUNTS = {"train": 3, "val": 4, "test": 9}
 @pytest.fixture(scope="session")
 def dataset(once: Once) -> Dataset:
     """Nine test maps of three worlds."""
-    return Dataset(once("dense", lambda folder: make_dataset(folder, counts=COUNTS, world={"density": (0.05, 0.1)})))
+    return Dataset(
+        once(
+            "dense",
+            lambda folder: make_dataset(folder, counts=COUNTS, world={"density": (0.05, 0.1)}),
+        )
+    )

@@ -1,6 +1,9 @@
-"""The bench from end to end on a small dataset: its rows, its report, its predictions files, and how it refuses."""
+"""The bench from end to end on a small dataset: its rows, its report, its predictions files, and
+how it refuses."""
 
+import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,22 +11,25 @@ import h5py
 import numpy as np
 import pytest
 
+from lidarsim import GridSpec
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.commands.bench import METHODS, choose_methods, run_bench
+from scenegen.model.commands.bench import METHODS, choose_methods, run_bench, show_tables
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig, StudyConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.study.figures import draw
 from scenegen.model.evaluation.tuning import tune
 from scenegen.source import DrawnWorlds
+from scenegen.truth import distance_field
 from tests.conftest import small_recipe
 
 CONFIG = BenchConfig(trials=20, plan=PlanConfig(step_voxels=2))
@@ -36,7 +42,8 @@ class Nothing:
 
     def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
         return Prediction(
-            occupancy_probability=np.zeros(observed.shape, np.float32), tudf=np.full(observed.shape, 2.0, np.float32)
+            occupancy_probability=np.zeros(observed.shape, np.float32),
+            tudf=np.full(observed.shape, 2.0, np.float32),
         )
 
 
@@ -47,21 +54,27 @@ def test_a_rows_name_prints_no_line_of_its_own() -> None:
 
 
 class Copied:
-    """The truth, through what a completer may say: found by the observed voxels, which no two samples share."""
+    """The truth, through what a completer may say: found by the observed voxels, which no two
+    samples share."""
 
     name = "copied"
 
     def __init__(self, dataset: Dataset):
-        self.answers = {s.observed.tobytes(): s for name in ("val", "test") for s in dataset.split(name)}
+        self.answers = {
+            s.observed.tobytes(): s for name in ("val", "test") for s in dataset.split(name)
+        }
 
     def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
         sample = self.answers[observed.tobytes()]
         return Prediction(
-            occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)), tudf=sample.tudf
+            occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)),
+            tudf=sample.tudf,
         )
 
 
-def write_predictions(path: Path, dataset: Dataset, *, drop: int = 0, digest: str | None = None) -> Path:
+def write_predictions(
+    path: Path, dataset: Dataset, *, drop: int = 0, digest: str | None = None
+) -> Path:
     """The truth of the test split as a predictions file."""
     samples = list(dataset.split("test"))[drop:]
     with h5py.File(path, "w") as file:
@@ -70,11 +83,15 @@ def write_predictions(path: Path, dataset: Dataset, *, drop: int = 0, digest: st
         file["world"] = np.array([sample.world for sample in samples], dtype=np.int64)
         file["viewpoint"] = np.array([sample.viewpoint for sample in samples], dtype=np.int64)
         file["tudf"] = np.array([sample.tudf for sample in samples])
-        file["occupancy_probability"] = np.array([sample.occupancy for sample in samples], dtype=np.float32)
+        file["occupancy_probability"] = np.array(
+            [sample.occupancy for sample in samples], dtype=np.float32
+        )
     return path
 
 
-def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(
+    dataset: Dataset, tmp_path: Path
+) -> None:
     predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
     predicted.check(dataset, "test")
     found = bench(dataset, [Truth(), predicted, Completed(Copied(dataset))], CONFIG)
@@ -83,9 +100,33 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset:
         np.testing.assert_array_equal(perfect.reconstruction[:, 0, :6], 0)
         np.testing.assert_array_equal(perfect.reconstruction[:, 0, 6:], 1)
     assert truth.trials == from_file.trials
-    assert copied.thresholds.probability == pytest.approx(0.3), "free voxels have just that, and are not above it"
-    assert copied.reconstruction[:, 0, list(METRICS).index("iou")].max() == 0, "0.6 is below the paper's threshold"
+    assert copied.thresholds.probability == pytest.approx(0.3), (
+        "free voxels have just that, and are not above it"
+    )
+    assert copied.reconstruction[:, 0, list(METRICS).index("iou")].max() == 0, (
+        "0.6 is below the paper's threshold"
+    )
     np.testing.assert_array_equal(copied.tuned[:, list(METRICS).index("iou")], 1)
+
+
+def test_tables_show_iou_at_the_best_threshold_and_where_it_is(
+    dataset: Dataset, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of a network that was not trained long: at the paper's threshold it calls nothing
+    occupied."""
+    found = bench(dataset, [Truth(), Completed(Copied(dataset))], CONFIG)
+    report = build_report([found], seed=0, about={})
+    show_tables(report)
+    printed = capsys.readouterr().out
+    assert re.search(r"copied .* 0\.000  +1\.000 at 0\.3\s", printed)
+    assert re.search(r"truth .* 1\.000  +1\.000\s", printed), "any threshold does, so none is named"
+    (row,) = (
+        line
+        for line in to_markdown(report).splitlines()
+        if line.startswith("| copied") and " at 0.3 |" in line
+    )
+    assert "| 0.000 ± 0.000 [0.000, 0.000] | 1.000 ± 0.000 [1.000, 1.000] at 0.3 |" in row
+    assert " at 0.3</small>" in to_html(report)
 
 
 def test_an_empty_prediction_flies_straight_and_collides_more_often(dataset: Dataset) -> None:
@@ -94,7 +135,9 @@ def test_an_empty_prediction_flies_straight_and_collides_more_often(dataset: Dat
     assert len(truth) == len(nothing) == 20
     assert sum(trial.success for trial in nothing) < sum(trial.success for trial in truth)
     assert {trial.cause for trial in nothing} <= {None, "initial_collides"}
-    assert np.mean([trial.length_m for trial in nothing]) < np.mean([trial.length_m for trial in truth])
+    assert np.mean([trial.length_m for trial in nothing]) < np.mean(
+        [trial.length_m for trial in truth]
+    )
     assert found.methods["nothing"].reconstruction[:, 0, list(METRICS).index("recall")].max() == 0
 
 
@@ -104,9 +147,9 @@ def test_workers_and_other_rows_change_no_figure(dataset: Dataset) -> None:
     ours, theirs = alone.methods["returns"], beside.methods["returns"]
     np.testing.assert_array_equal(ours.reconstruction, theirs.reconstruction)
     assert ours.trials == theirs.trials
-    assert bench(dataset, [Truth()], BenchConfig(trials=20, seed=1, plan=CONFIG.plan)).methods["truth"].trials != (
-        beside.methods["truth"].trials
-    )
+    assert bench(dataset, [Truth()], BenchConfig(trials=20, seed=1, plan=CONFIG.plan)).methods[
+        "truth"
+    ].trials != (beside.methods["truth"].trials)
 
 
 def test_a_method_that_says_the_same_at_any_threshold_keeps_the_papers(dataset: Dataset) -> None:
@@ -131,14 +174,27 @@ class Silent:
 
 def report_of(dataset: Dataset, out: Path, **options: object) -> dict:
     """What the command makes of one dataset."""
-    given = {"names": (), "predictions": None, "split": "test", "quick": True, "seed": 0, "workers": 1, **options}
-    return run_bench([dataset.folder], out=out, command="test", progress=lambda label: Silent(), **given)
+    given = {
+        "names": (),
+        "predictions": None,
+        "split": "test",
+        "quick": True,
+        "seed": 0,
+        "workers": 1,
+        **options,
+    }
+    return run_bench(
+        [dataset.folder], out=out, command="test", progress=lambda label: Silent(), **given
+    )
 
 
 def test_the_report_holds_every_figure_in_its_place(dataset: Dataset, tmp_path: Path) -> None:
     report = report_of(dataset, tmp_path / "bench")
     assert report == json.loads((tmp_path / "bench" / "report.json").read_text())
-    for table, names in (("reconstruction", METRICS), ("planning", ("success", "length", "min_clearance"))):
+    for table, names in (
+        ("reconstruction", METRICS),
+        ("planning", ("success", "length", "min_clearance")),
+    ):
         assert list(report[table]["pillar"]) == ["returns", "conservative", "extrude", "truth"]
         for row in report[table]["pillar"].values():
             for name in names:
@@ -160,7 +216,9 @@ def strictly(path: Path) -> dict:
     return json.loads(path.read_text(), parse_constant=pytest.fail)
 
 
-def test_a_study_stands_beside_tables_that_it_does_not_change(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_study_stands_beside_tables_that_it_does_not_change(
+    dataset: Dataset, tmp_path: Path
+) -> None:
     rows = ("truth", "seen", "returns")
     plain = report_of(dataset, tmp_path / "plain", names=rows)
     few = StudyConfig(clearance_weights=(0.0, 10.0), safeties_m=(1.0,), range_step_m=2.0)
@@ -172,26 +230,64 @@ def test_a_study_stands_beside_tables_that_it_does_not_change(dataset: Dataset, 
     assert list(study) == list(rows)
     trials = report["datasets"]["pillar"]["trials"]
     for name, found in study.items():
-        assert found["planning"][0]["success"]["mean"] == plain["planning"]["pillar"][name]["success"]["mean"]
+        assert (
+            found["planning"][0]["success"]["mean"]
+            == plain["planning"]["pillar"][name]["success"]["mean"]
+        )
         for row in found["planning"]:
             assert sum(row["fates"].values()) == trials
             assert row["fates"]["reached"] == round(row["success"]["mean"] * trials)
             assert not (name == "truth" and (row["fates"]["missed"] or row["fates"]["unseen"]))
-            assert not (name == "seen" and row["fates"]["missed"]), "what it knows of obstacles, it knows whole"
+            assert not (name == "seen" and row["fates"]["missed"]), (
+                "what it knows of obstacles, it knows whole"
+            )
         by_range = [(row["from_m"], row["to_m"], row["mae"]["n"]) for row in found["by_range"]]
         assert by_range[0][0] == 0.0
         assert all(count > 0 for *_, count in by_range)
         assert sum(row["success"]["n"] for row in found["success_by_clearance"]) == trials
     assert study["truth"]["reliability"]["map"]["said"]["ece"] == 0.0
     assert study["returns"]["reliability"]["map"]["said"]["ece"] > 0.0
-    edges = [row["success"]["mean"] for row in study["truth"]["planning"] if row["search"] == "edges"]
+    edges = [
+        row["success"]["mean"] for row in study["truth"]["planning"] if row["search"] == "edges"
+    ]
     assert edges[0] >= study["truth"]["planning"][0]["success"]["mean"]
     text = (tmp_path / "study" / "report.md").read_text()
     assert "### What became of trials" in text
     assert "### What became of trials" not in (tmp_path / "plain" / "report.md").read_text()
-    assert len(list((tmp_path / "study").glob("*.png"))) == 11
+    assert len(list((tmp_path / "study").glob("*.png"))) == 13
     with pytest.raises(ValueError, match="no study; run bench with --study"):
         draw(plain)
+
+
+class Doubtful:
+    """Is the surer of an obstacle the nearer it is to a return."""
+
+    name = "doubtful"
+
+    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: GridSpec) -> Prediction:
+        near = distance_field(observed, grid)
+        return Prediction(occupancy_probability=np.exp(-near / 0.7).astype(np.float32))
+
+
+def test_curves_pass_through_the_tables_and_bend_as_thresholds_do(dataset: Dataset) -> None:
+    usual = Thresholds().probability
+    few = StudyConfig(
+        clearance_weights=(), safeties_m=(), curve_probabilities=(0.3, 0.6, usual, 0.99)
+    )
+    config = dataclasses.replace(CONFIG, study=True, variants=few)
+    report = build_report(
+        [bench(dataset, [Completed(Doubtful())], config)], seed=0, about={}, tests=False
+    )
+    curve = report["study"]["pillar"]["doubtful"]["thresholds"]
+    tables = (
+        report["reconstruction"]["pillar"]["doubtful"] | report["planning"]["pillar"]["doubtful"]
+    )
+    here = curve[2]
+    assert (here["by"], here["value"]) == ("probability", usual)
+    assert all(here[name] == tables[name] for name in ("precision", "recall", "iou", "success"))
+    recalls = [row["recall"]["mean"] for row in curve]
+    assert recalls == sorted(recalls, reverse=True)
+    assert recalls[0] > recalls[-1]
 
 
 def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
@@ -207,16 +303,21 @@ def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
 
 
 def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset: Dataset) -> None:
-    """A row that only stands beside them takes none away; where there are only such rows, all count."""
+    """A row that only stands beside them takes none away; where there are only such rows, all
+    count."""
     learned, beside = Completed(Nothing()), Truth()
     both, alone, reference = (
         build_report([bench(dataset, rows, CONFIG)], seed=0, about={})["planning"]["pillar"]
         for rows in ([learned, beside], [learned], [beside])
     )
-    assert both["truth"]["all_succeed"]["length"]["n"] == alone["nothing"]["successes"]["length"]["n"]
+    assert (
+        both["truth"]["all_succeed"]["length"]["n"] == alone["nothing"]["successes"]["length"]["n"]
+    )
     rows = [reference["truth"][chosen]["length"] for chosen in ("all_succeed", "successes")]
     assert rows[0]["n"] == rows[1]["n"] > 0
-    assert [choose_methods([name])[0].learned for name in METHODS.known] == [False] * len(METHODS.known)
+    assert [choose_methods([name])[0].learned for name in METHODS.known] == [False] * len(
+        METHODS.known
+    )
 
 
 def test_no_report_holds_a_number_that_json_lacks(dataset: Dataset) -> None:
@@ -230,7 +331,11 @@ def test_no_report_holds_a_number_that_json_lacks(dataset: Dataset) -> None:
 def test_at_the_threshold_itself_nothing_is_occupied() -> None:
     """ "Greater than" 0.85, as the paper has it."""
     values = np.array([np.nextafter(np.float32(0.85), np.float32(0)), 0.85, 0.8500001], np.float32)
-    assert Prediction(occupancy_probability=values).occupied(Thresholds()).tolist() == [False, False, True]
+    assert Prediction(occupancy_probability=values).occupied(Thresholds()).tolist() == [
+        False,
+        False,
+        True,
+    ]
 
 
 class Nameless:
@@ -266,10 +371,14 @@ class Wild(Nothing):
     [
         ("Nameless", "Nameless: lacks `name`"),
         ("Aimless", "Aimless: lacks `complete`"),
-        ("Plain", "nothing: gives ndarray, expected a scenegen.model.completion.protocol.Prediction"),
+        (
+            "Plain",
+            "nothing: gives ndarray, expected a scenegen.model.completion.protocol.Prediction",
+        ),
         (
             "Flat",
-            r"occupancy_probability is an array of shape \(7,\), expected an array of shape \(24, 24, 16\)",
+            r"occupancy_probability is an array of shape \(7,\), expected an array of shape \(24, "
+            r"24, 16\)",
         ),
         ("Listed", "nothing: tudf is list"),
         ("Wild", "nothing: occupancy_probability holds 1.5"),
@@ -294,6 +403,8 @@ def test_one_world_gives_no_interval(tmp_path: Path) -> None:
     text = (tmp_path / "bench" / "report.md").read_text()
     assert "[–]" in text
     assert "which one world does not give" in text
+    assert "too few" in text
+    assert "too few" in (tmp_path / "bench" / "report.html").read_text()
     assert "nan" not in text
 
 
@@ -302,6 +413,16 @@ def test_unknown_methods_and_empty_splits_are_refused(dataset: Dataset, tmp_path
         choose_methods(["retruns"])
     assert choose_methods(["tests.model.evaluation.test_bench:Nothing"])[0].name == "nothing"
     recipe = small_recipe()
-    build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts={"train": 3, "val": 0, "test": 0}))
-    with pytest.raises(DatasetError, match=r"test split is empty; generate with --test .* or give another --split"):
+    build(
+        plan_dataset(
+            tmp_path / "d",
+            recipe,
+            DrawnWorlds(recipe),
+            seed=0,
+            counts={"train": 3, "val": 0, "test": 0},
+        )
+    )
+    with pytest.raises(
+        DatasetError, match=r"test split is empty; generate with --test .* or give another --split"
+    ):
         bench(Dataset(tmp_path / "d"), [Truth()], CONFIG)

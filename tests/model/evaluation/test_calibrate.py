@@ -1,4 +1,5 @@
-"""One command's work, on a small network and dataset: its file carries the calibration, and everything reads it."""
+"""One command's work, on a small network and dataset: its file carries the calibration, and
+everything reads it."""
 
 import json
 from pathlib import Path
@@ -38,15 +39,23 @@ def weights(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_file_carries_its_calibration(dataset: Dataset, weights: Path, tmp_path: Path) -> None:
     before = load_network(weights)[0].state_dict()
-    found = calibrate(weights, [dataset.folder], tmp_path / "sure.safetensors", split="test", trials=1)
+    found = calibrate(
+        weights, [dataset.folder], tmp_path / "sure.safetensors", split="test", trials=1
+    )
     network, grid, about = load_network(tmp_path / "sure.safetensors")
     assert Calibration.of(about, grid) == found
     assert {name: value for name, value in about.items() if name != KEY} == TRAINED
     assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
-    assert (found.worlds, found.class_weight, found.datasets) == (3, 5.0, (str(dataset.manifest.digest),))
+    assert (found.worlds, found.class_weight, found.datasets) == (
+        3,
+        5.0,
+        (str(dataset.manifest.digest),),
+    )
     assert found.risks == (0.5, 0.4, 0.3)
     assert len(found.path_risks) == 3
-    again = calibrate(tmp_path / "sure.safetensors", [dataset.folder], weights, split="test", trials=1)
+    again = calibrate(
+        tmp_path / "sure.safetensors", [dataset.folder], weights, split="test", trials=1
+    )
     assert again == found, "it does not depend on what was there"
 
     completer = Completer.from_pretrained(tmp_path / "sure.safetensors")
@@ -72,12 +81,21 @@ def test_bounds_of_others_are_a_row_of_the_study(
         file.attrs["risk"] = 0.1
     Predicted(tmp_path / "p.h5").check(dataset, "test")
     report = report_of(
-        dataset, tmp_path / "bench", names=("truth",), predictions=tmp_path / "p.h5", study=True, variants=FEW
+        dataset,
+        tmp_path / "bench",
+        names=("truth",),
+        predictions=tmp_path / "p.h5",
+        study=True,
+        variants=FEW,
     )
     (row,) = report["study"]["pillar"]["p"]["bounds"]["risks"]
     assert (row["risk"], row["unobserved"]["coverage"]["mean"]) == (0.1, 1.0)
-    (planned,) = (one for one in report["study"]["pillar"]["p"]["risk"]["settings"] if one["by"] == "risk")
-    assert (planned["value"], planned["collided"]["mean"]) == (0.1, 0.0), "where bounds are true, no path collides"
+    (planned,) = (
+        one for one in report["study"]["pillar"]["p"]["risk"]["settings"] if one["by"] == "risk"
+    )
+    assert (planned["value"], planned["collided"]["mean"]) == (0.1, 0.0), (
+        "where bounds are true, no path collides"
+    )
     json.dumps(report, allow_nan=False)
     for wrong in (0.0, "much", float("nan")):
         with h5py.File(tmp_path / "p.h5", "a") as file:

@@ -20,7 +20,9 @@ from tests.conftest import small_recipe
 
 
 def dataset_with(folder: Path, **mapping: object) -> Dataset:
-    recipe = small_recipe(mapping=mapping, world={"density": (0.2, 0.2)}, grid={"shape": (40, 40, 16)})
+    recipe = small_recipe(
+        mapping=mapping, world={"density": (0.2, 0.2)}, grid={"shape": (40, 40, 16)}
+    )
     counts = {"train": 6, "val": 0, "test": 0}
     build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
     return Dataset(folder)
@@ -38,7 +40,8 @@ def test_what_any_scan_could_see_is_in_view() -> None:
 
 def test_more_scans_see_more_of_the_obstacles(tmp_path: Path) -> None:
     one, four = (
-        dataset_with(tmp_path / str(scans), scans=scans, scan_spacing_m=1.0).split("train") for scans in (1, 4)
+        dataset_with(tmp_path / str(scans), scans=scans, scan_spacing_m=1.0).split("train")
+        for scans in (1, 4)
     )
     more = 0
     for alone, several in zip(one, four, strict=True):
@@ -51,7 +54,9 @@ def test_more_scans_see_more_of_the_obstacles(tmp_path: Path) -> None:
 
 def test_plans_do_not_begin_where_no_sensor_is(tmp_path: Path) -> None:
     dataset = dataset_with(tmp_path / "d", map_ahead_m=(1.0, 0.0, 0.0))
-    with pytest.raises(DatasetError, match=r"its maps lie \[1.0, 0.0, 0.0\] m ahead of the sensor") as caught:
+    with pytest.raises(
+        DatasetError, match=r"its maps lie \[1.0, 0.0, 0.0\] m ahead of the sensor"
+    ) as caught:
         bench(dataset, [], BenchConfig(split="train"))
     assert "\n" not in str(caught.value)
 
@@ -59,7 +64,11 @@ def test_plans_do_not_begin_where_no_sensor_is(tmp_path: Path) -> None:
 def test_a_network_says_that_it_learned_from_other_maps() -> None:
     unlike = pytest.importorskip("scenegen.model.completion.completer").unlike
     lidar, several = Lidar(), Mapper(scans=5, tilt_mps=2.0)
-    assert unlike("net", {}, lidar, Mapper()) == unlike("net", {}, lidar, Mapper(scan_spacing_m=3.0)) == ""
+    assert (
+        unlike("net", {}, lidar, Mapper())
+        == unlike("net", {}, lidar, Mapper(scan_spacing_m=3.0))
+        == ""
+    )
     said = unlike("net", {}, lidar, several)
     assert said.startswith("net was trained on maps made otherwise")
     assert "mapping.scans is 1 in training, 5 here; " in said

@@ -1,4 +1,5 @@
-"""A metric is one entry: what the paper says of it, what the docs say, and what a report does with one that is new."""
+"""A metric is one entry: what the paper says of it, what the docs say, and what a report does with
+one that is new."""
 
 import json
 import re
@@ -27,7 +28,11 @@ def test_the_docs_name_every_metric() -> None:
         f"| `{name}` | {metric.label} | {metric.needs} | {metric.better} |"
         for name, metric in (METRICS | PLAN_METRICS | PLAN_READINGS).items()
     ]
-    found = re.findall(r"^\| `\w+` \| [^|]+ \| (?:distance|occupancy|trial|path) \| [^|]+ \|$", text("bench.md"), re.M)
+    found = re.findall(
+        r"^\| `\w+` \| [^|]+ \| (?:distance|occupancy|trial|path) \| [^|]+ \|$",
+        text("bench.md"),
+        re.M,
+    )
     assert found == rows
 
 
@@ -36,7 +41,10 @@ def text(name: str) -> str:
 
 
 def test_a_metric_that_the_paper_lacks_is_in_every_table(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    dataset: Dataset,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     alarms = Metric(
         title="alarms",
@@ -46,7 +54,10 @@ def test_a_metric_that_the_paper_lacks_is_in_every_table(
         tested=("map",),
     )
     evenness = Metric(
-        title="evenness", of=lambda t: t.min_clearance_m / t.mean_clearance_m, needs="path", better="higher"
+        title="evenness",
+        of=lambda t: t.min_clearance_m / t.mean_clearance_m,
+        needs="path",
+        better="higher",
     )
     monkeypatch.setitem(METRICS, "alarms", alarms)
     monkeypatch.setitem(PLAN_METRICS, "evenness", evenness)
@@ -61,7 +72,9 @@ def test_a_metric_that_the_paper_lacks_is_in_every_table(
     show_tables(report)
     heads = {word for line in capsys.readouterr().out.splitlines() for word in line.split()}
     assert heads >= {"iou", "alarms", "success", "evenness"}
-    paper_rows = [line for line in (tmp_path / "report.md").read_text().splitlines() if line.startswith("| *")]
+    paper_rows = [
+        line for line in (tmp_path / "report.md").read_text().splitlines() if line.startswith("| *")
+    ]
     assert len(paper_rows) == 6
     assert all(line.endswith("* | – |") for line in paper_rows)
 
@@ -69,7 +82,9 @@ def test_a_metric_that_the_paper_lacks_is_in_every_table(
 def test_a_report_is_json_where_nothing_was_measured(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    never = Metric(title="never", of=lambda s: float("nan"), needs="distance", better="lower", tested=("map",))
+    never = Metric(
+        title="never", of=lambda s: float("nan"), needs="distance", better="lower", tested=("map",)
+    )
     monkeypatch.setitem(METRICS, "never", never)
     report_of(dataset, tmp_path, names=("returns", "truth"))
 
@@ -77,9 +92,9 @@ def test_a_report_is_json_where_nothing_was_measured(
         raise AssertionError(f"{constant} is no JSON")
 
     held = json.loads((tmp_path / "report.json").read_text(), parse_constant=refuse)
-    assert held["reconstruction"]["pillar"]["truth"]["never"] == dict.fromkeys(("mean", "std", "low", "high")) | {
-        "n": 0
-    }
+    assert held["reconstruction"]["pillar"]["truth"]["never"] == dict.fromkeys(
+        ("mean", "std", "low", "high")
+    ) | {"n": 0}
     (test,) = (test for test in held["tests"]["pillar"] if test["metric"] == "never")
     assert (test["difference"], test["p"]) == (None, 1.0)
     assert "| returns − truth | never | – | 1.0000 |" in (tmp_path / "report.md").read_text()

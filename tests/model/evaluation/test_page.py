@@ -27,7 +27,8 @@ COUNTS = {"train": 9, "val": 3, "test": 3}
 
 
 class Blind:
-    """A completer that is taken for a learned one, and sees nothing: its paths go through everything."""
+    """A completer that is taken for a learned one, and sees nothing: its paths go through
+    everything."""
 
     name = HOSTILE
 
@@ -108,7 +109,9 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
             "img",
         ),
     }
-    assert not any(name.startswith("on") or name == "href" for _, names in seen.found for name in names)
+    assert not any(
+        name.startswith("on") or name == "href" for _, names in seen.found for name in names
+    )
     images = [names["src"] for tag, names in seen.found if tag == "img"]
     assert len(images) == len(pictures)
     assert all(str(source).startswith("data:image/webp;base64,") for source in images)
@@ -132,10 +135,14 @@ def test_a_trial_s_place_leads_to_it(measured: Any) -> None:
 
 def test_the_best_is_the_best_as_printed_and_never_the_truth() -> None:
     def rows(**means: float | None) -> dict[str, Any]:
-        return {name: {"x": {"mean": mean, "n": 0 if mean is None else 1}} for name, mean in means.items()}
+        return {
+            name: {"x": {"mean": mean, "n": 0 if mean is None else 1}}
+            for name, mean in means.items()
+        }
 
     higher, lower, near = (
-        dataclasses.replace(METRICS["iou"], better=better) for better in ("higher", "lower", "nearer to 0")
+        dataclasses.replace(METRICS["iou"], better=better)
+        for better in ("higher", "lower", "nearer to 0")
     )
     assert best(rows(truth=1.0, a=0.5001, b=0.5004, c=0.4), "x", higher) == {"a", "b"}
     assert best(rows(truth=0.0, a=0.3, b=0.2, c=None), "x", lower) == {"b"}

@@ -62,7 +62,13 @@ def put(name: str, value: Any, **options: Any) -> Callable[[h5py.File], None]:
 def promise_a_terabyte(file: h5py.File) -> None:
     """Chunks that were never written: a file of a few kilobytes."""
     del file["tudf"]
-    file.create_dataset("tudf", (9, 24, 24, 16), np.float32, chunks=(9, 24, 24, 16), maxshape=(None, None, None, None))
+    file.create_dataset(
+        "tudf",
+        (9, 24, 24, 16),
+        np.float32,
+        chunks=(9, 24, 24, 16),
+        maxshape=(None, None, None, None),
+    )
     del file["occupancy_probability"], file["world"]
     file.create_dataset("world", (10**12,), np.int64, chunks=(10**6,))
 
@@ -85,7 +91,10 @@ def link_outside(file: h5py.File) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (set_voxel("occupancy_probability", 7.0), "row 3: occupancy_probability holds 7, expected a probability"),
+        (
+            set_voxel("occupancy_probability", 7.0),
+            "row 3: occupancy_probability holds 7, expected a probability",
+        ),
         (set_voxel("occupancy_probability", -3.0), "occupancy_probability holds -3"),
         (set_voxel("tudf", -0.5), "row 3: tudf holds -0.5, expected a distance of at least 0"),
         (set_voxel("tudf", np.inf), "tudf holds NaN or infinity"),
@@ -117,7 +126,9 @@ def test_predictions_that_cannot_be_are_refused_in_one_line(
     assert str(caught.value).isprintable()
 
 
-def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(
+    dataset: Dataset, tmp_path: Path
+) -> None:
     whole = write_predictions(tmp_path / "p.h5", dataset).read_bytes()
     rng = np.random.default_rng(0)
     for n in range(12):

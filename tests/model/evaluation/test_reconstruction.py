@@ -12,7 +12,7 @@ from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.reconstruction import measure
-from scenegen.model.evaluation.visibility import CLASSES, classify
+from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_layers
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
 from tests.conftest import small_recipe
@@ -20,15 +20,30 @@ from tests.conftest import small_recipe
 GRID = GridSpec(shape=(7, 6, 5))
 PLAIN = ReconstructionConfig()
 DISTANCES, SHARES = (
-    [name for name, one in METRICS.items() if one.needs == needs] for needs in ("distance", "occupancy")
+    [name for name, one in METRICS.items() if one.needs == needs]
+    for needs in ("distance", "occupancy")
 )
 
 
-def score(occupied: np.ndarray, distance: np.ndarray, truth: np.ndarray, config: ReconstructionConfig = PLAIN) -> dict:
+def score(
+    occupied: np.ndarray,
+    distance: np.ndarray,
+    truth: np.ndarray,
+    config: ReconstructionConfig = PLAIN,
+) -> dict:
     """Metrics by name over the whole map."""
     true_distance = distance_field(truth, GridSpec(shape=truth.shape))
     whole = np.zeros(truth.shape, np.uint8)
-    rows = measure(occupied, distance, truth, true_distance, classes=whole, class_count=1, config=config, union=[0])
+    rows = measure(
+        occupied,
+        distance,
+        truth,
+        true_distance,
+        classes=whole,
+        class_count=1,
+        config=config,
+        union=[0],
+    )
     np.testing.assert_array_equal(rows[0], rows[1])
     np.testing.assert_array_equal(rows[0], rows[2])
     return dict(zip(METRICS, rows[0], strict=True))
@@ -70,10 +85,23 @@ def test_classes_and_their_union_are_measured_on_their_voxels_alone() -> None:
     occupied, distance, truth = random_maps(7)
     classes = np.random.default_rng(7).integers(0, 3, truth.shape).astype(np.uint8)
     true_distance = distance_field(truth, GridSpec(shape=truth.shape))
-    rows = measure(occupied, distance, truth, true_distance, classes=classes, class_count=3, config=PLAIN, union=[0, 2])
-    for row, chosen in zip(rows[1:], [classes != 1, *(classes == c for c in range(3))], strict=True):
+    rows = measure(
+        occupied,
+        distance,
+        truth,
+        true_distance,
+        classes=classes,
+        class_count=3,
+        config=PLAIN,
+        union=[0, 2],
+    )
+    for row, chosen in zip(
+        rows[1:], [classes != 1, *(classes == c for c in range(3))], strict=True
+    ):
         found = dict(zip(METRICS, row, strict=True))
-        assert found["mae"] == pytest.approx(np.abs(distance.astype(float) - true_distance)[chosen].mean())
+        assert found["mae"] == pytest.approx(
+            np.abs(distance.astype(float) - true_distance)[chosen].mean()
+        )
         hits = (occupied & truth & chosen).sum()
         assert found["iou"] == pytest.approx(hits / ((occupied | truth) & chosen).sum())
 
@@ -110,15 +138,50 @@ def test_classes_part_the_map_and_mean_what_they_say(kind: str) -> None:
     recipe = small_recipe(kind)
     for sample in draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples:
         classes = classify(sample, lidar=recipe.lidar, grid=recipe.grid)
-        counts = dict(zip(CLASSES, np.bincount(classes.ravel(), minlength=len(CLASSES)), strict=True))
+        counts = dict(
+            zip(CLASSES, np.bincount(classes.ravel(), minlength=len(CLASSES)), strict=True)
+        )
         assert counts["observed"] == sample.observed.sum()
         assert counts["crossed"] == sample.free.sum()
         assert counts["out_of_view"] > 0
-        padded = np.pad(sample.occupancy, 1, constant_values=True)  # beyond the map counts as occupied
-        around = [np.roll(padded, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (1, -1)]
+        padded = np.pad(
+            sample.occupancy, 1, constant_values=True
+        )  # beyond the map counts as occupied
+        around = [
+            np.roll(padded, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (1, -1)
+        ]
         inside = np.all([sample.occupancy, *around], axis=0) & ~sample.free & ~sample.observed
         np.testing.assert_array_equal(classes == CLASSES.index("interior"), inside)
         assert counts["occluded"] > 0
+
+
+def test_nothing_below_the_ground_counts() -> None:
+    recipe = small_recipe("geometric", flight={"altitude_m": (0.5, 1.0)})
+    low = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples[0]
+    grid, tables = recipe.grid, recipe.resolved()
+    scored = scored_layers(low, grid, tables)
+    heights = low.origin[2] + grid.voxel_m * (np.arange(grid.shape[2]) + 0.5)
+    underside = -tables["world"]["ground_m"]
+    assert not scored[heights < underside - grid.voxel_m].any()
+    assert scored[heights > underside].all()
+    assert 0 < scored.sum() < len(scored)
+    classes = classify(low, lidar=recipe.lidar, grid=grid, scored=scored)
+    np.testing.assert_array_equal(classes == UNSCORED, np.broadcast_to(~scored, grid.shape))
+    rng, rows = np.random.default_rng(0), []
+    said = rng.random(grid.shape) < 0.2
+    for below in (False, True):
+        said[..., ~scored] = below
+        far = np.where(said, np.float32(0), low.tudf)
+        count = len(CLASSES)
+        rows.append(
+            measure(
+                said, far, low.occupancy, low.tudf, classes=classes, class_count=count, config=PLAIN
+            )
+        )
+    np.testing.assert_array_equal(*rows)
+    assert scored_layers(low, grid, {"world": {"ground": "grass"}}).all()  # somebody's own kind
+    tables["world"]["ground"] = False
+    assert scored_layers(low, grid, tables).all()
 
 
 def test_unlearned_methods_do_what_they_say() -> None:
@@ -126,8 +189,12 @@ def test_unlearned_methods_do_what_they_say() -> None:
     observed[2, 3, 2] = free[2, 3, 4] = free[2, 3, 0] = observed[4, 4, 0] = True
     free[4, 4, 1] = free[1, 1, :] = True
     at = Thresholds()
-    np.testing.assert_array_equal(Returns().complete(observed, free, grid=GRID).occupied(at), observed)
-    np.testing.assert_array_equal(Conservative().complete(observed, free, grid=GRID).occupied(at), ~free)
+    np.testing.assert_array_equal(
+        Returns().complete(observed, free, grid=GRID).occupied(at), observed
+    )
+    np.testing.assert_array_equal(
+        Conservative().complete(observed, free, grid=GRID).occupied(at), ~free
+    )
     extruded = Extrude().complete(observed, free, grid=GRID).occupied(at)
     assert extruded[2, 3].tolist() == [False, True, True, True, False]
     assert extruded[4, 4].tolist() == [True, False, False, False, False]

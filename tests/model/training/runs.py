@@ -14,17 +14,24 @@ from scenegen.model.training.data import opened
 SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")
 
 
-def train(folders: list[Path], config: TrainConfig, out: Path, **more: Any) -> list[dict[str, float]]:
+def train(
+    folders: list[Path], config: TrainConfig, out: Path, **more: Any
+) -> list[dict[str, float]]:
     """Train on datasets, as the command does."""
-    return scenegen.model.training.loop.train(opened(folders, "train"), opened(folders, "val"), config, out, **more)
+    return scenegen.model.training.loop.train(
+        opened(folders, "train"), opened(folders, "val"), config, out, **more
+    )
 
 
 def elsewhere(function: Callable[..., None], *given: Any) -> Any:
     """A process that has torch already, and runs `function`.
 
-    Without a GPU it is a copy of this one. Autograd has threads where there is a GPU, and they are not copied.
+    Without a GPU it is a copy of this one. Autograd has threads where there is a GPU, and they are
+    not copied.
     """
-    context: Any = multiprocessing.get_context("forkserver" if torch.cuda.is_available() else "fork")
+    context: Any = multiprocessing.get_context(
+        "forkserver" if torch.cuda.is_available() else "fork"
+    )
     if torch.cuda.is_available():
         context.set_forkserver_preload(["scenegen.model.training.loop"])
     process = context.Process(target=function, args=given)

@@ -78,7 +78,9 @@ def test_a_budget_in_maps_replaces_passes() -> None:
 @pytest.mark.parametrize("interval", [None, 8, 24, 200])
 def test_rounds_see_the_passes_one_after_the_other(interval: int | None) -> None:
     of = course(count=83, maps=400, interval=interval)
-    passes = [epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, augment=True) for epoch in range(5)]  # type: ignore[arg-type]
+    passes = [
+        epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, augment=True) for epoch in range(5)
+    ]  # type: ignore[arg-type]
     seen = [of.batches(first, min(of.round, 50 - first)) for first in range(0, 50, of.round)]
     assert list(itertools.chain(*seen)) == list(itertools.chain(*passes))
     assert of.batches(7, 9) == list(itertools.chain(*passes))[7:16]
@@ -87,7 +89,8 @@ def test_rounds_see_the_passes_one_after_the_other(interval: int | None) -> None
 def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
     undrawn: None, folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Losses that never fall after round 2, and patience 2: the rate falls from round 5 on, over as many rounds."""
+    """Losses that never fall after round 2, and patience 2: the rate falls from round 5 on, over as
+    many rounds."""
     losses = iter([3.0, 2.0, *[2.5] * 20])
     found = scenegen.model.training.loop.validate
 
@@ -101,14 +104,25 @@ def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
     assert [row["maps"] / steps for row in rows] == list(range(1, 9))
 
 
-def test_a_run_begins_with_given_weights_of_its_own_network(undrawn: None, folders: list[Path], tmp_path: Path) -> None:
+def test_a_run_begins_with_given_weights_of_its_own_network(
+    undrawn: None, folders: list[Path], tmp_path: Path
+) -> None:
     """With a rate of next to nothing, it ends with them."""
-    once, still = (dataclasses.replace(TINY, epochs=1, lr=lr, seed=seed) for lr, seed in ((1e-2, 0), (1e-30, 1)))
+    once, still = (
+        dataclasses.replace(TINY, epochs=1, lr=lr, seed=seed)
+        for lr, seed in ((1e-2, 0), (1e-30, 1))
+    )
     train(folders, once, tmp_path / "first", device="cpu")
     weights = tmp_path / "first" / "best.safetensors"
     train(folders, still, tmp_path / "second", device="cpu", weights=weights)
-    first, second = (load_tensors(tmp_path / name / "best.safetensors")[0] for name in ("first", "second"))
-    learned = [name for name in first if not name.endswith(("running_mean", "running_var", "num_batches_tracked"))]
+    first, second = (
+        load_tensors(tmp_path / name / "best.safetensors")[0] for name in ("first", "second")
+    )
+    learned = [
+        name
+        for name in first
+        if not name.endswith(("running_mean", "running_var", "num_batches_tracked"))
+    ]
     assert all(torch.equal(first[name], second[name]) for name in learned)
     with pytest.raises(CheckpointError, match=r"variant is .* there"):
         train(folders, SMALL, tmp_path / "third", device="cpu", weights=weights)
@@ -116,16 +130,28 @@ def test_a_run_begins_with_given_weights_of_its_own_network(undrawn: None, folde
         train(folders, still, tmp_path / "second", device="cpu")
 
 
-def test_a_budget_grows_from_where_the_rate_was_level(undrawn: None, folders: list[Path], tmp_path: Path) -> None:
-    """A run of 2 rounds that goes on to 4 ends with the weights of a run of 4, and keeps what 2 gave."""
-    short, long = (dataclasses.replace(TINY, epochs=n, warmup_share=0.0, decay_share=0.5) for n in (2, 4))
+def test_a_budget_grows_from_where_the_rate_was_level(
+    undrawn: None, folders: list[Path], tmp_path: Path
+) -> None:
+    """A run of 2 rounds that goes on to 4 ends with the weights of a run of 4, and keeps what 2
+    gave."""
+    short, long = (
+        dataclasses.replace(TINY, epochs=n, warmup_share=0.0, decay_share=0.5) for n in (2, 4)
+    )
     straight = train(folders, long, tmp_path / "straight", device="cpu")
     train(folders, short, tmp_path / "grown", device="cpu")
     earlier = (tmp_path / "grown" / "best.safetensors").read_bytes()
     grown = train(folders, long, tmp_path / "grown", device="cpu")
     assert [{**row, "seconds": 0} for row in grown] == [{**row, "seconds": 0} for row in straight]
-    assert [path.read_bytes() for path in (tmp_path / "grown").glob("best-*.safetensors")] == [earlier]
+    assert [path.read_bytes() for path in (tmp_path / "grown").glob("best-*.safetensors")] == [
+        earlier
+    ]
     with pytest.raises(DatasetError, match="epochs is 4 there, 2 asked for"):
         train(folders, short, tmp_path / "grown", device="cpu")
     with pytest.raises(DatasetError, match="epochs is 4 there, 9 asked for"):
-        train(folders, dataclasses.replace(long, epochs=9, schedule="cosine"), tmp_path / "grown", device="cpu")
+        train(
+            folders,
+            dataclasses.replace(long, epochs=9, schedule="cosine"),
+            tmp_path / "grown",
+            device="cpu",
+        )

@@ -42,7 +42,9 @@ def test_loader_workers_read_the_same_after_their_parent_has_read(folders: list[
         assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_chunks_that_other_writers_filtered_are_read_too(folders: list[Path], tmp_path: Path) -> None:
+def test_chunks_that_other_writers_filtered_are_read_too(
+    folders: list[Path], tmp_path: Path
+) -> None:
     """The contract allows shuffle and checksums, or no filter at all."""
     import shutil
 
@@ -56,7 +58,12 @@ def test_chunks_that_other_writers_filtered_are_read_too(folders: list[Path], tm
             del file["occupancy"]
             chunks = (1, *values.shape[1:])
             file.create_dataset(
-                "occupancy", data=values, chunks=chunks, compression="gzip", shuffle=True, fletcher32=True
+                "occupancy",
+                data=values,
+                chunks=chunks,
+                compression="gzip",
+                shuffle=True,
+                fletcher32=True,
             )
             plain = file["observed"][:]
             del file["observed"]
@@ -86,7 +93,9 @@ def test_damage_is_named(folders: list[Path], tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_a_loader_process_that_dies_is_named(folders: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loader_process_that_dies_is_named(
+    folders: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(Maps, "__getitem__", lambda self, key: os.kill(os.getpid(), signal.SIGKILL))
     with pytest.raises(LoaderError, match="--workers 0"):
         list(load(Maps(opened(folders, "train"), "train"), [[0], [1]], workers=1, pinned=False))
@@ -96,7 +105,12 @@ def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_p
     other_grid = make_dataset(tmp_path / "grid", grid={"shape": (16, 16, 16)})
     other_sensor = make_dataset(tmp_path / "sensor", lidar={"rows": 4})
     fused = make_dataset(tmp_path / "fused", mapping={"scans": 2})
-    refused = {other_grid: "its grid", other_sensor: "its lidar", fused: "its mapping", folders[0]: "the same samples"}
+    refused = {
+        other_grid: "its grid",
+        other_sensor: "its lidar",
+        fused: "its mapping",
+        folders[0]: "the same samples",
+    }
     for wrong, named in refused.items():
         with pytest.raises(DatasetError, match=named):
             Maps(opened([folders[0], wrong], "train"), "train")
@@ -112,11 +126,17 @@ def passes(maps: Maps, count: int, *, seed: int = 0) -> list[list[int]]:
     ]
 
 
-def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_again(folders: list[Path]) -> None:
+def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_again(
+    folders: list[Path],
+) -> None:
     weighted = {folders[0]: 3, folders[1]: 1}
     maps = Maps(opened(weighted, "train"), "train")
     seen = passes(maps, 7)
-    assert seen == passes(Maps(opened(list(weighted.items()), "train"), "train"), 7) != passes(maps, 7, seed=1)
+    assert (
+        seen
+        == passes(Maps(opened(list(weighted.items()), "train"), "train"), 7)
+        != passes(maps, 7, seed=1)
+    )
     size = COUNTS["train"]
     for number, share in enumerate((18, 6)):  # of 24 in a pass
         own = [[index for index in one if index // size == number] for one in seen]
@@ -147,6 +167,8 @@ def test_weights_that_are_no_proportion_are_refused(folders: list[Path], weight:
 def test_samples_that_a_merged_dataset_has_from_another_are_not_seen_twice(tmp_path: Path) -> None:
     first = make_dataset(tmp_path / "first")
     build(plan_take(Dataset(first), tmp_path / "few", Choice(most=2)))
-    with pytest.raises(DatasetError, match="hold the same sample; leave one of the two datasets out"):
+    with pytest.raises(
+        DatasetError, match="hold the same sample; leave one of the two datasets out"
+    ):
         opened([first, tmp_path / "few"], "train")
     assert len(opened([tmp_path / "few"], "train")) == 1

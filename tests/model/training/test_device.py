@@ -24,22 +24,41 @@ from tests.model.training.runs import SMALL, elsewhere
 def test_two_processes_train_one_network(folders: list[Path], tmp_path: Path) -> None:
     """Under torchrun: each takes half of every batch, one writes, and what comes out is whole."""
     out = tmp_path / "run"
-    words = ["train", *folders, "--width", 4, "--epochs", 1, "--batch", 4, "--device", "cpu", "--quiet", "--out", out]
+    words = [
+        "train",
+        *folders,
+        "--width",
+        4,
+        "--epochs",
+        1,
+        "--batch",
+        4,
+        "--device",
+        "cpu",
+        "--quiet",
+        "--out",
+        out,
+    ]
     words += ["--precision", "float32"]
     launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", 2]
     root = Path(__file__).parents[3]
     environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
     command = [str(word) for word in [*launch, root / "cli.py", *words]]
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
+    ended = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, timeout=100
+    )
     assert ended.returncode == 0, ended.stderr
     assert len((out / "metrics.csv").read_text().splitlines()) == 2
     load_network(out / "best.safetensors")
-    again = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=100)
+    again = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, timeout=100
+    )
     assert again.returncode == 0, again.stderr  # complete already: no process waits for the others
 
 
 def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> None:
-    """One step from the same first weights, whatever the number of processes; `environment` is what torchrun sets."""
+    """One step from the same first weights, whatever the number of processes; `environment` is what
+    torchrun sets."""
     torch.set_num_threads(1)
     os.environ.update(environment)
     device = torch.device("cpu")
@@ -51,8 +70,12 @@ def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> 
         optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
         learn = Step(network, optimizer, config, maps.grid, device, torch.float32, group)
         batch = {name: torch.stack([maps[n][name] for n in range(4)]) for name in maps[0]}
-        batch["occupancy"][::2, :, :, 4:] = False  # so that the first process has fewer voxels near surfaces
-        losses = learn({name: values[group.rank :: group.size] for name, values in batch.items()}, 1.0)
+        batch["occupancy"][::2, :, :, 4:] = (
+            False  # so that the first process has fewer voxels near surfaces
+        )
+        losses = learn(
+            {name: values[group.rank :: group.size] for name, values in batch.items()}, 1.0
+        )
         save_tensors(out / f"{group.rank} of {group.size}", network.state_dict(), losses)
 
 
@@ -61,7 +84,9 @@ def test_processes_get_equal_shares(folders: list[Path]) -> None:
     maps = Maps(opened(folders, "train"), "train")
     processes = len(maps) - 1
     config = dataclasses.replace(SMALL, batch=2 * processes)
-    with pytest.raises(TrainingError, match=f"do not divide among {processes} processes; give --batch {processes}$"):
+    with pytest.raises(
+        TrainingError, match=f"do not divide among {processes} processes; give --batch {processes}$"
+    ):
         check_maps(maps, maps, config, processes)
     check_maps(maps, maps, dataclasses.replace(SMALL, batch=processes), processes)
 
@@ -73,9 +98,13 @@ def free_port() -> int:
 
 
 def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_path: Path) -> None:
-    """Gradients and losses are the whole batch's, the Eikonal term among them, whose voxels are not shared evenly."""
+    """Gradients and losses are the whole batch's, the Eikonal term among them, whose voxels are not
+    shared evenly."""
     torchrun = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
-    ranks = [elsewhere(take_a_step, folders, tmp_path, torchrun | {"RANK": str(rank)}) for rank in range(2)]
+    ranks = [
+        elsewhere(take_a_step, folders, tmp_path, torchrun | {"RANK": str(rank)})
+        for rank in range(2)
+    ]
     try:
         take_a_step(folders, tmp_path, {})
         for rank in ranks:

@@ -18,7 +18,7 @@ from scenegen.errors import DatasetError, StoppedError
 from scenegen.model.checkpoint import load_network, load_tensors
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.losses import objective
+from scenegen.model.losses import Coupled
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, opened
 from scenegen.model.training.device import TrainingError
@@ -29,18 +29,20 @@ from tests.model.training.runs import SMALL, elsewhere, train
 
 
 def test_one_batch_is_learned_by_heart(folders: list[Path]) -> None:
-    """IoU above .99 at the paper's threshold, and distances within a tenth of a voxel on average."""
+    """IoU above .99 at the paper's threshold, and distances within a tenth of a voxel on
+    average."""
     maps = Maps(opened(folders, "train"), "train")
     batch = {name: torch.stack([maps[0][name], maps[12][name]])[:, 4:20, 4:20] for name in maps[0]}
     occupancy = batch["occupancy"]
-    tudf = TudfOf(GridSpec(shape=(16, 16, 16)))(occupancy)
+    grid = GridSpec(shape=(16, 16, 16))
+    batch["tudf"] = tudf = TudfOf(grid)(occupancy)
     torch.manual_seed(0)
     network = Network(NetworkConfig())
     optimizer = torch.optim.AdamW(network.parameters(), 1e-2)
     for step in range(120):
         optimizer.zero_grad()
         output = network.train()(batch)
-        objective(output, occupancy, tudf, LossConfig(), voxel_m=0.2, truncation_m=2.0)["loss"].backward()
+        Coupled(LossConfig(), grid)(output, batch)["loss"].backward()
         optimizer.step()
         if step % 20 == 19:
             with torch.no_grad():
@@ -59,13 +61,18 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
 
 def same(one: Path, other: Path) -> bool:
     first, second = weights(one), weights(other)
-    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
+    return first.keys() == second.keys() and all(
+        torch.equal(first[name], second[name]) for name in first
+    )
 
 
 def figures(out: Path) -> list[dict[str, str]]:
     """The rows of metrics.csv, less how long they took."""
     with open(out / "metrics.csv") as file:
-        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+        return [
+            {name: value for name, value in row.items() if name != "seconds"}
+            for row in csv.DictReader(file)
+        ]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +88,9 @@ def undrawn(uninterrupted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
 
 
-def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path, folders: list[Path]) -> None:
+def test_a_run_leaves_its_settings_figures_and_best_network(
+    uninterrupted: Path, folders: list[Path]
+) -> None:
     with open(uninterrupted / "metrics.csv") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["epoch"]) for row in rows] == [1, 2, 3]
@@ -89,7 +98,9 @@ def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path,
     network, grid, about = load_network(uninterrupted / "best.safetensors")
     assert network.config == SMALL.network
     assert grid == Maps(opened(folders, "val"), "val").grid
-    assert about["figures"]["val_loss"] == pytest.approx(min(float(row["val_loss"]) for row in rows), rel=1e-5)
+    assert about["figures"]["val_loss"] == pytest.approx(
+        min(float(row["val_loss"]) for row in rows), rel=1e-5
+    )
     assert about["settings"]["datasets"] == [source.digest for source in opened(folders, "val")]
     card = (uninterrupted / "card.md").read_text()
     assert f"{about['figures']['val_iou']:.3f}" in card
@@ -100,7 +111,8 @@ def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted: Path,
 def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
     folders: list[Path], tmp_path: Path, uninterrupted: Path
 ) -> None:
-    """Bit for bit on one thread, stopped four times: in the middle of an epoch, at its last step and at its first."""
+    """Bit for bit on one thread, stopped four times: in the middle of an epoch, at its last step
+    and at its first."""
     steps = 0
 
     def count(maps: int, loss: float) -> None:
@@ -120,7 +132,7 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
 def train_and_be_killed(folders: list[Path], out: Path) -> None:
     """SIGKILL after the ninth step, with every step saved."""
     torch.set_num_threads(1)
-    scenegen.model.training.loop.SAVE_EVERY_S = 0.0
+    scenegen.model.training.run_folder.SAVE_EVERY_S = 0.0
     scenegen.model.training.run_folder.draw_curve = lambda rows: None
     losses: list[float] = []
 
@@ -139,13 +151,17 @@ def test_a_killed_run_ends_where_an_uninterrupted_one_does(
     process = elsewhere(train_and_be_killed, folders, out)
     process.join()
     assert process.exitcode == -signal.SIGKILL
-    assert load_tensors(out / "last.safetensors")[1]["step"] == 2  # the third step of the second epoch was lost
+    assert (
+        load_tensors(out / "last.safetensors")[1]["step"] == 2
+    )  # the third step of the second epoch was lost
     train(folders, SMALL, out, device="cpu")
     for name in ("best.safetensors", "last.safetensors"):
         assert same(out / name, uninterrupted / name)
 
 
-def test_a_run_is_not_continued_by_mistake(folders: list[Path], tmp_path: Path, uninterrupted: Path) -> None:
+def test_a_run_is_not_continued_by_mistake(
+    folders: list[Path], tmp_path: Path, uninterrupted: Path
+) -> None:
     out = shutil.copytree(uninterrupted, tmp_path / "run")
     with (out / "config.json").open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
@@ -157,11 +173,19 @@ def test_a_run_is_not_continued_by_mistake(folders: list[Path], tmp_path: Path, 
         train(folders[:1], SMALL, out, device="cpu")
 
 
-def test_a_finished_run_given_again_stays_as_it_is(folders: list[Path], tmp_path: Path, uninterrupted: Path) -> None:
+def test_a_finished_run_given_again_stays_as_it_is(
+    folders: list[Path], tmp_path: Path, uninterrupted: Path
+) -> None:
     out = shutil.copytree(uninterrupted, tmp_path / "run")
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     told: list[int] = []
-    rows = train(folders, SMALL, out, device="cpu", watcher=Watcher(on_step=lambda maps, _: told.append(maps)))
+    rows = train(
+        folders,
+        SMALL,
+        out,
+        device="cpu",
+        watcher=Watcher(on_step=lambda maps, _: told.append(maps)),
+    )
     assert (len(rows), told) == (3, [])
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
@@ -169,10 +193,13 @@ def test_a_finished_run_given_again_stays_as_it_is(folders: list[Path], tmp_path
 def test_training_ends_after_so_many_epochs_without_improvement(
     folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Validation losses 3 2 2 4 1 …: the second epoch is the best of the first five with patience 3."""
+    """Validation losses 3 2 2 4 1 …: the second epoch is the best of the first five with patience
+    3."""
     losses = iter([3.0, 2.0, 2.0, 4.0, 2.5, 1.0])
     fixed = dict.fromkeys(METRICS, 0.0)
-    monkeypatch.setattr(scenegen.model.training.loop, "validate", lambda *given: {**fixed, "loss": next(losses)})
+    monkeypatch.setattr(
+        scenegen.model.training.loop, "validate", lambda *given: {**fixed, "loss": next(losses)}
+    )
     config = dataclasses.replace(SMALL, epochs=50, patience=3, schedule="cosine")
     rows = train(folders, config, tmp_path / "run", device="cpu")
     assert [row["val_loss"] for row in rows] == [3.0, 2.0, 2.0, 4.0, 2.5]
@@ -183,35 +210,41 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(
     folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, steps = tmp_path / "run", 0
-    honest = scenegen.model.training.loop.objective
+    honest = Coupled.__call__
 
-    def poisoned(*given: object, **named: object) -> dict[str, torch.Tensor]:
+    def poisoned(*given: object) -> dict[str, torch.Tensor]:
         nonlocal steps
-        steps += 1
-        losses = honest(*given, **named)
-        return {name: loss * float("nan") for name, loss in losses.items()} if steps == 9 else losses
+        steps += torch.is_grad_enabled()  # of training
+        losses = honest(*given)
+        return (
+            {name: loss * float("nan") for name, loss in losses.items()} if steps == 9 else losses
+        )
 
-    monkeypatch.setattr(scenegen.model.training.loop, "objective", poisoned)
+    monkeypatch.setattr(Coupled, "__call__", poisoned)
     with pytest.raises(
         TrainingError, match=r"epoch 2, step 3: loss nan.*train sample \d+; .*train sample \d+"
     ) as caught:
         train(folders, SMALL, out, device="cpu")
     assert "\n" not in str(caught.value)
     assert load_tensors(out / "last.safetensors")[1]["epoch"] == 1
-    assert all(torch.isfinite(tensor).all() for tensor in weights(out / "best.safetensors").values())
+    assert all(
+        torch.isfinite(tensor).all() for tensor in weights(out / "best.safetensors").values()
+    )
 
 
 def test_running_out_of_memory_says_what_fits(
     folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    honest = scenegen.model.training.loop.objective
+    honest = Coupled.__call__
 
-    def hungry(output: object, occupancy: torch.Tensor, *given: object, **named: object) -> dict[str, torch.Tensor]:
-        if len(occupancy) > 3:
+    def hungry(
+        loss: Coupled, output: object, batch: dict[str, torch.Tensor]
+    ) -> dict[str, torch.Tensor]:
+        if len(batch["occupancy"]) > 3:
             raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 7 EiB")
-        return honest(output, occupancy, *given, **named)
+        return honest(loss, output, batch)
 
-    monkeypatch.setattr(scenegen.model.training.loop, "objective", hungry)
+    monkeypatch.setattr(Coupled, "__call__", hungry)
     config = dataclasses.replace(SMALL, batch=12)
     with pytest.raises(TrainingError, match="a batch of 12 does not fit; --batch 3 does"):
         train(folders, config, tmp_path / "run", device="cpu")
@@ -222,7 +255,10 @@ def test_what_cannot_be_trained_on_is_refused(folders: list[Path], tmp_path: Pat
     with pytest.raises(DatasetError, match="multiple of 8"):
         train([odd], SMALL, tmp_path / "run", device="cpu")
     empty = make_dataset(tmp_path / "empty", counts={"train": 2, "val": 0, "test": 0})
-    with pytest.raises(DatasetError, match=r"its val split is empty; generate with --val \(scenes are split by world"):
+    with pytest.raises(
+        DatasetError,
+        match=r"its val split is empty; generate with --val \(scenes are split by world",
+    ):
         train([empty], SMALL, tmp_path / "run", device="cpu")
     with pytest.raises(TrainingError, match="--device tpu"):
         train(folders, SMALL, tmp_path / "run", device="tpu")

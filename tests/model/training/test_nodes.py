@@ -1,4 +1,5 @@
-"""torchrun on two nodes, begun by a real Slurm and by a real Ray: the network that one node trains, to the bit.
+"""torchrun on two nodes, begun by a real Slurm and by a real Ray: the network that one node trains,
+to the bit.
 
 python -m pytest -m slow tests/model/training/test_nodes.py
     Slurm: Debian's slurm-wlm and munge, and to be root; Ray: the extra `ray`
@@ -24,7 +25,19 @@ TORCHRUN = (sys.executable, "-m", "torch.distributed.run")
 @pytest.fixture
 def words(folders: list[Path]) -> list[str]:
     """A short run."""
-    options = ("--width", 4, "--epochs", 2, "--batch", 4, "--device", "cpu", "--precision", "float32", "--quiet")
+    options = (
+        "--width",
+        4,
+        "--epochs",
+        2,
+        "--batch",
+        4,
+        "--device",
+        "cpu",
+        "--precision",
+        "float32",
+        "--quiet",
+    )
     return [str(word) for word in (ROOT / "cli.py", "train", folders[0], *options, "--out")]
 
 
@@ -38,7 +51,9 @@ def alone(words: list[str], tmp_path: Path) -> Path:
 
 def run(command: list[str], **more: str) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"} | more
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=200)
+    ended = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, timeout=200
+    )
     assert ended.returncode == 0, f"{ended.stdout[-2000:]}\n{ended.stderr[-4000:]}"
 
 
@@ -47,7 +62,10 @@ def check_same(one: Path, other: Path) -> None:
     (weights, _), (theirs, _) = (load_tensors(out / "best.safetensors") for out in (one, other))
     assert weights.keys() == theirs.keys()
     assert all((weights[name] == theirs[name]).all() for name in weights)
-    figures = [[row.split(",") for row in (out / "metrics.csv").read_text().splitlines()] for out in (one, other)]
+    figures = [
+        [row.split(",") for row in (out / "metrics.csv").read_text().splitlines()]
+        for out in (one, other)
+    ]
     at = figures[0][0].index("seconds")
     for rows in figures:
         assert len(rows) == 3
@@ -56,18 +74,42 @@ def check_same(one: Path, other: Path) -> None:
     assert figures[0] == figures[1]
 
 
-@pytest.mark.skipif(shutil.which("slurmctld") is None or os.getuid() != 0, reason="needs slurm-wlm, and to be root")
-def test_two_nodes_of_slurm_train_what_one_does(alone: Path, words: list[str], tmp_path: Path) -> None:
+@pytest.mark.skipif(
+    shutil.which("slurmctld") is None or os.getuid() != 0, reason="needs slurm-wlm, and to be root"
+)
+def test_two_nodes_of_slurm_train_what_one_does(
+    alone: Path, words: list[str], tmp_path: Path
+) -> None:
     out = tmp_path / "slurm"
-    meeting = ["--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{free_port()}", "--rdzv-id", "test"]
-    launch = ["srun", "--nodes", "2", "--ntasks-per-node", "1", *TORCHRUN, "--nnodes", "2", "--nproc-per-node", "1"]
+    meeting = [
+        "--rdzv-backend",
+        "c10d",
+        "--rdzv-endpoint",
+        f"127.0.0.1:{free_port()}",
+        "--rdzv-id",
+        "test",
+    ]
+    launch = [
+        "srun",
+        "--nodes",
+        "2",
+        "--ntasks-per-node",
+        "1",
+        *TORCHRUN,
+        "--nnodes",
+        "2",
+        "--nproc-per-node",
+        "1",
+    ]
     (tmp_path / "cluster").mkdir()
     with slurm_here.slurm(tmp_path / "cluster", nodes=2):
         run([*launch, *meeting, *words, str(out)])
     check_same(alone, out)
 
 
-def test_two_nodes_of_ray_train_what_one_does(alone: Path, words: list[str], tmp_path: Path) -> None:
+def test_two_nodes_of_ray_train_what_one_does(
+    alone: Path, words: list[str], tmp_path: Path
+) -> None:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     cluster_utils = pytest.importorskip("ray.cluster_utils")
     head = {"num_cpus": 1, "include_dashboard": False}

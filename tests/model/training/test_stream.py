@@ -1,4 +1,5 @@
-"""What is trained on need not lie on a disk: maps come in a stream's order, each once, and a run can be resumed."""
+"""What is trained on need not lie on a disk: maps come in a stream's order, each once, and a run
+can be resumed."""
 
 import dataclasses
 import os
@@ -27,12 +28,16 @@ CONFIG = dataclasses.replace(SMALL, maps=24, interval=8)
 
 
 def streamed(split: str = "train", samples: int = 10**9) -> Stream:
-    return scenegen.stream([small_recipe("pillar"), small_recipe("geometric")], seed=1, split=split, samples=samples)
+    return scenegen.stream(
+        [small_recipe("pillar"), small_recipe("geometric")], seed=1, split=split, samples=samples
+    )
 
 
 def run(out: Path, **more: object) -> list[dict[str, float]]:
     checking = [streamed("val", 4)]
-    return scenegen.model.training.loop.train([streamed()], checking, CONFIG, out, device="cpu", **more)  # type: ignore[arg-type]
+    return scenegen.model.training.loop.train(
+        [streamed()], checking, CONFIG, out, device="cpu", **more
+    )  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -60,7 +65,10 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path: Path) -> N
 
     for after in (4, 12):
         with pytest.raises(StoppedError):
-            run(tmp_path / "parts", watcher=Watcher(on_step=count, stop=lambda after=after: seen >= after))
+            run(
+                tmp_path / "parts",
+                watcher=Watcher(on_step=count, stop=lambda after=after: seen >= after),
+            )
     run(tmp_path / "parts", workers=1)
     for name in ("best.safetensors", "last.safetensors"):
         assert same_run(tmp_path / "whole" / name, tmp_path / "parts" / name)
@@ -84,7 +92,10 @@ def test_maps_are_the_streams_each_once_and_turned_by_seed() -> None:
 def test_no_loader_process_draws_what_another_draws(workers: int, drawers: Path) -> None:
     maps = Maps([streamed()], "train")
     batches = Course(maps, CONFIG).batches(3, 40)
-    assert sum(len(read["occupancy"]) for read in load(maps, batches, workers=workers, pinned=False)) == 160
+    assert (
+        sum(len(read["occupancy"]) for read in load(maps, batches, workers=workers, pinned=False))
+        == 160
+    )
     drawn = [path.name.split() for path in drawers.iterdir()]
     assert len({(kind, unit) for kind, unit, _ in drawn}) == len(drawn)
     assert len({process for _, _, process in drawn}) == max(workers, 1)
@@ -96,14 +107,18 @@ def test_torchs_own_conventions_hold() -> None:
     helped = scenegen.stream(expected.mixture.components, seed=1, samples=24, workers=1)
     helped[0]
     for processes in (0, 2):
-        loader: DataLoader = DataLoader(helped, batch_size=6, num_workers=processes, collate_fn=list)
+        loader: DataLoader = DataLoader(
+            helped, batch_size=6, num_workers=processes, collate_fn=list
+        )
         assert len(loader) == 4
         read = [sample for batch in loader for sample in batch]
         assert all(same(one, expected[n]) for n, one in enumerate(read))
     helped.close()
 
 
-def test_what_cannot_be_trained_on_ends_in_a_line(folders: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_trained_on_ends_in_a_line(
+    folders: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     maps = Maps([streamed()], "train")
     with pytest.raises(DatasetError, match="say how many maps to see with --maps"):
         Course(maps, SMALL)

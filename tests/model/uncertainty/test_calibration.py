@@ -9,7 +9,14 @@ import torch
 
 from lidarsim import GridSpec
 from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
-from scenegen.model.uncertainty.calibration import KEY, Calibration, Given, UncertaintyError, corrected, corrected_logit
+from scenegen.model.uncertainty.calibration import (
+    KEY,
+    Calibration,
+    Given,
+    UncertaintyError,
+    corrected,
+    corrected_logit,
+)
 
 GRID = GridSpec(shape=(8, 8, 8))
 PLAIN = Calibration(
@@ -32,15 +39,17 @@ def said(seed: int = 0) -> Prediction:
 
 @pytest.mark.parametrize("weight", [0.2, 1.0, 5.0, 40.0])
 def test_the_class_weight_is_inverted(weight: float) -> None:
-    """What minimises the weighted cross-entropy of a voxel that is occupied with chance q, found without the formula,
-    comes back as q."""
+    """What minimises the weighted cross-entropy of a voxel that is occupied with chance q, found
+    without the formula, comes back as q."""
     p = np.linspace(0.0005, 0.9995, 2000)
     for q in (0.03, 0.4, 0.9):
         loss = -(weight * q * np.log(p) + (1 - q) * np.log(1 - p))
         least = np.array([p[loss.argmin()]], np.float32)
         assert corrected(least, weight)[0] == pytest.approx(q, abs=0.01)
     inner = p.astype(np.float32)
-    np.testing.assert_allclose(1 / (1 + np.exp(-corrected_logit(inner, weight))), corrected(inner, weight), rtol=1e-3)
+    np.testing.assert_allclose(
+        1 / (1 + np.exp(-corrected_logit(inner, weight))), corrected(inner, weight), rtol=1e-3
+    )
     assert corrected(np.array([0, 1], np.float32), weight).tolist() == [0, 1]
 
 
@@ -74,10 +83,16 @@ def test_what_nobody_knows_is_refused_in_a_line() -> None:
     assert (bare.probability, bare.tudf_low) == (None, None)
     with pytest.raises(UncertaintyError, match="not calibrated; run `scenegen calibrate`"):
         bare.low(0.05)
-    for risk, told in ((0.01, "30 validation worlds give down to 0.05"), (0, "between 0 and 1"), (1.5, "between")):
+    for risk, told in (
+        (0.01, "30 validation worlds give down to 0.05"),
+        (0, "between 0 and 1"),
+        (1.5, "between"),
+    ):
         with pytest.raises(UncertaintyError, match=told):
             said().low(risk)
-    given = Prediction(np.zeros(GRID.shape, np.float32), uncertainty=Given(tudf_low=np.zeros(GRID.shape), risk=0.1))
+    given = Prediction(
+        np.zeros(GRID.shape, np.float32), uncertainty=Given(tudf_low=np.zeros(GRID.shape), risk=0.1)
+    )
     assert given.low(0.2) is given.low(0.1)
     with pytest.raises(UncertaintyError, match=r"those of a risk of 0\.1"):
         given.low(0.05)

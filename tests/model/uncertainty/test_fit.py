@@ -22,7 +22,8 @@ ALL = np.ones(3000, bool)
 
 
 def world(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Predicted and true distances of a world's voxels: all err together, near ones less; and some worlds are small."""
+    """Predicted and true distances of a world's voxels: all err together, near ones less; and some
+    worlds are small."""
     count = int(rng.choice([300, 3000]))
     true = (2 * rng.random(count)).astype(np.float32)
     error = rng.normal(0, 0.2) + rng.normal(0, 0.1, count) * (0.3 + true)
@@ -31,11 +32,18 @@ def world(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 def calibrated(rng: np.random.Generator, worlds: int) -> Calibration:
     counts = [
-        count_scores(said, None, true, ALL[: len(said)], GRID) for said, true in (world(rng) for _ in range(worlds))
+        count_scores(said, None, true, ALL[: len(said)], GRID)
+        for said, true in (world(rng) for _ in range(worlds))
     ]
     risks, margins = fit_margins(np.stack(counts), near_bins(GRID, ()))
     return Calibration(
-        worlds=worlds, class_weight=1, temperature=None, step_m=STEP_M, chances=(), risks=risks, margins=margins
+        worlds=worlds,
+        class_weight=1,
+        temperature=None,
+        step_m=STEP_M,
+        chances=(),
+        risks=risks,
+        margins=margins,
     )
 
 
@@ -53,7 +61,9 @@ def test_new_worlds_are_covered_as_promised_and_not_much_better() -> None:
     covered = np.mean(rows, axis=0)
     promised = 1 - np.array(found.risks)
     assert (covered >= promised[:, None] - 0.012).all(), covered
-    assert (covered.min(axis=1) <= promised + 0.1).all(), "bounds that are safe because they say nothing"
+    assert (covered.min(axis=1) <= promised + 0.1).all(), (
+        "bounds that are safe because they say nothing"
+    )
     assert (np.diff(covered[:, 0]) >= 0).all()
 
 
@@ -96,11 +106,14 @@ def test_only_unknown_voxels_count() -> None:
 
 
 def test_paths_of_new_worlds_collide_no_more_than_was_promised() -> None:
-    """Conformal risk control on losses that are not monotone; over many calibrations of 30 worlds."""
+    """Conformal risk control on losses that are not monotone; over many calibrations of 30
+    worlds."""
     rng, risks = np.random.default_rng(0), np.linspace(0.6, 0.0, 12)
 
     def losses(count: int) -> np.ndarray:
-        chance = np.clip(risks + rng.normal(0, 0.15, (count, 1)) + rng.normal(0, 0.05, (count, 12)), 0, 1)
+        chance = np.clip(
+            risks + rng.normal(0, 0.15, (count, 1)) + rng.normal(0, 0.05, (count, 12)), 0, 1
+        )
         return rng.binomial(4, chance) / 4
 
     asked, had = 0.2, []

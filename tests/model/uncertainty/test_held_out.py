@@ -11,8 +11,8 @@ from scenegen.model.evaluation.visibility import UNOBSERVED, classify
 
 
 def test_the_bundled_network_keeps_its_bounds_on_new_worlds() -> None:
-    """Of unknown voxels, as many as are promised, in the mean over worlds of both kinds; and bounds that are worth
-    something: predicted distances would be too great far more often."""
+    """Of unknown voxels, as many as are promised, in the mean over worlds of both kinds; and bounds
+    that are worth something: predicted distances would be too great far more often."""
     completer, kept, naive = Completer.from_pretrained(), [], []
     for kind in ("pillar", "geometric"):
         stream = scenegen.stream(kind, seed=7, split="test")

@@ -19,7 +19,10 @@ BAD_RECIPES = {
     ),
     "falling range": ("[world]\ndensity = [0.3, 0.2]", "expected [low, high]"),
     "wrong type": ("[flight]\nviewpoints = 'five'", "viewpoints = 'five'"),
-    "share above one": ("[world]\nround_share = 1.5", "round_share = 1.5: expected a finite number from 0 to 1"),
+    "share above one": (
+        "[world]\nround_share = 1.5",
+        "round_share = 1.5: expected a finite number from 0 to 1",
+    ),
     "no room": ("[flight]\nmargin_m = 30.0", "margin_m = 30"),
     "no grid": ("[grid]\nshape = [80, 0, 40]", "shape"),
     "no rays": ("[lidar]\nrows = 0", "rows"),
@@ -35,19 +38,37 @@ BAD_RECIPES = {
     "too many": ("[world]\ndensity = [90, 90]", "expected 20000 at most"),
     "words for numbers": ("[flight]\nviewpoints = '5'", "viewpoints = '5'"),
     "truth for numbers": ("[flight]\nviewpoints = true", "viewpoints = True"),
-    "a million lines": ("[lidar]\nrows = 100000000", "rows = 100000000: expected a whole number from 1 to 1000000"),
+    "a million lines": (
+        "[lidar]\nrows = 100000000",
+        "rows = 100000000: expected a whole number from 1 to 1000000",
+    ),
     "no end of distance": ("[grid]\ntruncation_m = 1e9", "truncation_m = 1000000000.0"),
     "no table": ("world = 3", "expected a table"),
     "not a number": ("[world]\ndensity = [nan, 0.1]", "density = [nan, 0.1]: expected"),
     "wrong kind": ('kind = "geometric"', "is a recipe for kind 'geometric'"),
     "not TOML": ("density = = 3", "not valid TOML"),
-    "two edges": ("[grid]\nshape = [80, 80]", "three whole numbers from 1 to 8192, such as [80, 80, 40]"),
-    "a date": ("[grid]\nshape = 1979-05-27", "shape = datetime.date(1979, 5, 27): expected three whole numbers"),
-    "nested edges": ("[grid]\nshape = [[1], 2, 3]", "shape = [[1], 2, 3]: expected three whole numbers"),
+    "two edges": (
+        "[grid]\nshape = [80, 80]",
+        "three whole numbers from 1 to 8192, such as [80, 80, 40]",
+    ),
+    "a date": (
+        "[grid]\nshape = 1979-05-27",
+        "shape = datetime.date(1979, 5, 27): expected three whole numbers",
+    ),
+    "nested edges": (
+        "[grid]\nshape = [[1], 2, 3]",
+        "shape = [[1], 2, 3]: expected three whole numbers",
+    ),
     "true edges": ("[grid]\nshape = [true, true, true]", "expected three whole numbers"),
-    "an unknown mount": ("[lidar]\nmount = 'gimbal'", "mount = 'gimbal': expected 'tilt' or 'band'"),
+    "an unknown mount": (
+        "[lidar]\nmount = 'gimbal'",
+        "mount = 'gimbal': expected 'tilt' or 'band'",
+    ),
     "text for truth": ("[world]\nground = 'yes'", "ground = 'yes': expected true or false"),
-    "a key that prints": ('[world]\n"\\u001b[2Jall\\nright" = 1', "unknown parameter '\\x1b[2Jall\\nright'"),
+    "a key that prints": (
+        '[world]\n"\\u001b[2Jall\\nright" = 1',
+        "unknown parameter '\\x1b[2Jall\\nright'",
+    ),
     "an empty kind": ('kind = ""', "is a recipe for kind '', not for 'pillar'"),
     "a kind of numbers": ("kind = [1]", "is a recipe for kind [1], not for 'pillar'"),
     "no end of digits": (f"[grid]\nvoxel_m = 0x{'f' * 9000}", "voxel_m = a value of type int"),
@@ -63,19 +84,46 @@ BAD_RECIPES = {
         "[accept]\nmax_draws = 10000\n[flight]\nflights_per_world = 1000\niterations = 1000000",
         "expected 1000000000 at most; lower one of them",
     ),
-    "maps beyond what is read": ("[grid]\nshape = [408, 408, 408]", "67917312 voxels, expected 67108864 at most"),
-    "maps beyond memory": ("[grid]\nshape = [400, 400, 400]\n[flight]\nviewpoints = 17", "expected 16 at most"),
-    "voxels beyond the rays": ("[grid]\nvoxel_m = 90.0\ntruncation_m = 90.0", "voxel_m = 90.0: expected at most the"),
-    "a world as wide as a country": ("[world]\nsize_m = [1e6, 1e6, 10]\ndensity = [0, 0]", "size_m = [1000000.0, 10"),
-    "too dense": ("[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2", "lower world.density = (4.0, 4.0)"),
+    "maps beyond what is read": (
+        "[grid]\nshape = [408, 408, 408]",
+        "67917312 voxels, expected 67108864 at most",
+    ),
+    "maps beyond memory": (
+        "[grid]\nshape = [400, 400, 400]\n[flight]\nviewpoints = 17",
+        "expected 16 at most",
+    ),
+    "voxels beyond the rays": (
+        "[grid]\nvoxel_m = 90.0\ntruncation_m = 90.0",
+        "voxel_m = 90.0: expected at most the",
+    ),
+    "a world as wide as a country": (
+        "[world]\nsize_m = [1e6, 1e6, 10]\ndensity = [0, 0]",
+        "size_m = [1000000.0, 10",
+    ),
+    "too dense": (
+        "[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2",
+        "lower world.density = (4.0, 4.0)",
+    ),
 }
 
 
 @pytest.mark.parametrize("what", BAD_RECIPES)
-def test_a_bad_recipe_ends_in_one_line(what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bad_recipe_ends_in_one_line(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text, named = BAD_RECIPES[what]
     (tmp_path / "r.toml").write_text(text)
-    words = ("--kind", "pillar", "--recipe", tmp_path / "r.toml", "--n", 5, "--out", tmp_path / "d", "--quiet")
+    words = (
+        "--kind",
+        "pillar",
+        "--recipe",
+        tmp_path / "r.toml",
+        "--n",
+        5,
+        "--out",
+        tmp_path / "d",
+        "--quiet",
+    )
     code, said, error = run(capsys, "generate", *words)
     assert code == 1
     assert named in error
@@ -83,9 +131,17 @@ def test_a_bad_recipe_ends_in_one_line(what: str, tmp_path: Path, capsys: pytest
     assert said == ""
 
 
-def test_a_recipe_that_is_no_file_ends_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recipe_that_is_no_file_ends_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     os.mkfifo(tmp_path / "pipe.toml")
-    for path, named in (("pipe.toml", "not a regular file"), ("", "not a regular file"), ("gone.toml", "no such file")):
-        code, said, error = run(capsys, "generate", "--recipe", tmp_path / path, "--out", tmp_path / "d", "--quiet")
+    for path, named in (
+        ("pipe.toml", "not a regular file"),
+        ("", "not a regular file"),
+        ("gone.toml", "no such file"),
+    ):
+        code, said, error = run(
+            capsys, "generate", "--recipe", tmp_path / path, "--out", tmp_path / "d", "--quiet"
+        )
         assert (code, said, error.count("\n")) == (1, "", 1)
         assert named in error

@@ -19,15 +19,29 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.usefixtures("verified")
-def test_a_rehearsal_lists_what_would_go(here: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, said, _ = run(capsys, "publish", made, "--repo", "ada/pillars", "--dry-run", "--workers", 1)
+def test_a_rehearsal_lists_what_would_go(
+    here: Path, made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, said, _ = run(
+        capsys, "publish", made, "--repo", "ada/pillars", "--dry-run", "--workers", 1
+    )
     assert code == 0
-    for name in ("train-00003.worlds.zip", "README.md", "croissant.json", "SHA256SUMS", "hf://ada/pillars@v1-"):
+    for name in (
+        "train-00003.worlds.zip",
+        "README.md",
+        "croissant.json",
+        "SHA256SUMS",
+        "hf://ada/pillars@v1-",
+    ):
         assert name in said
-    code, said, _ = run(capsys, "publish", made, "--repo", "ada/pillars", "--dry-run", "--json", "--tag", "v7")
+    code, said, _ = run(
+        capsys, "publish", made, "--repo", "ada/pillars", "--dry-run", "--json", "--tag", "v7"
+    )
     found = json.loads(said)
     assert (found["tag"], found["commit"], found["folder"]) == ("v7", None, "publish/pillars")
-    assert {name: (here / "publish/pillars" / name).stat().st_size for name in found["files"]} == found["files"]
+    assert {
+        name: (here / "publish/pillars" / name).stat().st_size for name in found["files"]
+    } == found["files"]
 
 
 @pytest.mark.usefixtures("verified")
@@ -49,10 +63,15 @@ def test_published_and_read_back_by_name(
     assert code == 0
     assert said.startswith("<mujoco")
     measured: list[Path] = []
-    monkeypatch.setattr("scenegen.model.commands.bench.run_bench", lambda folders, **options: measured.extend(folders))
+    monkeypatch.setattr(
+        "scenegen.model.commands.bench.run_bench",
+        lambda folders, **options: measured.extend(folders),
+    )
     code, _, _ = run(capfd, "bench", "hf://ada/pillars@v1", made, "--quiet")
     assert code == 0
-    assert [Dataset(folder).manifest.digest for folder in measured] == [Dataset(made).manifest.digest] * 2
+    assert [Dataset(folder).manifest.digest for folder in measured] == [
+        Dataset(made).manifest.digest
+    ] * 2
     assert measured[1] == made
 
 
@@ -70,8 +89,16 @@ def test_bad_use_ends_in_one_line(
         (("publish", made, "--repo", "pillars"), 1, "expected user/name"),
         (("publish", made, "--repo", "ada/pillars"), 1, "no token for the Hub"),
         (("publish", here, "--repo", "ada/pillars", "--dry-run"), 1, "not a dataset"),
-        (("publish", made, "--repo", "ada/pillars", "--dry-run", "--licence", "mine"), 1, "CC-BY-4.0"),
-        (("publish", made, "--repo", "ada/pillars", "--dry-run", "--out", made), 1, "overlaps the dataset"),
+        (
+            ("publish", made, "--repo", "ada/pillars", "--dry-run", "--licence", "mine"),
+            1,
+            "CC-BY-4.0",
+        ),
+        (
+            ("publish", made, "--repo", "ada/pillars", "--dry-run", "--out", made),
+            1,
+            "overlaps the dataset",
+        ),
         (("inspect", "ada/pillars"), 1, "ada/pillars: not a dataset"),
         (("inspect", "hf://pillars"), 1, "expected hf://user/name"),
         (("inspect", "hf://ada/pillars"), 1, "hf://ada/pillars: RepositoryNotFoundError"),

@@ -14,7 +14,18 @@ from tests.command_line import ROOT
 
 def start(small: Path, out: Path) -> subprocess.Popen[str]:
     """A run with workers that lasts until it is stopped, well under way."""
-    command = [sys.executable, "-m", "cli", "generate", "--recipe", str(small), "--n", "200000", "--out", str(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "cli",
+        "generate",
+        "--recipe",
+        str(small),
+        "--n",
+        "200000",
+        "--out",
+        str(out),
+    ]
     process = subprocess.Popen(
         [*command, "--workers", "2", "--shard-samples", "30"],
         cwd=ROOT,
@@ -46,7 +57,9 @@ def descendants(pid: int) -> list[int]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_stopped_run_leaves_no_process_and_whole_files(number: int, small: Path, tmp_path: Path) -> None:
+def test_a_stopped_run_leaves_no_process_and_whole_files(
+    number: int, small: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "d"
     process = start(small, out)
     assert len(descendants(process.pid)) >= 2

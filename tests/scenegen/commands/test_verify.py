@@ -19,8 +19,9 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(
     folder = forge.make(tmp_path / "d", counts={"train": 3, "val": 0, "test": 0})
     code, said, complaint = run(capsys, "verify", folder, "--workers", 1)
     assert code == 0
-    assert [line.split()[1] for line in said.splitlines() if line][:-1] == ["ok"] * 17
+    assert [line.split()[1] for line in said.splitlines() if line][:-2] == ["ok"] * 17
     assert "3 samples in" in said
+    assert "all 17 checks passed" in said
     assert "scenegen:" not in complaint
     code, said, _ = run(capsys, "verify", folder, "--quick", "--json")
     report = json.loads(said)
@@ -31,8 +32,12 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(
     assert complaint == "scenegen: verify: 3 of 10 checks failed: checksums, layout, digest\n"
     code, said, complaint = run(capsys, "verify", folder, "--json", "--quick")
     assert (code, json.loads(said)["failed"]) == (1, ["checksums", "layout", "digest"])
-    left = {check["name"]: check["detail"] for check in json.loads(said)["checks"] if check["skipped"]}
-    assert left == dict.fromkeys(["names", "centred", "laws"], "nothing that could be examined: see what failed")
+    left = {
+        check["name"]: check["detail"] for check in json.loads(said)["checks"] if check["skipped"]
+    }
+    assert left == dict.fromkeys(
+        ["names", "centred", "laws"], "nothing that could be examined: see what failed"
+    )
     code, said, complaint = run(capsys, "verify", tmp_path / "nowhere")
     assert (code, said) == (1, "")
     assert "not a dataset, there is no such folder" in complaint
@@ -43,7 +48,9 @@ def test_a_stop_leaves_no_process_behind(tmp_path: Path) -> None:
     script = "import time, scenegen.verify.folder as f\nf.examine = lambda task: time.sleep(60)\n"
     script += "from scenegen.__main__ import main; main()"
     running = subprocess.Popen(
-        [sys.executable, "-c", script, "verify", str(folder), "--workers", "2"], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", script, "verify", str(folder), "--workers", "2"],
+        stderr=subprocess.PIPE,
+        text=True,
     )
     deadline = time.monotonic() + 30
     children = Path(f"/proc/{running.pid}/task/{running.pid}/children")

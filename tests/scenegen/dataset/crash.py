@@ -1,7 +1,9 @@
-"""Kill a run between any two of its file operations, give the same command again, and look at what came out.
+"""Kill a run between any two of its file operations, give the same command again, and look at what
+came out.
 
-Run as a script, in a process of its own without threads, since every run is forked: `python crash.py FOLDER`. Prints
-one JSON object: the digest of an undisturbed run, and for every place of the kill the digest after going on.
+Run as a script, in a process of its own without threads, since every run is forked: `python
+crash.py FOLDER`. Prints one JSON object: the digest of an undisturbed run, and for every place of
+the kill the digest after going on.
 """
 
 import builtins
@@ -26,11 +28,14 @@ SEED = 6
 
 def plan_at(folder: Path) -> Plan:
     recipe = picky_recipe()
-    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=SEED, counts=COUNTS, shard_samples=12)
+    return plan_dataset(
+        folder, recipe, DrawnWorlds(recipe), seed=SEED, counts=COUNTS, shard_samples=12
+    )
 
 
 class Killer:
-    """Counts file operations, and kills the process before the one numbered `at`; every write is two operations."""
+    """Counts file operations, and kills the process before the one numbered `at`; every write is
+    two operations."""
 
     def __init__(self, at: int):
         self.at = at
@@ -80,7 +85,8 @@ class HalvingFile:
 
 
 def run_killed(folder: Path, at: int) -> int | None:
-    """Build in a forked process, killed before its operation `at`. None if killed, else the count."""
+    """Build in a forked process, killed before its operation `at`. None if killed, else the
+    count."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
@@ -103,7 +109,8 @@ def run_killed(folder: Path, at: int) -> int | None:
 
 
 def remember_draws() -> None:
-    """Draw every unit once for all runs: what a flight gives depends on its arguments alone, which others test."""
+    """Draw every unit once for all runs: what a flight gives depends on its arguments alone, which
+    others test."""
     draw, drawn = shard.draw_unit, {}
 
     def remembered(*given: Any, split: str, unit: int, **more: Any) -> Any:
@@ -121,7 +128,9 @@ def main(root: Path) -> None:
     result: dict[str, Any] = {
         "digest": whole.digest,
         "manifest": manifest.read(root / "whole"),
-        "every_shard_rejects": all(sum(r.worlds.values()) and sum(r.viewpoints.values()) for r in rejected),
+        "every_shard_rejects": all(
+            sum(r.worlds.values()) and sum(r.viewpoints.values()) for r in rejected
+        ),
         "kills": [],
     }
     at = 1
@@ -130,7 +139,9 @@ def main(root: Path) -> None:
         if run_killed(folder, at) is not None:
             break
         halfway = sorted(path.name for path in folder.glob("[!.]*")) if folder.exists() else []
-        whole_files = all(not (folder / name).name.endswith(".h5") or readable(folder / name) for name in halfway)
+        whole_files = all(
+            not (folder / name).name.endswith(".h5") or readable(folder / name) for name in halfway
+        )
         resumed = build(plan_at(folder))
         left = sorted(path.name for path in folder.iterdir() if path.name.startswith("."))
         result["kills"].append(

@@ -1,4 +1,5 @@
-"""Archives of worlds are read by the numbers in their members' names, however many worlds there are."""
+"""Archives of worlds are read by the numbers in their members' names, however many worlds there
+are."""
 
 import zipfile
 from pathlib import Path
@@ -18,7 +19,9 @@ def test_a_world_is_found_by_its_number(tmp_path: Path, number: int) -> None:
         assert members.world(f"{number:06d}.xml") == (b"<mujoco/>", {})
 
 
-@pytest.mark.parametrize("name", ["17.xml", "0000017.xml", "1234567890.xml", "00001a.xml", "٠٠٠٠١٧.xml"])
+@pytest.mark.parametrize(
+    "name", ["17.xml", "0000017.xml", "1234567890.xml", "00001a.xml", "٠٠٠٠١٧.xml"]
+)
 def test_a_number_is_written_in_one_way(tmp_path: Path, name: str) -> None:
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr(name, "<mujoco/>")

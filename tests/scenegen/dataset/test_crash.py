@@ -1,4 +1,5 @@
-"""A run killed at any point leaves nothing half-written, and the same command finishes the same dataset."""
+"""A run killed at any point leaves nothing half-written, and the same command finishes the same
+dataset."""
 
 import json
 import subprocess
@@ -23,5 +24,9 @@ def test_a_kill_between_any_two_file_operations_changes_nothing(tmp_path: Path) 
     kills = found["kills"]
     assert len(kills) >= 36, "six files, at least six operations each"
     assert {kill["digest"] for kill in kills} == {found["digest"]}
-    assert all(kill["same_manifest"] and kill["whole_files"] and kill["left"] == [] for kill in kills)
-    assert len({kill["written"] for kill in kills}) == 3, "kills fell before, between and after the two shards"
+    assert all(
+        kill["same_manifest"] and kill["whole_files"] and kill["left"] == [] for kill in kills
+    )
+    assert len({kill["written"] for kill in kills}) == 3, (
+        "kills fell before, between and after the two shards"
+    )

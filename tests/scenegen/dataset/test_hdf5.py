@@ -1,4 +1,5 @@
-"""The walker finds what the HDF5 library finds, and on bytes that no library should see it ends in one line."""
+"""The walker finds what the HDF5 library finds, and on bytes that no library should see it ends in
+one line."""
 
 import functools
 import multiprocessing
@@ -23,14 +24,17 @@ from tests.conftest import small_recipe
 
 
 def by_library(path: Path) -> dict[str, Any]:
-    """What h5py says of every dataset: type, shape, chunk, filters, and its chunks in the order of rows."""
+    """What h5py says of every dataset: type, shape, chunk, filters, and its chunks in the order of
+    rows."""
     found = {}
     with h5py.File(path) as file:
         for name, dataset in file.items():
             plan, chunks = dataset.id.get_create_plist(), []
             dataset.id.chunk_iter(chunks.append)
             filters = tuple(plan.get_filter(n)[0] for n in range(plan.get_nfilters()))
-            places = sorted((c.chunk_offset[0], c.byte_offset, c.size, c.filter_mask) for c in chunks)
+            places = sorted(
+                (c.chunk_offset[0], c.byte_offset, c.size, c.filter_mask) for c in chunks
+            )
             found[name] = (dataset.dtype, dataset.shape, dataset.chunks, filters, places)
         return {"": dict(file.attrs), **found}
 
@@ -41,7 +45,13 @@ def by_walk(path: Path, most: int = 10**6, *, foreign: bool = False) -> dict[str
     found: dict[str, Any] = {"": dict(index.attributes)}
     for name, it in index.objects.items():
         assert isinstance(it, Stored)
-        found[name] = (it.dtype, it.shape, it.chunk, it.filters, sorted(map(tuple, it.places.tolist())))
+        found[name] = (
+            it.dtype,
+            it.shape,
+            it.chunk,
+            it.filters,
+            sorted(map(tuple, it.places.tolist())),
+        )
     return found
 
 
@@ -52,10 +62,14 @@ def test_indexes_of_any_depth_are_those_of_the_library(tmp_path: Path, count: in
     with h5py.File(path, "w") as file:
         for n, dtype in enumerate(("bool", "<f4", "<f8", "<i8", "u1")):
             shape = [(), (3,), (2, 3), (2, 1, 3)][n % 4]
-            packed = {"compression": "gzip", "shuffle": n % 2 == 0, "fletcher32": n == 3} if n else {}
+            packed = (
+                {"compression": "gzip", "shuffle": n % 2 == 0, "fletcher32": n == 3} if n else {}
+            )
             values = rng.integers(0, 2, (count, *shape)).astype(dtype)
             file.create_dataset(f"column {n}", data=values, chunks=(1, *shape), **packed)
-        file.attrs.update({"text": "ä" * count, "number": -count, "bytes": np.bytes_(b"plain"), "empty": ""})
+        file.attrs.update(
+            {"text": "ä" * count, "number": -count, "bytes": np.bytes_(b"plain"), "empty": ""}
+        )
     expected = by_library(path)
     expected[""]["bytes"] = "plain"
     assert by_walk(path) == expected
@@ -89,16 +103,21 @@ def layout() -> Layout:
 def read_all(path: Path) -> dict[str, np.ndarray]:
     with open(path, "rb") as file:
         shard = open_shard(file, path, 3, layout())
-        return {name: np.stack([shard.value(name, row) for row in range(3)]) for name in shard.columns}
+        return {
+            name: np.stack([shard.value(name, row) for row in range(3)]) for name in shard.columns
+        }
 
 
 def same(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> bool:
     return set(found) == set(expected) and all(
-        found[name].dtype == expected[name].dtype and np.array_equal(found[name], expected[name]) for name in expected
+        found[name].dtype == expected[name].dtype and np.array_equal(found[name], expected[name])
+        for name in expected
     )
 
 
-def test_values_are_the_librarys_whoever_wrote_them_and_whoever_reads(made: Path, tmp_path: Path) -> None:
+def test_values_are_the_librarys_whoever_wrote_them_and_whoever_reads(
+    made: Path, tmp_path: Path
+) -> None:
     path, repacked = made / "train-00000.h5", tmp_path / "repacked.h5"
     expected = shard_arrays(path)
     assert same(read_all(path), expected)
@@ -136,8 +155,11 @@ TELLING = [
 ]
 
 
-def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(made: Path, tmp_path: Path) -> None:
-    """Deflate notices what is changed in a packed sample; a pose is not packed, but stays a pose in form."""
+def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(
+    made: Path, tmp_path: Path
+) -> None:
+    """Deflate notices what is changed in a packed sample; a pose is not packed, but stays a pose in
+    form."""
     path, target = made / "train-00000.h5", tmp_path / "train-00000.h5"
     whole, expected, rng = path.read_bytes(), shard_arrays(path), np.random.default_rng(7)
     structure = places_of_structure(whole, path)
@@ -152,7 +174,9 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(made: Path, t
             if n % 5 == 0 and len(TELLING[0]) == len(put):  # a pointer to somewhere in the file
                 put = struct.pack("<Q", int(rng.choice(structure)))
             content[at : at + len(put)] = put
-        target.write_bytes(content[: len(whole)] if n % 11 else content[: int(rng.integers(len(whole)))])
+        target.write_bytes(
+            content[: len(whole)] if n % 11 else content[: int(rng.integers(len(whole)))]
+        )
         if n % 7 == 0:  # tracing takes most of the time
             tracemalloc.start()
         try:
@@ -171,7 +195,8 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(made: Path, t
 
 
 def test_no_pointer_is_followed_in_a_circle(made: Path, tmp_path: Path) -> None:
-    """A node of the index that names itself, a header that goes on in itself, an index of more than there can be."""
+    """A node of the index that names itself, a header that goes on in itself, an index of more than
+    there can be."""
     path = made / "train-00000.h5"
     whole = path.read_bytes()
     node = whole.index(b"TREE\1")
@@ -180,10 +205,15 @@ def test_no_pointer_is_followed_in_a_circle(made: Path, tmp_path: Path) -> None:
     itself[node + 5] = 1  # a level up
     struct.pack_into("<Q", itself, node + 24 + 8 + 8 * (rank + 1), node)
     going_on = bytearray(whole)
-    struct.pack_into("<QQ", going_on, 96 + 16 + 8, 96 + 16, 200)  # the root's header begins with a continuation
+    struct.pack_into(
+        "<QQ", going_on, 96 + 16 + 8, 96 + 16, 200
+    )  # the root's header begins with a continuation
     for content in (itself, going_on):
         (tmp_path / "x.h5").write_bytes(content)
-        with open(tmp_path / "x.h5", "rb") as file, pytest.raises(Hdf5Error, match="two pointers lead to byte"):
+        with (
+            open(tmp_path / "x.h5", "rb") as file,
+            pytest.raises(Hdf5Error, match="two pointers lead to byte"),
+        ):
             walk(file.fileno(), 10)
     with open(path, "rb") as file, pytest.raises(Hdf5Error, match="more than 2"):
         walk(file.fileno(), 2)
@@ -207,7 +237,9 @@ def test_structures_that_overlap_are_not_read_over_and_over(made: Path, tmp_path
     root, first, blocks, length = 96, 136, 60, 1 << 16
     content += struct.pack("<BxHIIIHHBxxxQQ", 1, 1, 1, 24, 0, 0x10, 16, 0, first, length)
     for n in reversed(range(blocks)):  # to the next block, and past the others' beginnings
-        content += struct.pack("<HHBxxxQQHHBxxx", 0x10, 16, 0, first + 32 * (blocks - n), length, 0, 32 * n, 0)
+        content += struct.pack(
+            "<HHBxxxQQHHBxxx", 0x10, 16, 0, first + 32 * (blocks - n), length, 0, 32 * n, 0
+        )
     content += bytes(length)
     struct.pack_into("<Q", content, 40, len(content))
     struct.pack_into("<Q", content, 64, root)
@@ -225,5 +257,7 @@ def test_a_library_that_hangs_or_swells_does_so_elsewhere(
         file["x"] = 1
     monkeypatch.setattr("scenegen.dataset.foreign._index", does)
     monkeypatch.setattr("scenegen.dataset.foreign.SECONDS", 5.0 if does is swell else 0.5)
-    with pytest.raises(Hdf5Error, match=rf"its superblock has version \d, and the HDF5 library .*{said}"):
+    with pytest.raises(
+        Hdf5Error, match=rf"its superblock has version \d, and the HDF5 library .*{said}"
+    ):
         by_walk(path, foreign=True)

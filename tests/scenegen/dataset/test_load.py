@@ -1,4 +1,5 @@
-"""Reading from Python: lazily, with names, shapes and units, in any number of processes and threads."""
+"""Reading from Python: lazily, with names, shapes and units, in any number of processes and
+threads."""
 
 import copy
 import dataclasses
@@ -27,7 +28,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("load") / "pillar"
     recipe = small_recipe()
     counts = {"train": 12, "val": 3, "test": 0}
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=1, counts=counts, shard_samples=3), workers=1)
+    build(
+        plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=1, counts=counts, shard_samples=3),
+        workers=1,
+    )
     return folder
 
 
@@ -35,7 +39,9 @@ def digest(task: tuple[Split, int]) -> str:
     """All of a sample's fields, in whatever process this runs."""
     split, index = task
     sample = split[index]
-    return hashlib.sha256(b"".join(np.asarray(getattr(sample, name)).tobytes() for name in SCHEMA)).hexdigest()
+    return hashlib.sha256(
+        b"".join(np.asarray(getattr(sample, name)).tobytes() for name in SCHEMA)
+    ).hexdigest()
 
 
 def test_samples_come_lazily_and_described(folder: Path) -> None:
@@ -60,7 +66,9 @@ def test_samples_come_lazily_and_described(folder: Path) -> None:
         scenegen.load(folder, split="training")
 
 
-def test_a_field_accessed_is_a_field_read_and_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_field_accessed_is_a_field_read_and_read_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     read: list[str] = []
     original = ShardFile.value
 
@@ -74,13 +82,19 @@ def test_a_field_accessed_is_a_field_read_and_read_once(folder: Path, monkeypatc
     assert sample.occupancy is sample.occupancy
     assert sample.ranges.shape == (8, 24)
     assert read == ["occupancy", "ranges"]
-    with pytest.raises(AttributeError, match="a sample has no field 'colour'; it has observed, free"):
+    with pytest.raises(
+        AttributeError, match="a sample has no field 'colour'; it has observed, free"
+    ):
         sample.colour  # type: ignore[attr-defined]  # noqa: B018
 
 
 def test_a_copy_of_a_sample_is_plain_and_whole(folder: Path) -> None:
     sample = scenegen.load(folder)[5]
-    for other in (pickle.loads(pickle.dumps(sample)), copy.copy(sample), dataclasses.replace(sample, world=0)):
+    for other in (
+        pickle.loads(pickle.dumps(sample)),
+        copy.copy(sample),
+        dataclasses.replace(sample, world=0),
+    ):
         assert isinstance(sample, Sample)
         assert set(SCHEMA) == set(vars(other))
         assert np.array_equal(other.tudf, sample.tudf)
@@ -88,11 +102,15 @@ def test_a_copy_of_a_sample_is_plain_and_whole(folder: Path) -> None:
     assert copy.copy(sample).sha256() == sample.sha256()
 
 
-def test_any_number_of_samples_keeps_few_files_open(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_number_of_samples_keeps_few_files_open(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("scenegen.dataset.read.MOST_OPEN", 2)
     split = scenegen.load(folder)
     samples = split[:]
-    assert [sample.viewpoint for sample in samples] == [viewpoint for _, _, viewpoint in split.names]
+    assert [sample.viewpoint for sample in samples] == [
+        viewpoint for _, _, viewpoint in split.names
+    ]
     assert len(split._open) == 2
 
 
@@ -106,12 +124,16 @@ def test_many_processes_read_what_one_reads(folder: Path, method: str) -> None:
     assert [digest((split, index)) for index in range(12)] == expected
 
 
-def test_many_threads_and_few_open_files_read_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_threads_and_few_open_files_read_the_same(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("scenegen.dataset.read.MOST_OPEN", 2)
     split = scenegen.load(folder)
     expected = [digest((split, index)) for index in range(12)]
     assert len(split._open) == 2
     order = [int(index) for index in np.random.default_rng(0).integers(0, 12, 200)]
     with ThreadPoolExecutor(8) as pool:
-        assert list(pool.map(digest, [(split, index) for index in order])) == [expected[index] for index in order]
+        assert list(pool.map(digest, [(split, index) for index in order])) == [
+            expected[index] for index in order
+        ]
     assert len(split._open) == 2

@@ -1,4 +1,5 @@
-"""Where datasets are: paths stay paths, the Hub is asked by name alone, and what it sends is checked."""
+"""Where datasets are: paths stay paths, the Hub is asked by name alone, and what it sends is
+checked."""
 
 import json
 import socket
@@ -20,7 +21,9 @@ from tests.scenegen.hub import TOKEN, Hub, Repository
 NAME = "hf://ada/small-pillars"
 
 
-@pytest.mark.parametrize("path", ["ada/pillar", "data/pillar", "hf/ada", "hf:/ada/pillar", "./hf:", "", "HF://a/b"])
+@pytest.mark.parametrize(
+    "path", ["ada/pillar", "data/pillar", "hf/ada", "hf:/ada/pillar", "./hf:", "", "HF://a/b"]
+)
 def test_a_path_stays_a_path(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def connect(*args: object) -> None:
         raise AssertionError("a connection")
@@ -31,7 +34,8 @@ def test_a_path_stays_a_path(path: str, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize(
-    "name", ["hf://", "hf://ada", "hf://a/b/c", "hf://a/b@", "hf://../b", "hf://a/b@../c", "hf://a/ b"]
+    "name",
+    ["hf://", "hf://ada", "hf://a/b/c", "hf://a/b@", "hf://../b", "hf://a/b@../c", "hf://a/ b"],
 )
 def test_a_name_that_cannot_be_is_refused(name: str) -> None:
     with pytest.raises(DatasetError, match="expected hf://user/name"):
@@ -57,7 +61,9 @@ def test_what_was_published_is_read_back_by_revision(
         "dataset.json",
         *(name for shard in split.dataset.manifest.shards for name in (shard.file, shard.worlds)),
     }
-    with pytest.raises(DatasetError, match=r"small-pillars: not a scenegen dataset, it has no dataset.json"):
+    with pytest.raises(
+        DatasetError, match=r"small-pillars: not a scenegen dataset, it has no dataset.json"
+    ):
         locate(NAME)
     with pytest.raises(DatasetError, match="v9"):
         locate(f"{NAME}@v9")
@@ -94,16 +100,25 @@ def test_damage_and_strangers_files_are_refused(
 
     def offered(**changed: bytes) -> str:
         hub.repositories["eve/x"] = repository = Repository()
-        repository.commit(files | {name.replace("__", "."): content for name, content in changed.items()})
+        repository.commit(
+            files | {name.replace("__", "."): content for name, content in changed.items()}
+        )
         return "hf://eve/x"
 
-    with pytest.raises(DatasetError, match=r"train-00001.h5 is not the file that dataset.json lists"):
+    with pytest.raises(
+        DatasetError, match=r"train-00001.h5 is not the file that dataset.json lists"
+    ):
         locate(offered(**{"train-00001.h5": b"something else"}))
     for name in ("../../../up.h5", "/etc/passwd", "*", "train-00000.h5\n"):
         shards = [{**found["shards"][0], "file": name}]
         with pytest.raises(DatasetError, match=r"dataset.json is damaged: shards.0.file"):
             locate(offered(dataset__json=json.dumps({**found, "shards": shards}).encode()))
-    for content in (b"[]", b"{}", b"not json", b'{"format": "scenegen-dataset", "version": 1, "shards": 3}'):
+    for content in (
+        b"[]",
+        b"{}",
+        b"not json",
+        b'{"format": "scenegen-dataset", "version": 1, "shards": 3}',
+    ):
         with pytest.raises(DatasetError, match=r"dataset.json"):
             locate(offered(dataset__json=content))
     assert not (tmp_path / "up.h5").exists()
@@ -125,7 +140,9 @@ def test_a_manifest_of_gigabytes_is_not_even_downloaded(
     assert not [line for line in hub.log if "/resolve/" in line]
 
 
-@pytest.mark.parametrize("token", [TOKEN, "hf_" + "Ab1" * 11, "hf_jwt_eyJhbGciOi.eyJzdWIi.c2ln", "an-older-form"])
+@pytest.mark.parametrize(
+    "token", [TOKEN, "hf_" + "Ab1" * 11, "hf_jwt_eyJhbGciOi.eyJzdWIi.c2ln", "an-older-form"]
+)
 def test_no_token_is_ever_told(token: str, hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not even where a server repeats it; nor does what it says reach a terminal raw."""
     import huggingface_hub

@@ -1,4 +1,5 @@
-"""A sensor in a dataset: a raster by its parameters, any other by its rays; and a stranger's word on either."""
+"""A sensor in a dataset: a raster by its parameters, any other by its rays; and a stranger's word
+on either."""
 
 import dataclasses
 import io
@@ -36,7 +37,10 @@ def table() -> BeamTable:
 
 def build_with(folder: Path, lidar: Any, engine: str = "mujoco", *, force: bool = False) -> Dataset:
     recipe = dataclasses.replace(small_recipe(), lidar=lidar)
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, engine=engine), force=force)
+    build(
+        plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, engine=engine),
+        force=force,
+    )
     return Dataset(folder)
 
 
@@ -44,7 +48,10 @@ def build_with(folder: Path, lidar: Any, engine: str = "mujoco", *, force: bool 
 def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit(kind: str) -> None:
     recipe = small_recipe(kind)
     other = dataclasses.replace(recipe, lidar=BeamTable.of(recipe.lidar))
-    one, two = (draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=2).samples for it in (recipe, other))
+    one, two = (
+        draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=2).samples
+        for it in (recipe, other)
+    )
     assert len(one) == 3
     assert [sample.sha256() for sample in one] == [sample.sha256() for sample in two]
     np.testing.assert_array_equal(one[0].free, two[0].free)
@@ -69,14 +76,20 @@ def test_a_table_is_kept_read_verified_and_replaced(tmp_path: Path, table: BeamT
     report = verify(tmp_path)
     assert report.ok, [check for check in report.checks if not check.ok]
     assert pickle.loads(pickle.dumps(dataset.lidar)) == table
-    assert build_with(tmp_path, Lidar(rows=8, columns=24), force=True).lidar == Lidar(rows=8, columns=24)
+    assert build_with(tmp_path, Lidar(rows=8, columns=24), force=True).lidar == Lidar(
+        rows=8, columns=24
+    )
     assert not (tmp_path / RAYS).exists()
 
 
-def test_a_table_that_was_lost_on_the_way_is_put_back_by_the_same_command(tmp_path: Path, table: BeamTable) -> None:
+def test_a_table_that_was_lost_on_the_way_is_put_back_by_the_same_command(
+    tmp_path: Path, table: BeamTable
+) -> None:
     build_with(tmp_path, table)
     (tmp_path / RAYS).unlink()
-    with pytest.raises(DatasetError, match=rf"^{tmp_path}.*/rays\.npy: is missing.*; copy the dataset again"):
+    with pytest.raises(
+        DatasetError, match=rf"^{tmp_path}.*/rays\.npy: is missing.*; copy the dataset again"
+    ):
         Dataset(tmp_path)
     assert build_with(tmp_path, table).lidar == table
 
@@ -97,7 +110,10 @@ def npy(values: np.ndarray) -> bytes:
 
 
 UNIT = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))
-HEADER = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999, 4), }".ljust(117)
+HEADER = (
+    b"\x93NUMPY\x01\x00v\x00"
+    + b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999, 4), }".ljust(117)
+)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +161,9 @@ def test_a_damaged_table_ends_in_one_line(tmp_path: Path, content: bytes, told: 
         ({"rows": 16}, "lidar: unknown parameter 'rows'"),
     ],
 )
-def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+def test_a_strangers_word_on_a_table_is_not_trusted(
+    tmp_path: Path, change: dict[str, Any], told: str
+) -> None:
     table = BeamTable(rays=UNIT)
     write_rays(table, tmp_path)
     assert sensor_of(entry_of(table), tmp_path) == table
@@ -155,7 +173,9 @@ def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path: Path, change: dict
     assert "\n" not in str(caught.value)
 
 
-def test_no_reader_imports_what_a_manifest_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_reader_imports_what_a_manifest_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "data"
     build_with(folder, Lidar(rows=8, columns=24))
     (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
@@ -188,7 +208,9 @@ def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
 
 
 @pytest.mark.parametrize("maker", ["analytic", "mujoco"])
-def test_another_engine_is_named_in_the_manifest_and_audited_by_one_that_is_not_it(tmp_path: Path, maker: str) -> None:
+def test_another_engine_is_named_in_the_manifest_and_audited_by_one_that_is_not_it(
+    tmp_path: Path, maker: str
+) -> None:
     dataset = build_with(tmp_path, Lidar(rows=8, columns=24), maker)
     assert dataset.manifest.engine == maker
     report = verify(tmp_path)

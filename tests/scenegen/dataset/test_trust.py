@@ -1,4 +1,5 @@
-"""Datasets from strangers: whatever stands in a manifest, a shard or an archive ends in one line, and soon."""
+"""Datasets from strangers: whatever stands in a manifest, a shard or an archive ends in one line,
+and soon."""
 
 import copy
 import dataclasses
@@ -25,8 +26,9 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.inspect import inspect
-from scenegen.sample import SCHEMA, Sample
+from scenegen.sample import SCHEMA, Sample, stored_fields
 from scenegen.source import DrawnWorlds
+from scenegen.verify import verify
 from tests.conftest import small_recipe
 
 BAD = (None, 3, -1, 1e308, 10**12, "x", "../x", [], [[1]], {}, {"a": 1}, True)
@@ -75,19 +77,38 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
         (("seed",), -1, "seed = -1: expected a whole number from 0 to 9223372036854775807"),
         (("seed",), 3.0, "seed = 3.0: expected a whole number"),
         (("complete",), 1, "complete = 1: expected true or false"),
-        (("counts", "val"), None, "counts.val = None: expected a whole number from 0 to 1000000000"),
+        (
+            ("counts", "val"),
+            None,
+            "counts.val = None: expected a whole number from 0 to 1000000000",
+        ),
         (("counts",), [11], "counts = [11]: expected a table"),
-        (("shards", 1, "samples"), ..., "shards.1.samples is missing: expected a whole number from 1 to 100000"),
+        (
+            ("shards", 1, "samples"),
+            ...,
+            "shards.1.samples is missing: expected a whole number from 1 to 100000",
+        ),
         (("shards", 0), "x", "shards.0 = 'x': expected a table"),
         (("shards", 0, "file"), "../x", "shards.0.file = '../x': expected such as train-00000.h5"),
         (("digest",), "abc", "digest = 'abc': expected a SHA-256, 64 hexadecimal digits, or null"),
-        (("grid", "shape"), [80, 80], "grid.shape = [80, 80]: expected three whole numbers from 1 to 8192"),
+        (
+            ("grid", "shape"),
+            [80, 80],
+            "grid.shape = [80, 80]: expected three whole numbers from 1 to 8192",
+        ),
         (("grid", "voxel"), 0, "grid.voxel = 0: expected a finite number from 0.001 to 1000"),
         (("grid", "truncation"), ..., "grid.truncation is missing: expected a value"),
         (("grid", "hollow"), 1, "grid.hollow = 1: expected true or false"),
-        (("lidar", "rows"), "many", "lidar.rows = 'many': expected a whole number from 1 to 1000000"),
-        (("lidar", "colour"), 1, "lidar: unknown parameter 'colour': expected rows, columns, "),
-        (("fields",), ["observed"], "fields = ['observed']: expected all, or all but the derived ones"),
+        (
+            ("lidar", "rows"),
+            "many",
+            "lidar.rows = 'many': expected a whole number from 1 to 1000000",
+        ),
+        (
+            ("fields",),
+            ["observed"],
+            "fields = ['observed']: expected all, or all but the derived ones",
+        ),
         (("recipe", "world"), 3, "recipe.world = 3: expected a table, or null"),
         (("rejected", "worlds"), {"x": "y"}, "expected a table, each value a whole number from 0"),
         (("software",), {"numpy": 2}, "software = {'numpy': 2}: expected a table, each value text"),
@@ -107,12 +128,82 @@ def test_what_is_wrong_in_a_manifest_is_said_in_our_words(
     assert said in line
 
 
+@pytest.mark.parametrize(
+    ("at", "value", "said"),
+    [
+        (("version",), 1.5, "1.5"),
+        (("version",), "1.10", "1.10"),
+        (("version",), 2, "2"),
+        (("fields",), [*stored_fields(False), "intensity"], "intensity"),
+        (("grid", "colour"), 1, "colour"),
+        (("lidar", "colour"), 1, "lidar: unknown parameter 'colour': expected rows, columns, "),
+        (("software", "scenegen"), "99.1.0", "counts = 7"),
+    ],
+)
+def test_what_a_newer_scenegen_wrote_is_not_called_damaged(
+    dataset: Path, at: tuple[Any, ...], value: Any, said: str
+) -> None:
+    found = manifest.read(dataset)
+    _at(found, at[:-1])[at[-1]] = value
+    if "software" in at:
+        found["counts"] = 7  # which means something there, for all that is known here
+    manifest.write(dataset, found)
+    line = refused(lambda: Dataset(dataset))
+    assert "newer scenegen" in line
+    assert "damaged" not in line
+    assert said in line
+    assert not verified(dataset)
+
+
+def verified(dataset: Path) -> bool:
+    try:
+        return verify(dataset, quick=True).ok
+    except DatasetError:
+        return False
+
+
+@pytest.mark.parametrize(
+    "version", [1.1, "1.1", "1.4", "1", "1.x", "one", None, -1, [1, 4], "1.5.6", "9" * 9999]
+)
+def test_a_version_that_nobody_wrote_is_not_called_newer(dataset: Path, version: Any) -> None:
+    manifest.write(dataset, manifest.read(dataset) | {"version": version})
+    line = refused(lambda: Dataset(dataset))
+    assert "newer" not in line
+    assert "version" in line
+
+
+def test_versions_are_pairs_of_whole_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    later = {**manifest.MINOR, "1.9": ("a",), "1.10": ("b",)}
+    monkeypatch.setattr(manifest, "MINOR", later)
+    assert [manifest.version_of({name: 1}) for name in ("", "noise", "sources", "a", "b")] == [
+        1,
+        1.2,
+        1.4,
+        "1.9",
+        "1.10",
+    ]
+    assert manifest.version_of({"a": 1, "b": 1, "noise": 1}) == "1.10"
+
+
 def test_the_checked_manifest_is_what_the_file_says(dataset: Path) -> None:
     found, typed = manifest.read(dataset), Dataset(dataset).manifest
-    for name in ("kind", "seed", "counts", "complete", "digest", "rejected", "software", "generator", "shard_samples"):
+    for name in (
+        "kind",
+        "seed",
+        "counts",
+        "complete",
+        "digest",
+        "rejected",
+        "software",
+        "generator",
+        "shard_samples",
+    ):
         assert getattr(typed, name) == found[name], name
     assert [vars(entry) for entry in typed.shards] == found["shards"]
-    assert (typed.grid.voxel_m, typed.grid.truncation_m) == (found["grid"]["voxel"], found["grid"]["truncation"])
+    assert (typed.grid.voxel_m, typed.grid.truncation_m) == (
+        found["grid"]["voxel"],
+        found["grid"]["truncation"],
+    )
     assert typed.recipe == small_recipe()
     assert typed.fingerprint == manifest.fingerprint(typed.parameters)
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -125,7 +216,9 @@ def _at(found: Any, path: tuple[Any, ...]) -> Any:
     return found
 
 
-@pytest.mark.parametrize("content", [b"", b"[]", b"[" * 10**6, b"\xff\xfe", b'{"shards": 1}', b"{" + b" " * 10**6])
+@pytest.mark.parametrize(
+    "content", [b"", b"[]", b"[" * 10**6, b"\xff\xfe", b'{"shards": 1}', b"{" + b" " * 10**6]
+)
 def test_what_is_no_manifest_is_refused(dataset: Path, content: bytes) -> None:
     (dataset / manifest.NAME).write_bytes(content)
     assert manifest.NAME in refused(lambda: Dataset(dataset))
@@ -161,22 +254,34 @@ def _zeros(size: int) -> bytes:
         lambda file: _replace(file, "tudf", external=[("/etc/passwd", 0, 10**9)]),
         lambda file: (file.pop("tudf"), file.create_group("tudf")),
         lambda file: (file.pop("tudf"), file.__setitem__("tudf", h5py.SoftLink("/observed"))),
-        lambda file: (file.pop("tudf"), file.__setitem__("tudf", h5py.ExternalLink("/etc/passwd", "/tudf"))),
+        lambda file: (
+            file.pop("tudf"),
+            file.__setitem__("tudf", h5py.ExternalLink("/etc/passwd", "/tudf")),
+        ),
         lambda file: file["tudf"].id.write_direct_chunk((0, 0, 0, 0), b"not gzip at all"),
         lambda file: file["ranges"].id.write_direct_chunk((0, 0, 0), b"few", filter_mask=1),
         lambda file: file["tudf"].id.write_direct_chunk((0, 0, 0, 0), b"few", filter_mask=2),
-        lambda file: _replace(file, "ranges", chunks=(1, 8, 24), compression="gzip"),  # of which nothing is stored
+        lambda file: _replace(
+            file, "ranges", chunks=(1, 8, 24), compression="gzip"
+        ),  # of which nothing is stored
         lambda file: _replace(file, "world", chunks=(1,)),
         lambda file: _replace(file, "position", dtype=">f8", chunks=(1, 3)),
         lambda file: _replace(file, "position", dtype="f2", chunks=(1, 3)),
         lambda file: _replace(file, "position", dtype="S8", chunks=(1, 3)),
         lambda file: _replace(file, "position", dtype=h5py.string_dtype(), chunks=(1, 3)),
-        lambda file: file["occupancy"].id.write_direct_chunk((0, 0, 0, 0), zlib.compress(b"\2" * 24 * 24 * 16)),
+        lambda file: file["occupancy"].id.write_direct_chunk(
+            (0, 0, 0, 0), zlib.compress(b"\2" * 24 * 24 * 16)
+        ),
         _bomb,
-        lambda file: (_replace(file, "tudf", chunks=(1, 24, 24, 16), compression="gzip", shuffle=True), _bomb(file)),
+        lambda file: (
+            _replace(file, "tudf", chunks=(1, 24, 24, 16), compression="gzip", shuffle=True),
+            _bomb(file),
+        ),
     ],
 )
-def test_no_shard_ends_in_a_traceback_or_takes_the_memory(dataset: Path, damage: Callable[[h5py.File], Any]) -> None:
+def test_no_shard_ends_in_a_traceback_or_takes_the_memory(
+    dataset: Path, damage: Callable[[h5py.File], Any]
+) -> None:
     with h5py.File(dataset / "train-00000.h5", "r+") as file:
         damage(file)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -230,10 +335,15 @@ def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(
     assert Dataset(dataset).world("train", 0) == {"world.xml": document, "mesh.obj": b"v"}
     monkeypatch.setattr("scenegen.dataset.archive.MOST_ARCHIVE_BYTES", 50 << 20)
     put({"000000.xml": document, **{f"{n}.obj": bytes(20 << 20) for n in range(3)}})
-    assert "bytes unpacked, expected 52428800 at most" in refused(lambda: Dataset(dataset).world("train", 0))
+    assert "bytes unpacked, expected 52428800 at most" in refused(
+        lambda: Dataset(dataset).world("train", 0)
+    )
     put({"000000.xml": document, "mesh.obj": bytes(40 << 20)})
     content = bytearray(path.read_bytes())
-    for place in (content.index(b"PK\3\4", 10) + 22, content.index(b"PK\1\2", content.index(b"PK\1\2") + 4) + 24):
+    for place in (
+        content.index(b"PK\3\4", 10) + 22,
+        content.index(b"PK\1\2", content.index(b"PK\1\2") + 4) + 24,
+    ):
         content[place : place + 4] = (1000).to_bytes(4, "little")  # says 1000 bytes, holds 40 MB
     path.write_bytes(content)
     opened = Dataset(dataset)
@@ -266,12 +376,18 @@ def test_a_shard_belongs_to_the_manifest_that_it_was_written_for(dataset: Path) 
 def test_shards_are_as_many_as_the_counts_say_and_none_is_there_twice(dataset: Path) -> None:
     shards = manifest.read(dataset)["shards"]
     edit(dataset, shards=shards[1:])
-    assert "counts.train = 11, but its shards hold 8 samples" in refused(lambda: scenegen.load(dataset))
+    assert "counts.train = 11, but its shards hold 8 samples" in refused(
+        lambda: scenegen.load(dataset)
+    )
     edit(dataset, shards=shards[:1] * 10_000, complete=False)
     begin = time.process_time()
     assert "'train-00000.h5' is listed 10000 times" in refused(lambda: inspect(dataset))
     assert time.process_time() - begin < 5
-    edit(dataset, shards=[{**shards[0], "samples": 10**5}], counts={"train": 10**5, "val": 0, "test": 0})
+    edit(
+        dataset,
+        shards=[{**shards[0], "samples": 10**5}],
+        counts={"train": 10**5, "val": 0, "test": 0},
+    )
     assert "train-00000.h5" in refused(lambda: inspect(dataset))
 
 
@@ -301,14 +417,23 @@ def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset: Path)
 
 @pytest.mark.parametrize(
     ("field", "value", "said"),
-    [("position", np.nan, "position = "), ("quaternion", 2.0, "quaternion has length"), ("origin", np.inf, "origin")],
+    [
+        ("position", np.nan, "position = "),
+        ("quaternion", 2.0, "quaternion has length"),
+        ("origin", np.inf, "origin"),
+    ],
 )
 def test_a_compact_dataset_derives_nothing_from_a_broken_pose(
     tmp_path: Path, field: str, value: float, said: str
 ) -> None:
     recipe = small_recipe()
     counts = {"train": 3, "val": 0, "test": 0}
-    build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=3, counts=counts, compact=True), workers=1)
+    build(
+        plan_dataset(
+            tmp_path / "d", recipe, DrawnWorlds(recipe), seed=3, counts=counts, compact=True
+        ),
+        workers=1,
+    )
     with h5py.File(tmp_path / "d" / "train-00000.h5", "r+") as file:
         file[field][1] = value
     samples = scenegen.load(tmp_path / "d")

@@ -1,4 +1,5 @@
-"""What a command gives wherever it is done: a dataset, a network, the commands, and what they leave."""
+"""What a command gives wherever it is done: a dataset, a network, the commands, and what they
+leave."""
 
 import json
 import shutil
@@ -20,7 +21,17 @@ from tests.conftest import small_recipe
 COUNTS = {"train": 6, "val": 4, "test": 7}
 SAMPLES = sum(COUNTS.values())
 COMPLETE = ("complete", "d", "--weights", "n.safetensors", "--batch", 2, "--device", "cpu")
-BENCH = ("bench", "d", "--quick", "--weights", "n.safetensors", "--method", "returns", "--method", "truth")
+BENCH = (
+    "bench",
+    "d",
+    "--quick",
+    "--weights",
+    "n.safetensors",
+    "--method",
+    "returns",
+    "--method",
+    "truth",
+)
 COMMANDS: tuple[tuple[object, ...], ...] = (
     ("verify", "d", "--json"),
     ("convert", "d", "--to", "npz"),
@@ -33,10 +44,16 @@ COMMANDS: tuple[tuple[object, ...], ...] = (
 def make(folder: Path) -> None:
     """`d`, a dataset of seven shards, and `n.safetensors`, a network for it."""
     recipe = small_recipe()
-    build(plan_dataset(folder / "d", recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3))
+    build(
+        plan_dataset(
+            folder / "d", recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3
+        )
+    )
     grid = Dataset(folder / "d").grid
     torch.manual_seed(0)
-    save_network(folder / "n.safetensors", Network(NetworkConfig(width=2, height=grid.shape[2])), grid, {})
+    save_network(
+        folder / "n.safetensors", Network(NetworkConfig(width=2, height=grid.shape[2])), grid, {}
+    )
 
 
 def stand(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,7 +66,11 @@ def stand(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def outcome(
-    capsys: pytest.CaptureFixture[str], here: Path, words: tuple[object, ...], out: str, *more: object
+    capsys: pytest.CaptureFixture[str],
+    here: Path,
+    words: tuple[object, ...],
+    out: str,
+    *more: object,
 ) -> dict[str, Any]:
     """What the command leaves at `out`, or says; without times, and without its own words."""
     writes = () if words[0] == "verify" else ("-o", out)

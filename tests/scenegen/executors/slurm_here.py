@@ -1,6 +1,7 @@
 """A real Slurm on this machine, of several nodes: for tests, and around a command.
 
-python -m tests.scenegen.executors.slurm_here COMMAND…     begins munged, slurmctld and slurmd, runs COMMAND, ends them
+python -m tests.scenegen.executors.slurm_here COMMAND…     begins munged, slurmctld and slurmd, runs
+COMMAND, ends them
     needs Debian's slurm-wlm and munge, and to be root
 """
 
@@ -39,9 +40,12 @@ JobCompType=jobcomp/none
 ReturnToService=2
 MpiDefault=none
 SchedulerParameters=sched_interval=1
+MaxArraySize=4
 PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
-NODE = "NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} State=UNKNOWN\n"
+NODE = (
+    "NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} State=UNKNOWN\n"
+)
 WAIT_S = 60
 
 
@@ -53,9 +57,12 @@ def free_port() -> int:
 
 @contextmanager
 def slurm(folder: Path, nodes: int = 1) -> Iterator[dict[str, int]]:
-    """A cluster of this machine's cores, `nodes` times; files lie in `folder`. The process number of every node's
-    daemon, by the node's name."""
-    for above in (folder, *folder.parents):  # munge refuses sockets in folders that others cannot reach
+    """A cluster of this machine's cores, `nodes` times; files lie in `folder`. The process number
+    of every node's daemon, by the node's name."""
+    for above in (
+        folder,
+        *folder.parents,
+    ):  # munge refuses sockets in folders that others cannot reach
         if above.stat().st_uid == 0 and above != Path("/"):
             above.chmod(above.stat().st_mode | 0o755)
     (folder / "state").mkdir()
@@ -70,7 +77,13 @@ def slurm(folder: Path, nodes: int = 1) -> Iterator[dict[str, int]]:
     (folder / "key").chmod(0o400)
     before = os.environ.get("SLURM_CONF")
     os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
-    flags = {"key-file": "key", "socket": "munge.socket", "log-file": "log", "pid-file": "pid", "seed-file": "seed"}
+    flags = {
+        "key-file": "key",
+        "socket": "munge.socket",
+        "log-file": "log",
+        "pid-file": "pid",
+        "seed-file": "seed",
+    }
     files = [f"--{flag}={folder}/{name}" for flag, name in flags.items()]
     daemons = [subprocess.Popen(["munged", "-F", "-f", *files])]
     try:
@@ -90,7 +103,9 @@ def slurm(folder: Path, nodes: int = 1) -> Iterator[dict[str, int]]:
 
 def _wait(folder: Path, nodes: int) -> None:
     for _ in range(WAIT_S):
-        told = subprocess.run(["sinfo", "-h", "-N", "-o", "%T"], capture_output=True, text=True, check=False)
+        told = subprocess.run(
+            ["sinfo", "-h", "-N", "-o", "%T"], capture_output=True, text=True, check=False
+        )
         if told.stdout.split() == ["idle"] * nodes:
             return
         time.sleep(1)

@@ -15,13 +15,14 @@ from typing import Any
 import pytest
 
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.errors import DatasetError, ScenegenError
+from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.executors import executor
 from scenegen.source import DrawnWorlds
 from scenegen.terminal.progress import Progress
 from tests.command_line import ROOT
 from tests.conftest import small_recipe
 from tests.scenegen.executors import everywhere
+from tests.scenegen.executors.odd import NODES, odd_node
 
 ray = pytest.importorskip("ray")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
@@ -33,7 +34,9 @@ COUNTS = {"train": 60, "val": 3, "test": 3}
 def cluster() -> Iterator[Any]:
     """A head and two nodes of one core each, all on this machine."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    found = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    found = cluster_utils.Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
     found.nodes = [found.add_node(num_cpus=1) for _ in range(2)]
     yield found
     found.shutdown()
@@ -52,7 +55,9 @@ def plan(folder: Path) -> Any:
     return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
 
 
-def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected: Any, tmp_path: Path) -> None:
+def test_a_cluster_makes_the_same_dataset_though_a_node_dies(
+    connected: Any, tmp_path: Path
+) -> None:
     here = build(plan(tmp_path / "here"))
     killed = []
 
@@ -70,9 +75,13 @@ def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected: Any, tmp
 
 
 def test_commands_give_the_same_there_though_a_node_dies(
-    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cluster: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """verify, convert, complete and bench, each with a node that is killed on the way. Nothing of Ray's is printed."""
+    """verify, convert, complete and bench, each with a node that is killed on the way. Nothing of
+    Ray's is printed."""
     monkeypatch.setenv("RAY_ADDRESS", cluster.address)
     everywhere.make(tmp_path)
     everywhere.stand(tmp_path, monkeypatch)
@@ -105,6 +114,27 @@ def test_an_error_is_raised_here_and_names_the_node(connected: Any, tmp_path: Pa
     with pytest.raises(ScenegenError, match=r"3: disk is full \(on \S+\)"):
         list(executor("ray", 1)(spoil, [3], lambda: None))
     assert asked.samples == 66
+
+
+@pytest.mark.parametrize(("what", "told"), NODES.items(), ids=lambda it: it[:8])
+def test_a_node_that_is_not_as_this_machine_is_named(tmp_path: Path, what: str, told: str) -> None:
+    """A cluster whose only node that takes tasks is another version's, or has none."""
+    odd_node(tmp_path, what)
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    found = cluster_utils.Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False}
+    )
+    found.add_node(
+        num_cpus=1, env_vars={"PYTHONPATH": f"{tmp_path}:{ROOT}", "SLURMD_NODENAME": "node1"}
+    )
+    ray.init(address=found.address, log_to_driver=False, configure_logging=False)
+    try:
+        with pytest.raises(GenerationError, match=told) as caught:
+            list(executor("ray", 1)(abs, [-1], lambda: None))
+        assert "\n" not in str(caught.value)
+    finally:
+        ray.shutdown()
+        found.shutdown()
 
 
 def beat(path: Path) -> None:
@@ -153,6 +183,8 @@ def test_usage_is_never_reported() -> None:
 
 def test_an_address_where_nobody_answers_ends_in_one_line() -> None:
     pytest.importorskip("grpc", reason="Ray's client needs grpcio")
-    with pytest.raises(ScenegenError, match=r"--on ray://127\.0\.0\.1:9: no cluster answers there") as caught:
+    with pytest.raises(
+        ScenegenError, match=r"--on ray://127\.0\.0\.1:9: no cluster answers there"
+    ) as caught:
         list(executor("ray://127.0.0.1:9", 1)(abs, [1], lambda: None))
     assert "\n" not in str(caught.value)

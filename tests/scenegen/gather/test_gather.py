@@ -26,6 +26,7 @@ from scenegen.sample import SCHEMA
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.verify import verify
 from tests.conftest import SMALL, Once, small_recipe
+from tests.scenegen.verify import forge
 
 COUNTS = {"train": 11, "val": 4, "test": 5}
 WORLD = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos="8 8 0"/>
@@ -35,7 +36,9 @@ WORLD = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos=
 
 def make(folder: Path, seed: int, **tables: dict) -> Path:
     recipe = small_recipe(**tables)
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=seed, counts=COUNTS, shard_samples=3))
+    build(
+        plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=seed, counts=COUNTS, shard_samples=3)
+    )
     return folder
 
 
@@ -52,7 +55,9 @@ def second(once: Once) -> Path:
 
 
 def merged(out: Path, *folders: Path, workers: int = 1) -> Dataset:
-    assert build(plan_merge([Dataset(one) for one in folders], out, workers=workers), workers=workers).complete
+    assert build(
+        plan_merge([Dataset(one) for one in folders], out, workers=workers), workers=workers
+    ).complete
     return Dataset(out)
 
 
@@ -68,7 +73,9 @@ def content(folder: Path) -> dict[str, bytes]:
 def who(dataset: Dataset) -> dict[tuple[bytes, str], bytes]:
     """Every sample by what it shows and its split, and the bytes of its world."""
     return {
-        (sample.ranges.tobytes() + sample.position.tobytes(), split): dataset.world(split, sample.world)["world.xml"]
+        (sample.ranges.tobytes() + sample.position.tobytes(), split): dataset.world(
+            split, sample.world
+        )["world.xml"]
         for split in SPLITS
         for sample in dataset.split(split)
     }
@@ -90,7 +97,9 @@ def test_a_samples_place_is_known_by_its_name_and_its_name_by_its_place(scenes: 
         assert list(numbering.worlds(start, 7)) == sorted(set(world[start : start + 7].tolist()))
 
 
-def test_a_merged_dataset_holds_all_samples_as_they_were(first: Path, second: Path, tmp_path: Path) -> None:
+def test_a_merged_dataset_holds_all_samples_as_they_were(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
     found = merged(tmp_path / "m", first, second)
     assert manifest.read(tmp_path / "m")["version"] == 1.4
     assert who(found) == who(Dataset(first)) | who(Dataset(second))
@@ -129,7 +138,9 @@ def test_workers_and_interruptions_change_no_byte(
     assert content(tmp_path / "m") == content(tmp_path / "two") == content(tmp_path / "cut")
 
 
-def test_what_is_taken_is_what_a_plain_loop_would_take(first: Path, second: Path, tmp_path: Path) -> None:
+def test_what_is_taken_is_what_a_plain_loop_would_take(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
     whole = merged(tmp_path / "m", first, second)
     level = float(np.median([sample.occupancy.mean() for sample in whole.split("train")]))
     where = (Condition("occupied", ">=", level), Condition("sample", "<", 20))
@@ -146,7 +157,10 @@ def test_what_is_taken_is_what_a_plain_loop_would_take(first: Path, second: Path
     assert who(found).items() <= who(whole).items()
     assert any(entry.cut for entry in found.manifest.shards)  # type: ignore[attr-defined]
     said = f"--n 7 --worlds 0:3,4:7 --where occupied>={level:g} --where sample<20"
-    assert [entry["taken"] for entry in manifest.read(tmp_path / "t")["sources"]] == [[said], [said]]
+    assert [entry["taken"] for entry in manifest.read(tmp_path / "t")["sources"]] == [
+        [said],
+        [said],
+    ]
     sound(tmp_path / "t")
 
 
@@ -158,16 +172,25 @@ def test_what_was_taken_apart_can_be_merged_again(first: Path, tmp_path: Path) -
     found = merged(tmp_path / "m", *parts)
     assert who(found) == who(Dataset(first))
     assert len(found.manifest.sources) == 1
-    assert manifest.read(tmp_path / "m")["sources"][0]["taken"] == ["--where viewpoint<1", "--where viewpoint>=1"]
+    assert manifest.read(tmp_path / "m")["sources"][0]["taken"] == [
+        "--where viewpoint<1",
+        "--where viewpoint>=1",
+    ]
     assert {name[1:] for name in found.split("train").names} == {
         name[1:] for name in Dataset(first).split("train").names
     }
-    sound(tmp_path / "m")
+    assert (
+        sound(tmp_path / "m")["digest"].counts["sources"] == 1
+    )  # whose samples lie here in another order
 
 
 def test_one_split_keeps_its_files_and_its_names(first: Path, tmp_path: Path) -> None:
     found, there = taken(tmp_path / "t", first, splits=("test",)), Dataset(first)
-    assert {split: len(found.split(split)) for split in SPLITS} == {"train": 0, "val": 0, "test": COUNTS["test"]}
+    assert {split: len(found.split(split)) for split in SPLITS} == {
+        "train": 0,
+        "val": 0,
+        "test": COUNTS["test"],
+    }
     assert found.split("test").names == there.split("test").names
     for entry in found.manifest.shards:
         assert (tmp_path / "t" / entry.file).read_bytes() == (first / entry.file).read_bytes()
@@ -183,7 +206,9 @@ def examine_refuses(folder: Path, tmp_path: Path) -> str:
     return str(refused.value)
 
 
-def test_a_dataset_scanned_again_is_verified_as_far_as_its_flights_go(first: Path, tmp_path: Path) -> None:
+def test_a_dataset_scanned_again_is_verified_as_far_as_its_flights_go(
+    first: Path, tmp_path: Path
+) -> None:
     there = Dataset(first)
     build(plan_rescan(there, tmp_path / "again", chain=named_noise("range:0.02", there.lidar)))
     taken(tmp_path / "t", tmp_path / "again", where=(Condition("viewpoint", "=", 1.0),))
@@ -198,17 +223,23 @@ def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path: Path
     folder.mkdir()
     for n in range(3):
         (folder / f"{n}.xml").write_text(WORLD.format(x=4 + n))
-    recipe = make_recipe("scene", {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}, where="test")
+    recipe = make_recipe(
+        "scene", {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}, where="test"
+    )
 
     def scenes(name: str, path: Path, counts: dict[str, int], seed: int) -> Path:
         source = read_scenes(path, counts, seed=seed)
-        build(plan_dataset(tmp_path / name, recipe, source, seed=seed, counts=counts, shard_samples=3))
+        build(
+            plan_dataset(tmp_path / name, recipe, source, seed=seed, counts=counts, shard_samples=3)
+        )
         return tmp_path / name
 
     dealt = scenes("dealt", folder, {"train": 5, "val": 2, "test": 2}, 0)
     trained = scenes("trained", folder / "0.xml", {"train": 6, "val": 0, "test": 0}, 5)
     split = next(
-        name for name in SPLITS if (folder / "0.xml").name in str(Dataset(dealt).manifest.tables["scenes"][name])
+        name
+        for name in SPLITS
+        if (folder / "0.xml").name in str(Dataset(dealt).manifest.tables["scenes"][name])
     )
     if split == "train":
         assert sum(map(len, map(merged(tmp_path / "m", dealt, trained).split, SPLITS))) == 15
@@ -227,7 +258,10 @@ def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path: Path
         (lambda it: it["sources"][0].pop("digest"), "digest is missing"),
         (lambda it: it["sources"][0]["parameters"].update(sources=[]), "gathered once"),
         (lambda it: it["sources"][0]["parameters"]["grid"].update(voxel=0.3), "parameters.grid"),
-        (lambda it: it["sources"][0]["parameters"]["recipe"]["flight"].pop("viewpoints"), "viewpoints is missing"),
+        (
+            lambda it: it["sources"][0]["parameters"]["recipe"]["flight"].pop("viewpoints"),
+            "viewpoints is missing",
+        ),
         (lambda it: it["shards"][0].update(source=7), "source = 7"),
         (lambda it: it["shards"][0].update(stop=10**6), "places"),
         (lambda it: it["shards"][0].pop("start"), "start is missing"),
@@ -246,7 +280,9 @@ def test_a_strangers_sources_are_not_trusted(
     assert not verify(tmp_path / "t", quick=True).ok
 
 
-def test_a_false_account_of_where_samples_are_from_does_not_pass(first: Path, second: Path, tmp_path: Path) -> None:
+def test_a_false_account_of_where_samples_are_from_does_not_pass(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
     merged(tmp_path / "m", first, second)
     there = manifest.read(tmp_path / "m")
     for wrong in ({"source": 1}, {"start": 3, "stop": 6}, {"start": 0, "stop": 6}):
@@ -256,7 +292,82 @@ def test_a_false_account_of_where_samples_are_from_does_not_pass(first: Path, se
         assert not verify(tmp_path / "m", quick=True).ok, wrong
 
 
-def test_datasets_that_do_not_go_together_are_refused(first: Path, second: Path, tmp_path: Path) -> None:
+def test_a_sources_digest_is_held_against_its_samples_where_all_are_there(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
+    taken(tmp_path / "part", second, where=(Condition("viewpoint", "<", 1.0),))
+    merged(tmp_path / "m", first, tmp_path / "part")
+    assert "only a part of their samples is there" in sound(tmp_path / "m")["digest"].detail
+    there = manifest.read(tmp_path / "m")
+    for source, passes in ((0, False), (1, True)):
+        told = json.loads(json.dumps(there))
+        told["sources"][source]["digest"] = "0" * 64
+        manifest.write(tmp_path / "m", told)
+        found = {check.name: check for check in verify(tmp_path / "m", quick=True).checks}["digest"]
+        assert found.ok == passes, found
+
+
+def test_a_sample_is_not_there_twice(first: Path, tmp_path: Path) -> None:
+    taken(tmp_path / "t", first, splits=("train",))
+    there = manifest.read(tmp_path / "t")
+    again = there["shards"][-1] | {"file": "train-00009.h5", "worlds": "train-00009.worlds.zip"}
+    for name in ("file", "worlds"):
+        shutil.copy(tmp_path / "t" / there["shards"][-1][name], tmp_path / "t" / again[name])
+    there["shards"].append(again)
+    there["counts"]["train"] += again["samples"]
+    (tmp_path / "t" / manifest.NAME).write_text(json.dumps(there))
+    found = {check.name: check.detail for check in verify(tmp_path / "t", quick=True).checks}
+    assert "are there twice" in found["digest"]
+
+
+def moved(arrays: forge.Arrays) -> None:
+    for name in ("position", "origin"):
+        arrays[name] = arrays[name] + 0.05
+
+
+def nearer(arrays: forge.Arrays) -> None:
+    arrays["tudf"] = arrays["tudf"] / 2
+
+
+@pytest.mark.parametrize(
+    ("change", "signed", "said"),
+    [
+        (moved, False, "train-00000.h5: is not the file"),
+        (nearer, False, "train-00000.h5: is not the file"),
+        (moved, True, "train-00000.h5: sample 0: its content does not have the digest"),
+        (None, False, "train-00000.worlds.zip: is not the file"),
+    ],
+)
+def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
+    first: Path, second: Path, tmp_path: Path, change: Any, signed: bool, said: str
+) -> None:
+    folder = Path(shutil.copytree(first, tmp_path / "bad"))
+    listed = (folder / manifest.NAME).read_bytes()
+    if change is None:
+        forge.rezip(
+            folder / "train-00000.worlds.zip",
+            lambda members: members.update({"000009.xml": b"<mujoco/>"}),
+        )
+    else:
+        arrays, attributes = forge.load(folder, "train-00000.h5")
+        change(arrays)
+        forge.store(folder, "train-00000.h5", arrays, attributes, digests=False)
+    if not signed:
+        (folder / manifest.NAME).write_bytes(listed)
+    bad = Dataset(folder)
+    for plan in (
+        plan_rescan(bad, tmp_path / "rescan"),
+        plan_take(bad, tmp_path / "whole", Choice(splits=("train",))),
+        plan_take(bad, tmp_path / "part", Choice(most=2)),
+        plan_merge([Dataset(second), bad], tmp_path / "merge"),
+    ):
+        with pytest.raises(DatasetError, match=said):
+            build(plan)
+
+
+def test_datasets_that_do_not_go_together_are_refused(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
     def refused(*folders: Path) -> str:
         with pytest.raises(DatasetError) as error:
             plan_merge([Dataset(one) for one in folders], tmp_path / "m")
@@ -280,7 +391,9 @@ def test_datasets_that_do_not_go_together_are_refused(first: Path, second: Path,
                 build(plan, force=True)
 
 
-@pytest.mark.parametrize("text", ["occupied", "occupied>", ">3", "weight>3", "occupied>>3", "occupied>x", "free=1e"])
+@pytest.mark.parametrize(
+    "text", ["occupied", "occupied>", ">3", "weight>3", "occupied>>3", "occupied>x", "free=1e"]
+)
 def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text: str) -> None:
     with pytest.raises(ValueError, match="expected a name, a sign and a number") as error:
         Condition.of(text)
@@ -291,7 +404,13 @@ def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text: str) -> No
 def test_a_condition_says_what_its_sign_says(sign: str) -> None:
     condition = Condition.of(f" range_m {sign} 2.5 ")
     assert Condition.of(str(condition)) == condition
-    plain = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "=": operator.eq}[sign]
+    plain = {
+        "<": operator.lt,
+        "<=": operator.le,
+        ">": operator.gt,
+        ">=": operator.ge,
+        "=": operator.eq,
+    }[sign]
     for value in (2.0, 2.5, 3.0):
         assert condition.holds(value) == plain(value, 2.5)
     assert not condition.holds(float("nan"))

@@ -1,7 +1,9 @@
-"""A real server of S3's protocol on this machine: Ceph's, as Debian packages it, in a folder and on ports of its own.
+"""A real server of S3's protocol on this machine: Ceph's, as Debian packages it, in a folder and on
+ports of its own.
 
-A monitor and a store of objects in memory keep what the gateway, `radosgw`, takes; the gateway may be killed and begun
-again, and what it had confirmed is there. About 150 MB of memory, and fifteen seconds to begin.
+A monitor and a store of objects in memory keep what the gateway, `radosgw`, takes; the gateway may
+be killed and begun again, and what it had confirmed is there. About 150 MB of memory, and fifteen
+seconds to begin.
 """
 
 import json
@@ -78,7 +80,11 @@ class Ceph:
     @property
     def environment(self) -> dict[str, str]:
         """What a client's environment has to say."""
-        return {"AWS_ENDPOINT_URL": self.url, "AWS_ACCESS_KEY_ID": KEY, "AWS_SECRET_ACCESS_KEY": SECRET}
+        return {
+            "AWS_ENDPOINT_URL": self.url,
+            "AWS_ACCESS_KEY_ID": KEY,
+            "AWS_SECRET_ACCESS_KEY": SECRET,
+        }
 
     def __enter__(self) -> "Ceph":
         try:
@@ -89,7 +95,10 @@ class Ceph:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         for one in reversed(self._running.values()):
             with suppress(ProcessLookupError):
@@ -118,7 +127,16 @@ class Ceph:
         self._ceph("osd", "crush", "add", "osd.0", "1", "root=default", "host=here")
         self._start("ceph-osd", "-i", "0")
         self.admin(
-            "user", "create", "--uid", USER, "--display-name", "Ada", "--access-key", KEY, "--secret-key", SECRET
+            "user",
+            "create",
+            "--uid",
+            USER,
+            "--display-name",
+            "Ada",
+            "--access-key",
+            KEY,
+            "--secret-key",
+            SECRET,
         )
         self.begin()
 
@@ -155,8 +173,14 @@ class Ceph:
     def _start(self, *words: str) -> None:
         out = (self.home / f"{words[0]}.out").open("ab")
         command = [words[0], *self._conf(words[0]), *words[1:], "-f"]
-        self._running[words[0]] = subprocess.Popen(command, stdout=out, stderr=out, start_new_session=True)
+        self._running[words[0]] = subprocess.Popen(
+            command, stdout=out, stderr=out, start_new_session=True
+        )
         out.close()
 
     def _conf(self, program: str) -> tuple[str, ...]:
-        return () if program in ("ceph-authtool", "monmaptool") else ("-c", str(self.home / "ceph.conf"))
+        return (
+            ()
+            if program in ("ceph-authtool", "monmaptool")
+            else ("-c", str(self.home / "ceph.conf"))
+        )

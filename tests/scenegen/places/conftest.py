@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from scenegen import places
+from scenegen.places import cache
 from tests.scenegen.places.kept import HOME
 
 
@@ -24,3 +25,4 @@ def forget() -> None:
     """Have this process be as a new one: nothing is opened or seen."""
     places._opened.cache_clear()
     places._seen.clear()
+    cache._noted.cache_clear()

@@ -1,4 +1,5 @@
-"""A stand-in for a store, of which every process sees the same: objects in a folder, one operation at a time."""
+"""A stand-in for a store, of which every process sees the same: objects in a folder, one operation
+at a time."""
 
 import fcntl
 import hashlib
@@ -14,7 +15,8 @@ from scenegen.places import ConflictError, Object, Place, Version
 HOME = "TESTS_KEPT"
 """Where the environment says that objects are kept."""
 ROOM = "TESTS_KEPT_PUTS"
-"""A file, if the environment names one, that says how many puts are taken before the store is full."""
+"""A file, if the environment names one, that says how many puts are taken before the store is
+full."""
 
 
 class Kept(Place):

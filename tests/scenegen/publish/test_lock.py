@@ -13,7 +13,13 @@ def test_it_pins_what_scenegen_needs_and_no_extras() -> None:
 
 
 def test_versions_that_made_the_dataset_win() -> None:
-    lines = environment_lock({"numpy": "2.0.1", "scenegen": "0.0.9", "machine": "x86_64"}, "abc123").splitlines()
+    lines = environment_lock(
+        {"numpy": "2.0.1", "scenegen": "0.0.9", "machine": "x86_64"}, "abc123"
+    ).splitlines()
     assert "numpy==2.0.1" in lines
-    assert lines[0] == f"# scenegen 0.0.9, published with {importlib.metadata.version('scenegen-lidar')}, commit abc123"
+    assert (
+        lines[0]
+        == f"# scenegen 0.0.9, published with {importlib.metadata.version('scenegen-lidar')}, "
+        f"commit abc123"
+    )
     assert not [line for line in lines[2:] if line.startswith(("scenegen", "machine", "#"))]

@@ -1,4 +1,5 @@
-"""Pictures show what is there: a block where a voxel is, what is nearer in front, and PNGs that others read."""
+"""Pictures show what is there: a block where a voxel is, what is nearer in front, and PNGs that
+others read."""
 
 import io
 
@@ -21,7 +22,10 @@ def one(*place: int) -> np.ndarray:
 
 
 def test_a_block_stands_where_its_voxel_is() -> None:
-    centre = [np.argwhere(painted(one(*place))).mean(axis=0) for place in ((2, 2, 1), (7, 2, 1), (2, 7, 1), (2, 2, 4))]
+    centre = [
+        np.argwhere(painted(one(*place))).mean(axis=0)
+        for place in ((2, 2, 1), (7, 2, 1), (2, 7, 1), (2, 2, 4))
+    ]
     here, further_x, further_y, higher = centre
     assert further_x[0] > here[0] + 5  # x goes down …
     assert further_x[1] > here[1] + 5  # … and right

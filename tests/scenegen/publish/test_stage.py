@@ -1,4 +1,5 @@
-"""The published folder: still the dataset, readable by everyone, whole or absent, and true to what it says."""
+"""The published folder: still the dataset, readable by everyone, whole or absent, and true to what
+it says."""
 
 import dataclasses
 import hashlib
@@ -74,13 +75,17 @@ def test_the_cards_own_lines_read_it_with_plain_h5py(out: Path) -> None:
     lines = section((out / "README.md").read_text(), "python", "Load it")[0]
     assert len(lines.splitlines()) <= 10
     assert "scenegen" not in lines
-    said = subprocess.run([sys.executable, "-c", lines], cwd=out.parent, capture_output=True, text=True, check=True)
+    said = subprocess.run(
+        [sys.executable, "-c", lines], cwd=out.parent, capture_output=True, text=True, check=True
+    )
     with h5py.File(out / "train-00000.h5") as shard:
         seen, solid = shard["observed"][0].sum(), shard["occupancy"][0].sum()
     assert said.stdout == f"{seen} of {solid} occupied voxels were observed\n"
 
 
-def test_datasets_reads_it_offline_by_its_splits(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_datasets_reads_it_offline_by_its_splits(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", True)
     found = datasets.load_dataset(str(out), cache_dir=str(tmp_path)).with_format("numpy")
     assert {name: len(split) for name, split in found.items()} == COUNTS
@@ -101,9 +106,19 @@ def test_croissant_is_valid_and_describes_what_is_there(out: Path, made: Path) -
     assert (issues.errors, issues.warnings) == (set(), set())
     plain = json.loads((out / "croissant.json").read_text())
     assert plain["conformsTo"][0] == "http://mlcommons.org/croissant/1.1"
-    for name in ("dataCollection", "dataBiases", "dataLimitations", "dataUseCases", "personalSensitiveInformation"):
+    for name in (
+        "dataCollection",
+        "dataBiases",
+        "dataLimitations",
+        "dataUseCases",
+        "personalSensitiveInformation",
+    ):
         assert plain[f"rai:{name}"]
-    files = {item["@id"]: item["sha256"] for item in plain["distribution"] if item["@id"].endswith((".h5", ".zip"))}
+    files = {
+        item["@id"]: item["sha256"]
+        for item in plain["distribution"]
+        if item["@id"].endswith((".h5", ".zip"))
+    }
     assert files == {
         name: hashlib.sha256((out / name).read_bytes()).hexdigest()
         for name in (path.name for path in out.iterdir() if path.suffix in (".h5", ".zip"))
@@ -114,7 +129,9 @@ def test_croissant_is_valid_and_describes_what_is_there(out: Path, made: Path) -
         for name, stored in shard.items():
             shape = described[name].get("arrayShape", "")
             assert shape == ",".join(map(str, stored.shape[1:]))
-            kind = {"b": "sc:Boolean", "u": "cr:UInt", "i": "cr:Int", "f": "cr:Float"}[stored.dtype.kind]
+            kind = {"b": "sc:Boolean", "u": "cr:UInt", "i": "cr:Int", "f": "cr:Float"}[
+                stored.dtype.kind
+            ]
             bits = "" if stored.dtype.kind == "b" else str(8 * stored.dtype.itemsize)
             assert described[name]["dataType"] == kind + bits
 
@@ -125,7 +142,10 @@ def test_the_card_says_what_the_files_hold(out: Path, made: Path) -> None:
     assert "license: cc-by-4.0" in front
     assert '  - split: val\n    path: "val-*.h5"' in front
     statistics = inspect(made)["splits"]["train"]["statistics"]["occupied"]
-    assert f"| voxels occupied, % | {statistics['mean'] * 100:.2f} ± {statistics['std'] * 100:.2f} |" in card
+    assert (
+        f"| voxels occupied, % | {statistics['mean'] * 100:.2f} ± {statistics['std'] * 100:.2f} |"
+        in card
+    )
     assert Dataset(made).manifest.digest in card
     assert "- files: 14 files hold" in card
     with h5py.File(out / "train-00000.h5") as shard:
@@ -145,19 +165,33 @@ def test_its_command_makes_the_same_dataset(out: Path, made: Path, tmp_path: Pat
         recipe,
         DrawnWorlds(recipe),
         seed=int(options["--seed"]),
-        counts={"train": int(options["--n"]), "val": int(options["--val"]), "test": int(options["--test"])},
+        counts={
+            "train": int(options["--n"]),
+            "val": int(options["--val"]),
+            "test": int(options["--test"]),
+        },
         shard_samples=int(options["--shard-samples"]),
     )
     assert build(plan, workers=1).digest == Dataset(made).manifest.digest
 
 
-def test_a_recipe_that_this_version_reads_differently_is_refused(dataset: Path, asked: Request) -> None:
+def test_a_recipe_that_this_version_reads_differently_is_refused(
+    dataset: Path, asked: Request
+) -> None:
     found = manifest.read(dataset)
-    for change, named in (({"density": [0.2, 0.3]}, ""), ({"colour": 1}, "unknown parameter 'colour'")):
-        changed = {**found, "recipe": {**found["recipe"], "world": {**found["recipe"]["world"], **change}}}
+    for change, named in (
+        ({"density": [0.2, 0.3]}, ""),
+        ({"colour": 1}, "unknown parameter 'colour'"),
+    ):
+        changed = {
+            **found,
+            "recipe": {**found["recipe"], "world": {**found["recipe"]["world"], **change}},
+        }
         manifest.write(dataset, changed)
         if named:
-            with pytest.raises(PublishError, match=rf"would not make the same dataset again.*{named}"):
+            with pytest.raises(
+                PublishError, match=rf"would not make the same dataset again.*{named}"
+            ):
                 stage(asked, CHECKS)
     assert not asked.out.exists()
 
@@ -168,7 +202,10 @@ def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made
     found = manifest.read(dataset)
     del found["generator"]
     manifest.write(dataset, found)
-    with pytest.raises(PublishError, match=r"with the one that made it, .* with generator 1, or.*generator is 1 there"):
+    with pytest.raises(
+        PublishError,
+        match=r"with the one that made it, .* with generator 1, or.*generator is 1 there",
+    ):
         stage(asked, CHECKS)
     assert not asked.out.exists()
 
@@ -177,7 +214,10 @@ def test_compact_datasets_and_absent_splits_publish_as_well(tmp_path: Path) -> N
     recipe = small_recipe("geometric")
     counts = {"train": 4, "val": 0, "test": 1}
     made = tmp_path / "made"
-    build(plan_dataset(made, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=True), workers=1)
+    build(
+        plan_dataset(made, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=True),
+        workers=1,
+    )
     out = tmp_path / "out"
     stage(Request(dataset=made, repository="ada/g", out=out, licence="cc0-1.0"), CHECKS)
     card = (out / "README.md").read_text()
@@ -196,7 +236,9 @@ def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked
 
     stage(asked, CHECKS)
     croissant = asked.out / "croissant.json"
-    dated = re.sub(r'"datePublished": "[^"]*"', '"datePublished": "2001-02-03"', croissant.read_text())
+    dated = re.sub(
+        r'"datePublished": "[^"]*"', '"datePublished": "2001-02-03"', croissant.read_text()
+    )
     croissant.write_text(dated)  # as if begun on another day
     stage(asked, CHECKS)
     first = contents()
@@ -222,7 +264,9 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked: Request, dataset:
     content = bytearray(shard.read_bytes())
     content[len(content) // 2] ^= 1
     shard.write_bytes(content)
-    with pytest.raises(PublishError, match=r"val-00000.h5: is not the file that dataset.json lists"):
+    with pytest.raises(
+        PublishError, match=r"val-00000.h5: is not the file that dataset.json lists"
+    ):
         stage(asked, CHECKS)
     shard.unlink()
     with pytest.raises(PublishError, match=r"val-00000.h5: is missing"):
@@ -230,7 +274,9 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked: Request, dataset:
     assert list(asked.out.parent.iterdir()) == []
 
 
-def test_a_manifest_cannot_lead_out_of_the_folder(asked: Request, dataset: Path, tmp_path: Path) -> None:
+def test_a_manifest_cannot_lead_out_of_the_folder(
+    asked: Request, dataset: Path, tmp_path: Path
+) -> None:
     (tmp_path / "secret.h5").write_text("not yours")
     found = manifest.read(dataset)
     for name in ("../../secret.h5", "/etc/passwd", "train-00000.h5/../x", "-train.h5", 7):
@@ -242,13 +288,19 @@ def test_a_manifest_cannot_lead_out_of_the_folder(asked: Request, dataset: Path,
     assert not asked.out.exists()
 
 
-def test_too_many_files_are_refused_with_what_helps(asked: Request, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_files_are_refused_with_what_helps(
+    asked: Request, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("scenegen.publish.stage.MOST_FILES", 20)
-    with pytest.raises(PublishError, match=r"26 files, more than the 20 .* --shard-samples \d+00, which changes no"):
+    with pytest.raises(
+        PublishError, match=r"26 files, more than the 20 .* --shard-samples \d+00, which changes no"
+    ):
         stage(asked, CHECKS)
 
 
-def test_where_links_are_not_possible_files_are_copied(asked: Request, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_links_are_not_possible_files_are_copied(
+    asked: Request, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*args: object, **options: object) -> None:
         raise OSError(18, "Invalid cross-device link")
 
@@ -259,7 +311,9 @@ def test_where_links_are_not_possible_files_are_copied(asked: Request, monkeypat
     assert (asked.out / "train-00000.h5").stat().st_nlink == 1
 
 
-@pytest.mark.parametrize("name", ["pillar", "ada/../x", "/etc", "a/b/c", "ada/", "ada/x y", "--repo", "ada/x.git"])
+@pytest.mark.parametrize(
+    "name", ["pillar", "ada/../x", "/etc", "a/b/c", "ada/", "ada/x y", "--repo", "ada/x.git"]
+)
 def test_a_repository_that_cannot_be_one_is_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(PublishError, match="expected user/name"):
         Request(dataset=tmp_path, repository=name, out=tmp_path)

@@ -1,4 +1,5 @@
-"""Sending, against a stand-in for the Hub's HTTP API: all arrives, interruptions are made good, the tag is last."""
+"""Sending, against a stand-in for the Hub's HTTP API: all arrives, interruptions are made good, the
+tag is last."""
 
 import dataclasses
 from pathlib import Path
@@ -15,7 +16,11 @@ pytestmark = pytest.mark.usefixtures("verified")
 
 
 def staged_files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def test_what_arrives_is_the_folder_and_the_tag_comes_last(asked: Request, hub: Hub) -> None:
@@ -50,7 +55,11 @@ def test_what_is_published_already_is_not_sent_again(asked: Request, hub: Hub) -
     sent = len(hub.log)
     again = publish(asked)
     assert again.commit == first.commit
-    assert not [line for line in hub.log[sent:] if line.startswith("PUT") or "/commit/" in line or "/tag/" in line]
+    assert not [
+        line
+        for line in hub.log[sent:]
+        if line.startswith("PUT") or "/commit/" in line or "/tag/" in line
+    ]
 
 
 def test_no_tag_where_a_file_is_lost_on_the_way(asked: Request, hub: Hub) -> None:
@@ -62,13 +71,17 @@ def test_no_tag_where_a_file_is_lost_on_the_way(asked: Request, hub: Hub) -> Non
 
 def test_a_tag_of_other_content_is_let_be(asked: Request, hub: Hub) -> None:
     publish(dataclasses.replace(asked, tag="v1"))
-    with pytest.raises(PublishError, match=r"tag v1 is there with other content .* give another --tag"):
+    with pytest.raises(
+        PublishError, match=r"tag v1 is there with other content .* give another --tag"
+    ):
         publish(dataclasses.replace(asked, tag="v1", licence="CC0-1.0"))
     publish(dataclasses.replace(asked, tag="v2", licence="CC0-1.0"))
     assert set(hub.repositories[asked.repository].tags) == {"v1", "v2"}
 
 
-def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(asked: Request, hub: Hub) -> None:
+def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(
+    asked: Request, hub: Hub
+) -> None:
     from tests.scenegen.hub import Repository
 
     hub.repositories[asked.repository] = former = Repository()
@@ -88,9 +101,13 @@ def test_private_stays_private(asked: Request, hub: Hub) -> None:
         publish(other, private=True)
 
 
-def test_without_a_token_nothing_begins(asked: Request, hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_token_nothing_begins(
+    asked: Request, hub: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("HF_TOKEN")
-    with pytest.raises(PublishError, match=r"no token for the Hub: run `hf auth login`, or set HF_TOKEN"):
+    with pytest.raises(
+        PublishError, match=r"no token for the Hub: run `hf auth login`, or set HF_TOKEN"
+    ):
         publish(asked)
     assert not asked.out.exists()
     assert hub.log == []
@@ -118,9 +135,14 @@ def test_no_hub_at_all_is_one_line_and_the_folder_stays(
     assert (asked.out / "README.md").is_file()
 
 
-def test_a_dataset_that_fails_its_check_goes_nowhere(asked: Request, hub: Hub, verified: list[Check]) -> None:
+def test_a_dataset_that_fails_its_check_goes_nowhere(
+    asked: Request, hub: Hub, verified: list[Check]
+) -> None:
     verified.append(Check("truth", False, "sample 3 of train differs"))
-    with pytest.raises(PublishError, match=r"does not pass .* truth: sample 3 of train differs; nothing is published"):
+    with pytest.raises(
+        PublishError,
+        match=r"does not pass .* truth: sample 3 of train differs; nothing is published",
+    ):
         publish(asked)
     assert hub.log == []
     assert not asked.out.exists()

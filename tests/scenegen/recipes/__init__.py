@@ -1,4 +1,5 @@
-"""What the tests of kinds share: a world's solids as a recipe adds them, measured without the recipe's own formulas."""
+"""What the tests of kinds share: a world's solids as a recipe adds them, measured without the
+recipe's own formulas."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -44,11 +45,15 @@ class Solid:
         if self.shape == Geom.mjGEOM_SPHERE:
             return self.position[2] - self.size[0], self.position[2] + self.size[0]
         if self.shape == Geom.mjGEOM_BOX:
-            corners = np.stack(np.meshgrid(*([-half, half] for half in self.size)), axis=-1).reshape(-1, 3)
+            corners = np.stack(
+                np.meshgrid(*([-half, half] for half in self.size)), axis=-1
+            ).reshape(-1, 3)
         else:
             turn = np.linspace(0.0, 2 * np.pi, 2000)
             rim = np.stack([self.size[0] * np.cos(turn), self.size[0] * np.sin(turn)], axis=1)
-            corners = np.concatenate([np.insert(rim, 2, z, axis=1) for z in (-self.size[1], self.size[1])])
+            corners = np.concatenate(
+                [np.insert(rim, 2, z, axis=1) for z in (-self.size[1], self.size[1])]
+            )
         heights = self.position[2] + corners @ self.rotation[2]
         return float(heights.min()), float(heights.max())
 
@@ -61,7 +66,8 @@ def draw(kind: WorldKind, seed: int = 0) -> list[Solid]:
 
 
 def looks_uniform(values: object, low: float, high: float) -> bool:
-    """Whether values lie between the bounds and are spread evenly there (Kolmogorov and Smirnov)."""
+    """Whether values lie between the bounds and are spread evenly there (Kolmogorov and
+    Smirnov)."""
     values = np.asarray(values, dtype=np.float64)
     within = low - 1e-9 <= values.min() and values.max() <= high + 1e-9
     return bool(within and stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3)

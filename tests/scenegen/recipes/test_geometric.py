@@ -32,7 +32,9 @@ def walls(seed: int = 0, count: int = 300, **parameters: Any) -> list[Solid]:
 def heaps(seed: int = 0, count: int = 1, **parameters: Any) -> list[Solid]:
     """Nothing but clutter."""
     share = count / 2400.0
-    return draw(Geometric(**AREA, **NOTHING | {"clutter_density": (share, share)} | parameters), seed)
+    return draw(
+        Geometric(**AREA, **NOTHING | {"clutter_density": (share, share)} | parameters), seed
+    )
 
 
 def used_sizes(found: list[Solid]) -> np.ndarray:
@@ -53,7 +55,9 @@ def roles(found: list[Solid]) -> list[str]:
 
 def test_the_logarithm_of_the_density_is_uniform() -> None:
     counts = [len(solids(seed, density=(0.01, 0.15))) for seed in range(120)]
-    assert looks_uniform(np.log(np.array(counts) / 2400.0), np.log(0.01) - 0.02, np.log(0.15) + 0.02)
+    assert looks_uniform(
+        np.log(np.array(counts) / 2400.0), np.log(0.01) - 0.02, np.log(0.15) + 0.02
+    )
     assert {len(solids(seed, count=70)) for seed in range(5)} == {70}
 
 
@@ -88,15 +92,23 @@ def test_the_scale_leaves_walls_and_clutter_alone() -> None:
         assert np.array_equal(*(used_sizes(some(scale=scale)) for scale in (small, large)))
 
 
-@pytest.mark.parametrize(("standing", "stacked"), [(0.5, 0.2), (0.1, 0.8), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)])
+@pytest.mark.parametrize(
+    ("standing", "stacked"), [(0.5, 0.2), (0.1, 0.8), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]
+)
 @pytest.mark.parametrize("tilted", [0.0, 1.0])
-def test_solids_stand_are_stacked_or_float_in_their_shares(standing: float, stacked: float, tilted: float) -> None:
+def test_solids_stand_are_stacked_or_float_in_their_shares(
+    standing: float, stacked: float, tilted: float
+) -> None:
     found = solids(standing_share=standing, stacked_share=stacked, tilted_share=tilted, count=400)
     said = roles(found)
     if stacked == 1.0:
         assert said == ["floating"] + ["stacked"] * 399, "the first has nothing to stand on"
         return
-    for name, share in {"standing": standing, "stacked": stacked, "floating": 1 - standing - stacked}.items():
+    for name, share in {
+        "standing": standing,
+        "stacked": stacked,
+        "floating": 1 - standing - stacked,
+    }.items():
         assert looks_like_share(said.count(name), len(said), share), (name, said.count(name))
 
 
@@ -124,7 +136,9 @@ def test_tilted_solids_come_in_their_share_and_at_any_attitude(share: float) -> 
     found = solids(tilted_share=share)
     tilted = [solid for solid in found if not solid.upright]
     assert looks_like_share(len(tilted), len(found), share)
-    if tilted:  # of a direction drawn evenly over the sphere, every component is uniform (Archimedes)
+    if (
+        tilted
+    ):  # of a direction drawn evenly over the sphere, every component is uniform (Archimedes)
         for own in np.eye(3):
             for axis in range(3):
                 assert looks_uniform([(solid.rotation @ own)[axis] for solid in tilted], -1.0, 1.0)
@@ -139,7 +153,11 @@ def test_the_wall_density_is_drawn_once_a_world_between_its_bounds() -> None:
 
 
 def test_walls_are_upright_slabs_on_the_ground_within_their_ranges() -> None:
-    ranges = {"wall_length_m": (3.0, 6.5), "wall_height_m": (1.0, 4.0), "wall_half_thickness_m": (0.05, 0.25)}
+    ranges = {
+        "wall_length_m": (3.0, 6.5),
+        "wall_height_m": (1.0, 4.0),
+        "wall_half_thickness_m": (0.05, 0.25),
+    }
     found = walls(**ranges)
     assert {solid.shape for solid in found} == {Geom.mjGEOM_BOX}
     assert all(solid.upright for solid in found)
@@ -160,13 +178,17 @@ def test_walls_are_turned_at_will_and_spread_over_the_plan() -> None:
 
 
 def test_the_clutter_density_is_drawn_once_a_world_between_its_bounds() -> None:
-    counts = [len(heaps(seed, clutter_density=(0.005, 0.03), clutter_count=(1, 1))) for seed in range(80)]
+    counts = [
+        len(heaps(seed, clutter_density=(0.005, 0.03), clutter_count=(1, 1))) for seed in range(80)
+    ]
     assert looks_uniform(np.array(counts) / 2400.0, 0.005 - 3e-4, 0.03 + 3e-4)
     assert {len(heaps(seed, count=21, clutter_count=(3, 3))) for seed in range(5)} == {63}
 
 
 def test_a_heap_has_a_count_of_solids_with_both_bounds_included() -> None:
-    counts = np.bincount([len(heaps(seed, clutter_count=(4, 8))) for seed in range(250)], minlength=10)
+    counts = np.bincount(
+        [len(heaps(seed, clutter_count=(4, 8))) for seed in range(250)], minlength=10
+    )
     assert counts[4:9].sum() == 250
     assert stats.chisquare(counts[4:9]).pvalue > 1e-3
 
@@ -179,14 +201,19 @@ def test_a_heap_is_small_tilted_solids_on_the_ground_about_its_place() -> None:
     assert looks_uniform([solid.rotation[2, 2] for solid in found], -1.0, 1.0)
     plan = np.array([solid.position[:2] for solid in found])
     for axis in range(2):
-        assert stats.kstest(plan[:, axis] - plan[:, axis].mean(), stats.norm(scale=0.8).cdf).pvalue > 1e-3
+        assert (
+            stats.kstest(plan[:, axis] - plan[:, axis].mean(), stats.norm(scale=0.8).cdf).pvalue
+            > 1e-3
+        )
     lift = np.array([solid.span[0] for solid in found])
     assert lift.min() > -1e-5
     assert stats.kstest(lift, stats.halfnorm(scale=0.8).cdf).pvalue > 1e-3
 
 
 def test_heaps_spread_over_the_plan() -> None:
-    plan = np.array([solid.position for solid in heaps(count=300, clutter_count=(1, 1), clutter_spread_m=1e-6)])
+    plan = np.array(
+        [solid.position for solid in heaps(count=300, clutter_count=(1, 1), clutter_spread_m=1e-6)]
+    )
     assert looks_uniform(plan[:, 0], -1e-4, 60.0 + 1e-4)
     assert looks_uniform(plan[:, 1], -1e-4, 40.0 + 1e-4)
 
@@ -203,7 +230,10 @@ def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0() -> None:
 def test_a_world_depends_on_the_state_of_the_generator_alone() -> None:
     first, again, other = (draw(Geometric(density=(0.05, 0.05)), seed) for seed in (5, 5, 6))
     for name in ("size", "position", "quaternion"):
-        same = [np.array([getattr(solid, name) for solid in found[:60]]) for found in (first, again, other)]
+        same = [
+            np.array([getattr(solid, name) for solid in found[:60]])
+            for found in (first, again, other)
+        ]
         np.testing.assert_array_equal(same[0], same[1])
         assert not np.array_equal(same[0], same[2])
 
@@ -246,4 +276,6 @@ def test_bad_values_are_named(name: str, value: object) -> None:
 
 
 def test_every_parameter_has_bad_values() -> None:
-    assert {name for name, _ in BAD} == {field.name for field in dataclasses.fields(Geometric)} - {"ground"}
+    assert {name for name, _ in BAD} == {field.name for field in dataclasses.fields(Geometric)} - {
+        "ground"
+    }

@@ -16,11 +16,16 @@ PAIR = {"size_m": (20.0, 10.0, 10.0), "density": (0.01, 0.01), "passage_share": 
 
 def hull(pillar: Solid) -> float:
     """Radius of the least upright cylinder around a pillar."""
-    return pillar.size[0] if pillar.shape == Geom.mjGEOM_CYLINDER else float(np.hypot(*pillar.size[:2]))
+    return (
+        pillar.size[0]
+        if pillar.shape == Geom.mjGEOM_CYLINDER
+        else float(np.hypot(*pillar.size[:2]))
+    )
 
 
 def gaps(pillars: list[Solid]) -> np.ndarray:
-    """(n, n): metres between the round hulls, seen from above; inf where the other one is no earlier one."""
+    """(n, n): metres between the round hulls, seen from above; inf where the other one is no
+    earlier one."""
     plan, hulls = np.array([p.position[:2] for p in pillars]), np.array([hull(p) for p in pillars])
     apart = np.linalg.norm(plan[:, None] - plan, axis=2) - hulls[:, None] - hulls
     apart[np.triu_indices(len(pillars))] = np.inf
@@ -46,11 +51,15 @@ def test_pillars_spread_over_the_plan() -> None:
 
 def test_half_widths_are_drawn_between_their_bounds() -> None:
     for round_share in (0.0, 1.0):
-        pillars = draw(Pillar(**MANY, half_width_m=(0.15, 0.9), round_share=round_share, oblong_share=0.0))
+        pillars = draw(
+            Pillar(**MANY, half_width_m=(0.15, 0.9), round_share=round_share, oblong_share=0.0)
+        )
         assert looks_uniform([p.size[0] for p in pillars], 0.15, 0.9)
 
 
-@pytest.mark.parametrize(("round_share", "oblong_share"), [(0.7, 0.1), (0.2, 0.5), (0.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("round_share", "oblong_share"), [(0.7, 0.1), (0.2, 0.5), (0.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
+)
 def test_sections_come_in_their_shares(round_share: float, oblong_share: float) -> None:
     pillars = draw(Pillar(**MANY, round_share=round_share, oblong_share=oblong_share))
     counted = {"round": 0, "square": 0, "oblong": 0}
@@ -60,13 +69,19 @@ def test_sections_come_in_their_shares(round_share: float, oblong_share: float) 
         else:
             assert pillar.shape == Geom.mjGEOM_BOX
             counted["square" if pillar.size[0] == pillar.size[1] else "oblong"] += 1
-    for name, share in {"round": round_share, "oblong": oblong_share, "square": 1 - round_share - oblong_share}.items():
+    for name, share in {
+        "round": round_share,
+        "oblong": oblong_share,
+        "square": 1 - round_share - oblong_share,
+    }.items():
         assert looks_like_share(counted[name], len(pillars), share), (name, counted)
 
 
 @pytest.mark.parametrize("ratio", [1.5, 4.0])
 def test_oblong_pillars_are_up_to_the_ratio_as_long_as_wide(ratio: float) -> None:
-    kind = Pillar(**MANY, round_share=0.0, oblong_share=1.0, oblong_ratio=ratio, half_width_m=(0.2, 0.4))
+    kind = Pillar(
+        **MANY, round_share=0.0, oblong_share=1.0, oblong_ratio=ratio, half_width_m=(0.2, 0.4)
+    )
     pillars = draw(kind)
     assert looks_uniform([p.size[1] / p.size[0] for p in pillars], 1.0, ratio)
     assert looks_uniform([p.size[0] for p in pillars], 0.2, 0.4)
@@ -88,13 +103,24 @@ def test_square_and_oblong_pillars_are_turned_about_the_vertical_at_will() -> No
 
 
 @pytest.mark.parametrize("sections", [(1.0, 0.0), (0.0, 0.0), (0.0, 1.0), (0.4, 0.3)])
-def test_pillars_of_a_passage_stand_its_width_from_an_earlier_ones_hull(sections: tuple[float, float]) -> None:
-    """Set beside one that is itself set beside another, and so on, each passage is exactly as wide as asked for."""
+def test_pillars_of_a_passage_stand_its_width_from_an_earlier_ones_hull(
+    sections: tuple[float, float],
+) -> None:
+    """Set beside one that is itself set beside another, and so on, each passage is exactly as wide
+    as asked for."""
     round_share, oblong_share = sections
-    kind = Pillar(**MANY, passage_share=1.0, passage_m=(0.77, 0.77), round_share=round_share, oblong_share=oblong_share)
+    kind = Pillar(
+        **MANY,
+        passage_share=1.0,
+        passage_m=(0.77, 0.77),
+        round_share=round_share,
+        oblong_share=oblong_share,
+    )
     exact = np.abs(gaps(draw(kind)) - 0.77) < 1e-9
     assert exact[1:].any(axis=1).all()
-    chosen = exact[1:].argmax(axis=1) / np.arange(1, len(exact))  # which of the earlier ones, from first to last
+    chosen = exact[1:].argmax(axis=1) / np.arange(
+        1, len(exact)
+    )  # which of the earlier ones, from first to last
     assert looks_uniform(chosen[20:], 0.0, 1.0)
 
 
@@ -129,7 +155,9 @@ def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0() -> None:
 def test_a_world_depends_on_the_state_of_the_generator_alone() -> None:
     first, again, other = (draw(Pillar(), seed) for seed in (5, 5, 6))
     for name in ("size", "position", "quaternion"):
-        same = [np.array([getattr(p, name) for p in pillars[:50]]) for pillars in (first, again, other)]
+        same = [
+            np.array([getattr(p, name) for p in pillars[:50]]) for pillars in (first, again, other)
+        ]
         np.testing.assert_array_equal(same[0], same[1])
         assert not np.array_equal(same[0], same[2])
 
@@ -167,4 +195,6 @@ def test_bad_values_are_named(name: str, value: object) -> None:
 
 
 def test_every_parameter_has_bad_values() -> None:
-    assert {name for name, _ in BAD} == {field.name for field in dataclasses.fields(Pillar)} - {"ground"}
+    assert {name for name, _ in BAD} == {field.name for field in dataclasses.fields(Pillar)} - {
+        "ground"
+    }

@@ -1,4 +1,5 @@
-"""Which part an index takes, and which samples a batch: laws of numbers, for which nothing is drawn."""
+"""Which part an index takes, and which samples a batch: laws of numbers, for which nothing is
+drawn."""
 
 import json
 from collections import Counter
@@ -65,7 +66,10 @@ def test_decimal_weights_are_meant_as_they_are_written() -> None:
 
 def test_a_mixtures_part_is_that_parts_own_stream() -> None:
     recipes = [small_recipe("pillar"), small_recipe("geometric")]
-    mixture, alone = scenegen.stream([(recipes[0], 2), recipes[1]]), [scenegen.stream(recipe) for recipe in recipes]
+    mixture, alone = (
+        scenegen.stream([(recipes[0], 2), recipes[1]]),
+        [scenegen.stream(recipe) for recipe in recipes],
+    )
     for index in (0, 4, 5, 8, 11):
         part, number = mixture.part(index)
         assert same(mixture[index], alone[part][number])
@@ -92,7 +96,9 @@ def test_batches_hold_each_sample_once_and_share_no_flight(
     for batch in everything:
         assert len(batch) == size
         assert len({index // row for index in batch}) == size
-    by_rank = [list(stream.batches(size, rank=rank, ranks=ranks, loaders=loaders)) for rank in range(ranks)]
+    by_rank = [
+        list(stream.batches(size, rank=rank, ranks=ranks, loaders=loaders)) for rank in range(ranks)
+    ]
     rows_of: dict[int, set[tuple[int, int]]] = {}
     for number, batch in enumerate(everything):
         shares = [theirs[number] for theirs in by_rank]
@@ -117,7 +123,11 @@ def test_batches_go_on_where_a_state_says_with_any_ranks() -> None:
     half = stream.batches(4, rank=1, ranks=2, loaders=2)
     half.load_state_dict(json.loads(state))
     assert next(half) == stream.batches(4, loaders=2)[7][1::2]
-    for other in (stream.batches(8, loaders=2), stream.batches(4), mixed({3: 1, 6: 1}).batches(4, loaders=2)):
+    for other in (
+        stream.batches(8, loaders=2),
+        stream.batches(4),
+        mixed({3: 1, 6: 1}).batches(4, loaders=2),
+    ):
         with pytest.raises(DatasetError, match="it is of another one"):
             other.load_state_dict(json.loads(state))
 

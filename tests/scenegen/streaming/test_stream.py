@@ -5,6 +5,8 @@ import json
 import os
 import pickle
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +30,9 @@ SCENES = Path(__file__).parents[3] / "scenes"
 def same(one: Sample, other: Sample) -> bool:
     """All fields, bit for bit and of the same type."""
     pairs = [(np.asarray(getattr(one, name)), np.asarray(getattr(other, name))) for name in SCHEMA]
-    return all(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs)
+    return all(
+        a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs
+    )
 
 
 def never(component: Component, unit: int) -> Unit:
@@ -40,9 +44,16 @@ def test_its_first_samples_are_those_of_the_dataset(made_of: str, tmp_path: Path
     """The picky recipe rejects some draws of most units."""
     recipe = picky_recipe() if made_of == "picky" else small_recipe(made_of)
     counts = {"train": 8, "val": 2, "test": 4}
-    build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=5, counts=counts, shard_samples=3))
+    build(
+        plan_dataset(
+            tmp_path / "d", recipe, DrawnWorlds(recipe), seed=5, counts=counts, shard_samples=3
+        )
+    )
     for split in SPLITS:
-        stored, drawn = scenegen.load(tmp_path / "d", split), scenegen.stream(recipe, seed=5, split=split)
+        stored, drawn = (
+            scenegen.load(tmp_path / "d", split),
+            scenegen.stream(recipe, seed=5, split=split),
+        )
         assert drawn.describe() == stored.describe()
         order = np.random.default_rng(0).permutation(counts[split])
         assert all(same(drawn[int(n)], stored[int(n)]) for n in order)
@@ -51,12 +62,24 @@ def test_its_first_samples_are_those_of_the_dataset(made_of: str, tmp_path: Path
 
 
 def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path: Path) -> None:
-    drawn, scenes, counts = DrawnWorlds(small_recipe()), tmp_path / "scenes", {"train": 1, "val": 1, "test": 2}
+    drawn, scenes, counts = (
+        DrawnWorlds(small_recipe()),
+        tmp_path / "scenes",
+        {"train": 1, "val": 1, "test": 2},
+    )
     scenes.mkdir()
     for number in range(4):
         world = drawn.world("train", number, rng=np.random.default_rng(number))
         (scenes / f"{number}.xml").write_bytes(world.mjcf)
-    build(plan_dataset(tmp_path / "d", preset("scene"), read_scenes(scenes, counts, seed=2), seed=2, counts=counts))
+    build(
+        plan_dataset(
+            tmp_path / "d",
+            preset("scene"),
+            read_scenes(scenes, counts, seed=2),
+            seed=2,
+            counts=counts,
+        )
+    )
     stream = scenegen.stream(str(scenes), seed=2, split="test")
     stored = scenegen.load(tmp_path / "d", "test")
     assert all(same(stream[n], stored[n]) for n in range(2))
@@ -95,7 +118,10 @@ def test_a_sample_depends_on_seed_split_and_number_alone() -> None:
 
 def test_workers_make_what_one_process_makes_and_the_dead_are_replaced() -> None:
     recipe = small_recipe()
-    alone, helped = scenegen.stream(recipe, samples=60), scenegen.stream(recipe, samples=60, workers=2)
+    alone, helped = (
+        scenegen.stream(recipe, samples=60),
+        scenegen.stream(recipe, samples=60, workers=2),
+    )
     order = [*range(9), 40, 3, 41, *range(20, 32)]
     for index in order:
         assert same(helped[index], alone[index])
@@ -144,9 +170,24 @@ def test_reading_goes_on_where_a_state_says() -> None:
     everything = [*begun, *resumed]
     assert len(everything) == len(stream)
     assert all(same(one, other) for one, other in zip(everything, stream, strict=True))
-    for wrong in ({**json.loads(state), "samples": 6}, {**json.loads(state), "stream": "0"}, {}, None, {"samples": -1}):
+    for wrong in (
+        {**json.loads(state), "samples": 6},
+        {**json.loads(state), "stream": "0"},
+        {},
+        None,
+        {"samples": -1},
+    ):
         with pytest.raises(DatasetError, match=r"^state of a stream: "):
             reader.load_state_dict(wrong)
+
+
+def test_a_stream_that_nobody_closes_ends_without_a_word() -> None:
+    """Also one that outlives the modules that it needs."""
+    code = "import numpy, scenegen; numpy.kept = scenegen.stream('pillar', seed=0, workers=2); numpy.kept[0]"
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
 def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(
@@ -157,7 +198,10 @@ def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(
     scenegen.stream(recipe, cache=cache)[:6]
 
     def check() -> None:
-        assert all(same(a, b) for a, b in zip(scenegen.stream(recipe, cache=cache)[:6], expected, strict=True))
+        assert all(
+            same(a, b)
+            for a, b in zip(scenegen.stream(recipe, cache=cache)[:6], expected, strict=True)
+        )
 
     with monkeypatch.context() as patched:
         patched.setattr(Component, "draw", never)
@@ -168,7 +212,14 @@ def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(
     content = first.read_bytes()
     flipped = bytearray(content)
     flipped[-1] ^= 1
-    for wrong in (b"", content[:-1], content + b"\0", bytes(flipped), second.read_bytes(), content[:60]):
+    for wrong in (
+        b"",
+        content[:-1],
+        content + b"\0",
+        bytes(flipped),
+        second.read_bytes(),
+        content[:60],
+    ):
         first.write_bytes(wrong)
         check()
         assert first.read_bytes() == content

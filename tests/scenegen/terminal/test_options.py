@@ -1,4 +1,5 @@
-"""Options are the fields of a configuration: name, type, choices, bounds and default stand there alone."""
+"""Options are the fields of a configuration: name, type, choices, bounds and default stand there
+alone."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -25,7 +26,9 @@ class Config:
 
 
 @click.command()
-@options_of(Config, width="Channels.", reach_m="How far.", stride="Step.", mode="Which.", turned="Whether.")
+@options_of(
+    Config, width="Channels.", reach_m="How far.", stride="Step.", mode="Which.", turned="Whether."
+)
 def command(**options: Any) -> None:
     config = Config(**taken(Config, {**options, "nothing": 1}))
     click.echo(repr(config))
@@ -42,13 +45,22 @@ def test_nothing_given_is_the_configuration_as_it_comes() -> None:
 
 def test_what_is_given_has_the_fields_type() -> None:
     code, said = run("--width", "4", "--reach", "2", "--stride", "1", "--mode", "plain", "--turned")
-    assert (code, said) == (0, f"{Config(width=4, reach_m=2.0, stride=1, mode='plain', turned=True)!r}\n")
+    assert (code, said) == (
+        0,
+        f"{Config(width=4, reach_m=2.0, stride=1, mode='plain', turned=True)!r}\n",
+    )
 
 
 @pytest.mark.parametrize(
     "words",
     [
-        *(("--width", "65"), ("--width", "0"), ("--width", "1.5"), ("--stride", "3"), ("--mode", "odd")),
+        *(
+            ("--width", "65"),
+            ("--width", "0"),
+            ("--width", "1.5"),
+            ("--stride", "3"),
+            ("--mode", "odd"),
+        ),
         *(("--reach", "0"), ("--reach", "-1"), ("--reach", "many")),
     ],
 )
@@ -64,7 +76,15 @@ def test_numbers_are_finite(word: str) -> None:
 
 def test_help_says_defaults_choices_and_bounds() -> None:
     said = " ".join(run("--help")[1].split())
-    for told in ("1<=x<=64", "[default: 8]", "1|2", "[default: 2]", "plain|rich", "[default: rich]", "How far."):
+    for told in (
+        "1<=x<=64",
+        "[default: 8]",
+        "1|2",
+        "[default: 2]",
+        "plain|rich",
+        "[default: rich]",
+        "How far.",
+    ):
         assert told in said
     assert "--other" not in said
 

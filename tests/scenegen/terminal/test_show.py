@@ -9,7 +9,9 @@ from scenegen.terminal.show import curve, say, show_figures, show_table
 FORGED = "pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07\u202e"
 
 
-def test_names_and_values_are_escaped_and_keep_their_columns(capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_and_values_are_escaped_and_keep_their_columns(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     show_table({FORGED: FORGED, "short": "   12,345"}, FORGED, {"short": ("ok", "green")})
     said = capsys.readouterr().out
     lines = said.split("\n")
@@ -53,7 +55,9 @@ def test_in_a_pipe_figures_stand_in_one_line(
     assert len(capsys.readouterr().out.splitlines()) == 2
 
 
-@pytest.mark.parametrize(("encoding", "least", "greatest"), [("utf-8", "▁", "█"), ("ascii", "_", "#")])
+@pytest.mark.parametrize(
+    ("encoding", "least", "greatest"), [("utf-8", "▁", "█"), ("ascii", "_", "#")]
+)
 def test_a_curve_rises_and_falls_with_its_numbers(
     monkeypatch: pytest.MonkeyPatch, encoding: str, least: str, greatest: str
 ) -> None:

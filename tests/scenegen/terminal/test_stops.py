@@ -50,7 +50,12 @@ with stops.noted() as asked, undone_if_stopped(lambda: print("undone", flush=Tru
 
 def begin(*command: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
 
 
@@ -98,8 +103,18 @@ def answers(process: subprocess.Popen[str]) -> bool:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_while_a_command_begins(tmp_path: Path) -> None:
-    """Imports and the loading of kernels, at moments spread over them: six processes, three at a time."""
-    command = [sys.executable, str(ROOT / "cli.py"), "generate", "--kind", "pillar", "--n", "20000", "--quiet"]
+    """Imports and the loading of kernels, at moments spread over them: six processes, three at a
+    time."""
+    command = [
+        sys.executable,
+        str(ROOT / "cli.py"),
+        "generate",
+        "--kind",
+        "pillar",
+        "--n",
+        "20000",
+        "--quiet",
+    ]
     command += ["--workers", "1", "--shard-samples", "1000"]
     for delays in ((0.0, 0.3, 0.7), (1.1, 1.6, 2.2)):
         running = [begin(*command, "--out", str(tmp_path / str(delay))) for delay in delays]

@@ -2,17 +2,19 @@
 
 Every verdict on a voxel rests on a certificate, never on how the search that found it behaves:
 
-* *occupied* - two points, one a convex combination of points of the solid and one of corners of the cube, lie
+* *occupied* - two points, one a convex combination of points of the solid and one of corners of the
+  cube, lie
   at most ``NEAR`` apart (or a corner of the cube is inside the solid by its defining inequality);
 * *free* - a plane keeps the cube and the solid at least ``FAR`` apart (support functions of both);
-* *either* - both certificates place the distance inside (``NEAR``, ``FAR``), the band around the 1e-6 m of
+* *either* - both certificates place the distance inside (``NEAR``, ``FAR``), the band around the
+  1e-6 m of
   the contract in which rounding may decide.
 
-The search is GJK (Gilbert, Johnson, Keerthi 1988) on support functions; spheres and capsules are a point
-and a segment with a margin. A voxel for which it finds neither certificate is UNDECIDED, and the tests
-insist that there is none. Non-convex things are unions: a triangle mesh is its triangles, plus the voxel
-centres whose winding number (solid angles after Van Oosterom and Strackee 1983) is not zero; a height field
-is one prism per triangle of MuJoCo's own triangulation.
+The search is GJK (Gilbert, Johnson, Keerthi 1988) on support functions; spheres and capsules are a
+point and a segment with a margin. A voxel for which it finds neither certificate is UNDECIDED, and
+the tests insist that there is none. Non-convex things are unions: a triangle mesh is its triangles,
+plus the voxel centres whose winding number (solid angles after Van Oosterom and Strackee 1983) is
+not zero; a height field is one prism per triangle of MuJoCo's own triangulation.
 """
 
 from __future__ import annotations
@@ -73,7 +75,9 @@ class Shape:
     def at(self, pos: ArrayLike) -> Shape:
         return Shape(self.kind, self.size, np.asarray(pos, float), self.quat)
 
-    def add_to(self, body: mujoco.MjsBody, rgba: Sequence[float] = (0.5, 0.5, 0.5, 1)) -> mujoco.MjsGeom:
+    def add_to(
+        self, body: mujoco.MjsBody, rgba: Sequence[float] = (0.5, 0.5, 0.5, 1)
+    ) -> mujoco.MjsGeom:
         return body.add_geom(
             type=getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"),
             size=list(self.size),
@@ -135,7 +139,8 @@ def _support(kind, size, rot, pos, hull, dx, dy, dz):
 
 @numba.njit(cache=True, nogil=True)
 def _beside(size, rot, pos, dx, dy, dz, cx, cy, cz):
-    """The point of a cylinder's side that is farthest along d, at the height of the world point c."""
+    """The point of a cylinder's side that is farthest along d, at the height of the world point
+    c."""
     x, y, z = cx - pos[0], cy - pos[1], cz - pos[2]
     height = min(max(rot[0, 2] * x + rot[1, 2] * y + rot[2, 2] * z, -size[1]), size[1])
     lx = rot[0, 0] * dx + rot[1, 0] * dy + rot[2, 0] * dz
@@ -178,8 +183,8 @@ def _inside(kind, size, rot, pos, x, y, z):
 def _at_least(kind, size, rot, pos, x, y, z):
     """A lower bound of the distance from a world point to the solid.
 
-    Exact for all but the ellipsoid, for which the gauge G is convex, so that G(y) >= G(x) + dG(x)(y - x) puts
-    the surface G = 1 at least (G(x) - 1) / |dG(x)| away.
+    Exact for all but the ellipsoid, for which the gauge G is convex, so that G(y) >= G(x) + dG(x)(y
+    - x) puts the surface G = 1 at least (G(x) - 1) / |dG(x)| away.
     """
     x, y, z = x - pos[0], y - pos[1], z - pos[2]
     lx = abs(rot[0, 0] * x + rot[1, 0] * y + rot[2, 0] * z)
@@ -203,7 +208,9 @@ def _at_least(kind, size, rot, pos, x, y, z):
         gx, gy, gz = lx / size[0], ly / size[1], lz / size[2]
         gauge = math.sqrt(gx * gx + gy * gy + gz * gz)
         if gauge > 1.0:
-            slope = math.sqrt((gx / size[0]) ** 2 + (gy / size[1]) ** 2 + (gz / size[2]) ** 2) / gauge
+            slope = (
+                math.sqrt((gx / size[0]) ** 2 + (gy / size[1]) ** 2 + (gz / size[2]) ** 2) / gauge
+            )
             bound = max(bound, (gauge - 1.0) / slope)
     return bound
 
@@ -225,7 +232,8 @@ def _clear(lam):
 
 @numba.njit(cache=True, nogil=True)
 def _offer(w, lam, best_lam, best):
-    """Keep the weights ``lam`` if they name a point of the simplex nearer to the origin than the best."""
+    """Keep the weights ``lam`` if they name a point of the simplex nearer to the origin than the
+    best."""
     x = lam[0] * w[0, 0] + lam[1] * w[1, 0] + lam[2] * w[2, 0] + lam[3] * w[3, 0]
     y = lam[0] * w[0, 1] + lam[1] * w[1, 1] + lam[2] * w[2, 1] + lam[3] * w[3, 1]
     z = lam[0] * w[0, 2] + lam[1] * w[1, 2] + lam[2] * w[2, 2] + lam[3] * w[3, 2]
@@ -249,10 +257,11 @@ def _triple(w, i, j, nx, ny, nz):
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_on_simplex(w, n, lam, best_lam):
-    """Squared distance from the origin to the hull of the first n points, its weights left in ``best_lam``.
+    """Squared distance from the origin to the hull of the first n points, its weights left in
+    ``best_lam``.
 
-    Tries every corner, edge, face and the inside in turn, and believes none of them: what counts is the
-    length of the combination that the weights name.
+    Tries every corner, edge, face and the inside in turn, and believes none of them: what counts is
+    the length of the combination that the weights name.
     """
     best = np.inf
     for i in range(n):
@@ -297,8 +306,9 @@ def _nearest_on_simplex(w, n, lam, best_lam):
 def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_lam, near, far):
     """Certified bounds (low, high) of the distance of solid and cube, as tight as a verdict needs.
 
-    ``high`` is |sum lam_i w_i| for weights >= 0 that add up to 1 and w_i differences of points of the two;
-    ``low`` is the width of the slab that separates them. The search ends when they decide the verdict.
+    ``high`` is |sum lam_i w_i| for weights >= 0 that add up to 1 and w_i differences of points of
+    the two; ``low`` is the width of the slab that separates them. The search ends when they decide
+    the verdict.
     """
     low, high = -np.inf, np.inf
     vx, vy, vz = pos[0] - cx, pos[1] - cy, pos[2] - cz
@@ -309,15 +319,19 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
     n = 0
     for _ in range(400):
         sx, sy, sz = _support(kind, size, rot, pos, hull, -vx, -vy, -vz)
-        ox, oy, oz = cx + math.copysign(half, vx), cy + math.copysign(half, vy), cz + math.copysign(half, vz)
+        ox, oy, oz = (
+            cx + math.copysign(half, vx),
+            cy + math.copysign(half, vy),
+            cz + math.copysign(half, vz),
+        )
         sx, sy, sz = sx - ox, sy - oy, sz - oz
         norm = math.sqrt(vx * vx + vy * vy + vz * vz)
         low = max(low, (vx * sx + vy * sy + vz * sz) / norm - margin)
         if low >= far or (low >= near and high <= far):
             return low, high
         if kind == CYLINDER:
-            # All along the side that faces the cube points are nearly as far; one at an end, metres away,
-            # would bring the search forward by less than rounding.
+            # All along the side that faces the cube points are nearly as far; one at an end, metres
+            # away, would bring the search forward by less than rounding.
             bx, by, bz = _beside(size, rot, pos, -vx, -vy, -vz, cx, cy, cz)
             bx, by, bz = bx - ox, by - oy, bz - oz
             most = norm * norm - (vx * sx + vy * sy + vz * sz)
@@ -366,8 +380,8 @@ def _verdict(low, high, near, far):
 def _sweep(kind, size, rot, pos, hull, margin, shape, voxel, origin, near, far, verdict, boundary):
     """Judge every voxel of a map against one convex solid, and mark those near its surface.
 
-    A voxel is off the boundary when all its corners are inside (the solid is convex) or its centre is farther
-    away than a corner of it is; only boundary voxels need the search.
+    A voxel is off the boundary when all its corners are inside (the solid is convex) or its centre
+    is farther away than a corner of it is; only boundary voxels need the search.
     """
     w = np.zeros((4, 3))
     lam = np.zeros(4)
@@ -422,7 +436,23 @@ def _sweep(kind, size, rot, pos, hull, margin, shape, voxel, origin, near, far, 
                         low = min(low, _at_least(kind, size, rot, pos, cx + sx, cy + sy, cz + sz))
                     verdict[i, j, k] = _verdict(low, max(low, 0.0), near, far)
                     continue
-                low, high = _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_lam, near, far)
+                low, high = _bracket(
+                    kind,
+                    size,
+                    rot,
+                    pos,
+                    hull,
+                    margin,
+                    cx,
+                    cy,
+                    cz,
+                    half,
+                    w,
+                    lam,
+                    best_lam,
+                    near,
+                    far,
+                )
                 verdict[i, j, k] = _verdict(low, high, near, far)
 
 
@@ -451,7 +481,9 @@ class Judged:
 def disagreements(answer: NDArray[np.bool_], truth: Judged) -> NDArray[np.intp]:
     """The indices of the voxels at which an occupancy map contradicts the reference."""
     if answer.shape != truth.verdict.shape or answer.dtype != np.bool_:
-        raise AssertionError(f"not an occupancy map of {truth.verdict.shape}: {answer.dtype}{answer.shape}")
+        raise AssertionError(
+            f"not an occupancy map of {truth.verdict.shape}: {answer.dtype}{answer.shape}"
+        )
     wrong = (answer & (truth.verdict == FREE)) | (~answer & (truth.verdict == OCCUPIED))
     return np.argwhere(wrong)
 
@@ -464,7 +496,9 @@ def _core(shape: Shape) -> tuple[int, float]:
     return kind, (shape.size[0] if kind in (SPHERE, CAPSULE) else 0.0)
 
 
-def judge(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Judged:
+def judge(
+    shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
+) -> Judged:
     """The truth about one primitive, for every voxel of a map."""
     kind, margin = _core(shape)
     result = Judged.of_nothing(grid_shape)
@@ -486,7 +520,9 @@ def judge(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: 
     return result
 
 
-def bracket(shape: Shape, centre: ArrayLike, half: float, width: float = 1e-9) -> tuple[float, float]:
+def bracket(
+    shape: Shape, centre: ArrayLike, half: float, width: float = 1e-9
+) -> tuple[float, float]:
     """Certified bounds of the distance from a primitive to one cube, about ``width`` apart.
 
     Both are at most ``width`` when the two touch or overlap.
@@ -499,13 +535,26 @@ def bracket(shape: Shape, centre: ArrayLike, half: float, width: float = 1e-9) -
     size, pos = np.asarray(shape.size, float), np.asarray(shape.pos, float)
     cx, cy, cz = (float(c) for c in np.asarray(centre, float))
     scratch = np.zeros((4, 3)), np.zeros(4), np.zeros(4)
-    # A first call with the widest band finds rough bounds; then halve the question "above or below?".
+    # A first call with the widest band finds rough bounds; then halve the question "above or
+    # below?".
     low, high = 0.0, float(np.linalg.norm(pos - [cx, cy, cz]))
     lo, hi = low, high
     while hi - lo > width:
         mid = (lo + hi) / 2
         low, high = _bracket(
-            kind, size, shape.rot, pos, _NO_HULL, margin, cx, cy, cz, half, *scratch, mid, mid + width / 2
+            kind,
+            size,
+            shape.rot,
+            pos,
+            _NO_HULL,
+            margin,
+            cx,
+            cy,
+            cz,
+            half,
+            *scratch,
+            mid,
+            mid + width / 2,
         )
         lo, hi = max(lo, low), min(hi, high)
         if low < mid + width / 2 and high > mid and not (low >= mid and high <= mid + width / 2):
@@ -547,7 +596,10 @@ def points_inside(shape: Shape, points: Floats) -> NDArray[np.bool_]:
 
 def voxel_centres(grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Floats:
     """The centres of the voxels, (nx, ny, nz, 3)."""
-    axes = [o + (np.arange(n) + 0.5) * voxel for o, n in zip(np.asarray(origin, float), grid_shape, strict=True)]
+    axes = [
+        o + (np.arange(n) + 0.5) * voxel
+        for o, n in zip(np.asarray(origin, float), grid_shape, strict=True)
+    ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
@@ -572,7 +624,10 @@ def _sweep_hulls(hulls, shape, voxel, origin, near, far, verdict):
         for axis in range(3):
             bottom, top = np.inf, -np.inf
             for i in range(hull.shape[0]):
-                bottom, top = min(bottom, hull[i, axis] - 2 * far), max(top, hull[i, axis] + 2 * far)
+                bottom, top = (
+                    min(bottom, hull[i, axis] - 2 * far),
+                    max(top, hull[i, axis] + 2 * far),
+                )
             low_index[axis] = max(math.floor((bottom - origin[axis]) / voxel) - 1, 0)
             high_index[axis] = min(math.floor((top - origin[axis]) / voxel) + 2, shape[axis])
         for i in range(low_index[0], high_index[0]):
@@ -584,14 +639,30 @@ def _sweep_hulls(hulls, shape, voxel, origin, near, far, verdict):
                         continue
                     cz = origin[2] + (k + 0.5) * voxel
                     low, high = _bracket(
-                        HULL, zero, eye, zero, hull, 0.0, cx, cy, cz, half, w, lam, best_lam, near, far
+                        HULL,
+                        zero,
+                        eye,
+                        zero,
+                        hull,
+                        0.0,
+                        cx,
+                        cy,
+                        cz,
+                        half,
+                        w,
+                        lam,
+                        best_lam,
+                        near,
+                        far,
                     )
                     found = _verdict(low, high, near, far)
                     if found == OCCUPIED or (found != FREE and verdict[i, j, k] != UNDECIDED):
                         verdict[i, j, k] = found
 
 
-def judge_hulls(hulls: Floats, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Judged:
+def judge_hulls(
+    hulls: Floats, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
+) -> Judged:
     """The truth about a union of convex hulls of equally many points, (n, points, 3) in the world.
 
     Every occupied voxel counts as boundary, and so do its neighbours.
@@ -614,7 +685,8 @@ def judge_hulls(hulls: Floats, grid_shape: tuple[int, int, int], voxel: float, o
 
 
 def winding_number(triangles: Floats, points: Floats) -> Floats:
-    """How often a closed surface (f, 3, 3) winds around each point (n, 3): the sum of solid angles."""
+    """How often a closed surface (f, 3, 3) winds around each point (n, 3): the sum of solid
+    angles."""
     total = np.zeros(len(points))
     for start in range(0, len(points), 2048):
         a, b, c = (triangles[None, :, i] - points[start : start + 2048, None] for i in range(3))
@@ -631,11 +703,18 @@ def winding_number(triangles: Floats, points: Floats) -> Floats:
 
 
 def judge_mesh(
-    triangles: Floats, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike, *, filled: bool
+    triangles: Floats,
+    grid_shape: tuple[int, int, int],
+    voxel: float,
+    origin: ArrayLike,
+    *,
+    filled: bool,
 ) -> Judged:
-    """The truth about a triangle mesh given in the world: its surface, and what it encloses if ``filled``.
+    """The truth about a triangle mesh given in the world: its surface, and what it encloses if
+    ``filled``.
 
-    A voxel that no triangle touches is inside or outside as a whole: the winding number at its centre tells.
+    A voxel that no triangle touches is inside or outside as a whole: the winding number at its
+    centre tells.
     """
     surface = judge_hulls(triangles, grid_shape, voxel, origin)
     if not filled:
@@ -650,12 +729,14 @@ def judge_mesh(
     return Judged(verdict, surface.boundary)
 
 
-def hfield_prisms(heights: Floats, size: Sequence[float], pos: ArrayLike, quat: ArrayLike) -> Floats:
+def hfield_prisms(
+    heights: Floats, size: Sequence[float], pos: ArrayLike, quat: ArrayLike
+) -> Floats:
     """A height field as prisms (n, 6, 3) in the world, from its surface down to z = -size[3].
 
-    ``heights`` (rows along y, columns along x) are metres above the geom's frame. Each cell is cut along the
-    diagonal from its (low x, low y) corner to its (high x, high y) corner; ``test_occupancy`` establishes
-    with rays that MuJoCo cuts it there.
+    ``heights`` (rows along y, columns along x) are metres above the geom's frame. Each cell is cut
+    along the diagonal from its (low x, low y) corner to its (high x, high y) corner;
+    ``test_occupancy`` establishes with rays that MuJoCo cuts it there.
     """
     rows, cols = heights.shape
     xs = np.linspace(-size[0], size[0], cols)

@@ -1,4 +1,5 @@
-"""The distance field is the exact distance between voxel centres, truncated, rounded once to float32."""
+"""The distance field is the exact distance between voxel centres, truncated, rounded once to
+float32."""
 
 from __future__ import annotations
 
@@ -21,9 +22,11 @@ TRUNCATIONS = (1.0, 2.0, 3.4)
 
 
 def squares(occupancy: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Squared distances in voxels, whole numbers, infinite in an empty map: by scipy's transform of the free voxels.
+    """Squared distances in voxels, whole numbers, infinite in an empty map: by scipy's transform of
+    the free voxels.
 
-    ``distance_transform_edt`` computes sqrt(k) in float64 for an integer k; rounding its square returns k.
+    ``distance_transform_edt`` computes sqrt(k) in float64 for an integer k; rounding its square
+    returns k.
     """
     if not occupancy.any():
         return np.full(occupancy.shape, np.inf)
@@ -35,7 +38,9 @@ def expected_field(k: NDArray[np.float64], voxel: float, truncation: float) -> N
     return np.minimum(voxel * np.sqrt(k), truncation).astype(np.float32)
 
 
-def brute_field(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> NDArray[np.float32]:
+def brute_field(
+    occupancy: NDArray[np.bool_], voxel: float, truncation: float
+) -> NDArray[np.float32]:
     """By the definition: every voxel against every occupied one, in integers."""
     hits = np.argwhere(occupancy)
     out = np.full(occupancy.shape, truncation, np.float32)
@@ -60,7 +65,9 @@ def field(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> NDAr
 @pytest.mark.parametrize("voxel", VOXELS)
 @pytest.mark.parametrize("truncation", TRUNCATIONS)
 @pytest.mark.parametrize("density", [0.0001, 0.001, 0.02, 0.3, 0.97])
-def test_the_field_is_scipys_to_the_last_bit(voxel: float, truncation: float, density: float) -> None:
+def test_the_field_is_scipys_to_the_last_bit(
+    voxel: float, truncation: float, density: float
+) -> None:
     rng = np.random.default_rng(31)
     for shape in ((23, 31, 17), (40, 9, 26), (5, 60, 40), (1, 33, 8), (12, 1, 1)):
         occupancy = rng.random(shape) < density
@@ -74,20 +81,33 @@ def test_the_field_is_scipys_to_the_last_bit(voxel: float, truncation: float, de
     st.sampled_from(VOXELS) | st.floats(0.05, 1.0),
     st.sampled_from(TRUNCATIONS) | st.floats(0.01, 40.0),
 )
-def test_the_field_is_the_definitions(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> None:
-    np.testing.assert_array_equal(field(occupancy, voxel, truncation), brute_field(occupancy, voxel, truncation))
+def test_the_field_is_the_definitions(
+    occupancy: NDArray[np.bool_], voxel: float, truncation: float
+) -> None:
+    np.testing.assert_array_equal(
+        field(occupancy, voxel, truncation), brute_field(occupancy, voxel, truncation)
+    )
 
 
 @pytest.mark.parametrize("voxel", VOXELS)
 def test_truncations_of_every_reach_are_exact(voxel: float) -> None:
-    """From less than one voxel to farther than the map is wide, whole numbers and their neighbours."""
+    """From less than one voxel to farther than the map is wide, whole numbers and their
+    neighbours."""
     rng = np.random.default_rng(36)
     occupancy = rng.random((19, 26, 22)) < 0.0005
     occupancy[4, 20, 7] = True
     k = squares(occupancy)
     lengths = [0.5, 1, 1.5, 2, 3, 7, 10, 11, 12, 15, 16, 17, 20, 25, 90, 127, 128, 180, 182, 300]
-    for reach in [*lengths, *np.sqrt([2, 3, 5, 126, 127, 128, 129, 255, 256, 257]), *rng.uniform(0, 40, 20)]:
-        for truncation in (reach * voxel, np.nextafter(reach * voxel, 0), np.nextafter(reach * voxel, 999)):
+    for reach in [
+        *lengths,
+        *np.sqrt([2, 3, 5, 126, 127, 128, 129, 255, 256, 257]),
+        *rng.uniform(0, 40, 20),
+    ]:
+        for truncation in (
+            reach * voxel,
+            np.nextafter(reach * voxel, 0),
+            np.nextafter(reach * voxel, 999),
+        ):
             answer = field(occupancy, voxel, float(truncation))
             np.testing.assert_array_equal(answer, expected_field(k, voxel, float(truncation)))
 
@@ -132,15 +152,20 @@ def test_the_field_is_zero_exactly_where_it_is_occupied() -> None:
 
 @pytest.mark.parametrize("voxel", VOXELS)
 def test_neighbours_differ_by_no_more_than_their_distance(voxel: float) -> None:
-    """1-Lipschitz over all 13 neighbour directions, to the rounding of float32; and not flat by mistake."""
+    """1-Lipschitz over all 13 neighbour directions, to the rounding of float32; and not flat by
+    mistake."""
     rng = np.random.default_rng(34)
     occupancy = rng.random((30, 24, 28)) < 0.002
     answer = field(occupancy, voxel, 3.4).astype(float)
     for step in itertools.product((-1, 0, 1), repeat=3):
         if step <= (0, 0, 0):
             continue
-        here = answer[tuple(slice(max(-s, 0), n - max(s, 0)) for s, n in zip(step, answer.shape, strict=True))]
-        there = answer[tuple(slice(max(s, 0), n - max(-s, 0)) for s, n in zip(step, answer.shape, strict=True))]
+        here = answer[
+            tuple(slice(max(-s, 0), n - max(s, 0)) for s, n in zip(step, answer.shape, strict=True))
+        ]
+        there = answer[
+            tuple(slice(max(s, 0), n - max(-s, 0)) for s, n in zip(step, answer.shape, strict=True))
+        ]
         slope = np.abs(here - there).max() / (voxel * math.hypot(*step))
         assert slope <= 1 + 1e-6
         assert slope > 0.9
@@ -153,4 +178,6 @@ def test_the_field_ignores_how_the_map_lies_in_memory() -> None:
     answer = field(occupancy, 0.25, 2.0)
     np.testing.assert_array_equal(field(np.asfortranarray(occupancy), 0.25, 2.0), answer)
     np.testing.assert_array_equal(field(occupancy[::-1, :, ::-1], 0.25, 2.0), answer[::-1, :, ::-1])
-    np.testing.assert_array_equal(field(occupancy.transpose(2, 0, 1), 0.25, 2.0), answer.transpose(2, 0, 1))
+    np.testing.assert_array_equal(
+        field(occupancy.transpose(2, 0, 1), 0.25, 2.0), answer.transpose(2, 0, 1)
+    )

@@ -1,4 +1,5 @@
-"""Warp's truth, in its mode without a GPU: the bits of `rasterize` and `distance_field`, and of whole samples."""
+"""Warp's truth, in its mode without a GPU: the bits of `rasterize` and `distance_field`, and of
+whole samples."""
 
 import numpy as np
 import pytest
@@ -31,7 +32,10 @@ from scenegen.truth import gpu  # noqa: E402
 def test_occupancy_and_distances_have_the_processors_bits(grid: GridSpec) -> None:
     rng = np.random.default_rng(3)
     solids = [solids_of(random_model(rng)) for _ in range(3)]
-    upright = (f'type="{shape}" size="{size}" pos="0.4 0.8 -4.6" euler="0 0 30"' for shape, size in SIZES.items())
+    upright = (
+        f'type="{shape}" size="{size}" pos="0.4 0.8 -4.6" euler="0 0 30"'
+        for shape, size in SIZES.items()
+    )
     solids += [solids_of(model_of(*upright)), solids_of(model_of())]
     which = np.array([0, 1, 2, 2, 3, 4])
     corners = rng.uniform([-2, -2, -3], [0, 0, -1], (len(which), 3))
@@ -48,10 +52,14 @@ def test_occupancy_and_distances_have_the_processors_bits(grid: GridSpec) -> Non
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
 def test_samples_of_the_presets_have_the_same_bits(kind: str) -> None:
-    """Rays, voxels, occupancy and distances of several flights at once, each through a world of its own."""
+    """Rays, voxels, occupancy and distances of several flights at once, each through a world of its
+    own."""
     recipe = small_recipe(kind)
     source, grid, reach = DrawnWorlds(recipe), recipe.grid, recipe.lidar.max_range_m
-    units = [draw_unit(source, recipe, seed=0, split="train", unit=unit, engine=AnalyticEngine.of) for unit in range(3)]
+    units = [
+        draw_unit(source, recipe, seed=0, split="train", unit=unit, engine=AnalyticEngine.of)
+        for unit in range(3)
+    ]
     samples = [sample for unit in units for sample in unit.samples]
     worlds = Worlds([unit.world.solids for unit in units], device="cpu")
     which = np.repeat(np.arange(len(units)), [len(unit.samples) for unit in units])
@@ -70,13 +78,18 @@ def test_samples_of_the_presets_have_the_same_bits(kind: str) -> None:
         "tudf": gpu.distance_field(occupancy, grid).numpy(),
     }
     for name, values in found.items():
-        np.testing.assert_array_equal(values, [getattr(sample, name) for sample in samples], err_msg=name)
+        np.testing.assert_array_equal(
+            values, [getattr(sample, name) for sample in samples], err_msg=name
+        )
     assert found["observed"].any()
 
 
 def test_a_grid_that_is_not_the_occupancys_is_refused() -> None:
     occupancy = wp.zeros((1, 4, 4, 4), dtype=wp.bool, device="cpu")
-    with pytest.raises(ValueError, match=r"occupancy: an array \(1, 4, 4, 4\) of bool on cpu, expected \(1, 5, 4, 4\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"occupancy: an array \(1, 4, 4, 4\) of bool on cpu, expected \(1, 5, 4, 4\)",
+    ):
         gpu.distance_field(occupancy, GridSpec(shape=(5, 4, 4)))
 
 

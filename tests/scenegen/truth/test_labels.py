@@ -46,7 +46,10 @@ def distances(points: np.ndarray) -> np.ndarray:
     turn = np.radians(30.0)
     away = points - [0.9, 0.2, 0.6]
     turned = np.stack(
-        [np.cos(turn) * away[:, 0] + np.sin(turn) * away[:, 1], np.cos(turn) * away[:, 1] - np.sin(turn) * away[:, 0]]
+        [
+            np.cos(turn) * away[:, 0] + np.sin(turn) * away[:, 1],
+            np.cos(turn) * away[:, 1] - np.sin(turn) * away[:, 0],
+        ]
     )
     ball = np.maximum(np.linalg.norm(points - [-0.3, 0.0, 0.7], axis=1) - 0.4, 0.0)
     pill = points - [0.4, 1.1, 0.9]
@@ -74,7 +77,9 @@ def test_a_voxel_belongs_to_the_nearest_solid_and_of_two_to_the_first(shift: flo
     there = distances(origin + (cells + 0.5) * grid.voxel_m)
     found = owner[tuple(cells.T)]
     least = there.min(axis=0)
-    np.testing.assert_allclose(there[found, np.arange(len(found))], least, atol=1e-7)  # a mesh's vertices are float32
+    np.testing.assert_allclose(
+        there[found, np.arange(len(found))], least, atol=1e-7
+    )  # a mesh's vertices are float32
     first = np.argmax(there <= least + 1e-7, axis=0)
     assert (found == first).mean() > 0.99  # what rounding decides goes to either
     assert set(np.unique(found)) == {0, 1, 2, 4, 5}
@@ -85,9 +90,13 @@ def test_classes_come_from_names_shapes_or_groups() -> None:
     assert class_names(model, "name") == ["wall", "plane", "ball", "same", "crate", "wall_top"]
     assert set(class_names(model, "group")) == {"group 0"}
     assert labels_by("name", {"wall", "box"}).classes == ("nothing", *SHAPES, "wall")
-    with pytest.raises(GenerationError, match="geom 'wall_2' is of class 'wall', which was not known"):
+    with pytest.raises(
+        GenerationError, match="geom 'wall_2' is of class 'wall', which was not known"
+    ):
         labels_by("name", ()).of(compile_world(WORLD.encode()))
-    assert [SHAPES[int(code)] for code in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_MESH)] == [
+    assert [
+        SHAPES[int(code)] for code in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_MESH)
+    ] == [
         "plane",
         "mesh",
     ]
@@ -97,27 +106,33 @@ def test_labels_add_fields_and_change_none_and_their_digest_covers_them() -> Non
     recipe = small_recipe()
     with_labels = dataclasses.replace(recipe, labels=labels_by("name", ()))
     plain, more = (
-        draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=0).samples[0] for it in (recipe, with_labels)
+        draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=0).samples[0]
+        for it in (recipe, with_labels)
     )
     assert isinstance(more, LabelledSample)
     for name in vars(plain):
         np.testing.assert_array_equal(getattr(plain, name), getattr(more, name))
     parts = b"".join(getattr(more, name).tobytes() for name in LABELS)
     assert more.sha256() == hashlib.sha256(plain.sha256() + parts).digest()
-    # a return lies in a voxel, or beside one, of its own geom: the voxel's centre may be nearer to another
+    # a return lies in a voxel, or beside one, of its own geom: the voxel's centre may be nearer to
+    # another
     classes = {SHAPES[int(n) - 1] for n in np.unique(more.return_class) if n}
     assert classes <= {"plane", "box", "cylinder"}
     assert (more.return_geom >= 0).sum() == np.isfinite(plain.ranges).sum()
 
 
 @pytest.mark.parametrize("noise", ["", "spurious:0.05,range"])
-def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(tmp_path: Path, noise: str) -> None:
+def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(
+    tmp_path: Path, noise: str
+) -> None:
     recipe = dataclasses.replace(small_recipe(), labels=labels_by("group", ()))
     folder = tmp_path / "data"
     plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, compact=True)
     build(plan)
     build(plan)  # which finds every shard as it was
-    again = plan_rescan(Dataset(folder), tmp_path / "again", chain=Noise.parse(noise) if noise else None)
+    again = plan_rescan(
+        Dataset(folder), tmp_path / "again", chain=Noise.parse(noise) if noise else None
+    )
     build(again)
     for place in (folder, again.folder):
         report = verify(place)
@@ -159,7 +174,9 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path: 
         folders[by] = tmp_path / str(by)
         build(plan_dataset(folders[by], recipe, source, seed=1, counts=counts))
     plain, dressed, grouped = (Dataset(folder) for folder in folders.values())
-    assert b"oak" not in plain.world("train", 0)["world.xml"]  # as in datasets of earlier commits, byte for byte
+    assert (
+        b"oak" not in plain.world("train", 0)["world.xml"]
+    )  # as in datasets of earlier commits, byte for byte
     assert b"oak_02" in dressed.world("train", 0)["world.xml"]
     assert b"unused" not in dressed.world("train", 0)["world.xml"]
     classes = list(dressed.manifest.labels["classes"])
@@ -175,12 +192,16 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path: 
         met |= set(np.unique(material.voxel_geom).tolist())
         np.testing.assert_array_equal(material.voxel_class, wanted[material.voxel_geom])
         np.testing.assert_array_equal(material.return_class, wanted[material.return_geom])
-        np.testing.assert_array_equal(group.voxel_class, np.array([1, 4, 1, 1, 0])[group.voxel_geom])
+        np.testing.assert_array_equal(
+            group.voxel_class, np.array([1, 4, 1, 1, 0])[group.voxel_geom]
+        )
     assert met == {-1, 0, 1, 2, 3}
 
 
 def test_a_dataset_with_labels_can_be_published(tmp_path: Path) -> None:
-    recipe = dataclasses.replace(small_recipe(), labels=labels_by("name", ()), noise=Noise.parse("range"))
+    recipe = dataclasses.replace(
+        small_recipe(), labels=labels_by("name", ()), noise=Noise.parse("range")
+    )
     counts = {"train": 3, "val": 3, "test": 3}
     build(plan_dataset(tmp_path / "data", recipe, DrawnWorlds(recipe), seed=3, counts=counts))
     request = Request(dataset=tmp_path / "data", repository="ada/small", out=tmp_path / "out")

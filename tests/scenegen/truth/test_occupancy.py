@@ -1,4 +1,5 @@
-"""A voxel is occupied when its closed cube is within 1e-6 m of a solid: checked against ``reference``."""
+"""A voxel is occupied when its closed cube is within 1e-6 m of a solid: checked against
+``reference``."""
 
 from __future__ import annotations
 
@@ -20,7 +21,16 @@ from lidarsim.solids.shapes import Solids
 from scenegen.truth import rasterize
 from tests.conftest import quarter
 from tests.scenegen.truth import reference
-from tests.scenegen.truth.reference import EITHER, FREE, OCCUPIED, Floats, Judged, Shape, disagreements, judge
+from tests.scenegen.truth.reference import (
+    EITHER,
+    FREE,
+    OCCUPIED,
+    Floats,
+    Judged,
+    Shape,
+    disagreements,
+    judge,
+)
 
 KINDS = tuple(reference.KINDS)
 CONVEX = tuple(k for k in KINDS if k != "plane")
@@ -37,18 +47,23 @@ def grid_of(shape: tuple[int, int, int], voxel: float) -> GridSpec:
     return GridSpec(shape=shape, voxel_m=voxel, truncation_m=2.0)
 
 
-def occupied(model: mujoco.MjModel, shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> NDArray[np.bool_]:
+def occupied(
+    model: mujoco.MjModel, shape: tuple[int, int, int], voxel: float, origin: ArrayLike
+) -> NDArray[np.bool_]:
     """The answer under test."""
     return rasterize(solids_of(model), grid_of(shape, voxel), np.asarray(origin, float))
 
 
 def compiled(shapes: Sequence[Shape]) -> list[Solids]:
-    """The solids of each shape by itself, which MuJoCo compiled together: that takes a hundredth of the time."""
+    """The solids of each shape by itself, which MuJoCo compiled together: that takes a hundredth of
+    the time."""
     together = solids_of(reference.world_of(*shapes))
     assert len(together) == len(shapes)
     names = ("shape", "size", "position", "rotation", "lower", "upper")
     return [
-        dataclasses.replace(together, **{name: getattr(together, name)[n : n + 1] for name in names})
+        dataclasses.replace(
+            together, **{name: getattr(together, name)[n : n + 1] for name in names}
+        )
         for n in range(len(shapes))
     ]
 
@@ -63,7 +78,8 @@ def log_uniform(rng: np.random.Generator, low: float, high: float, n: int = 3) -
 
 
 def random_size(rng: np.random.Generator) -> tuple[float, float, float]:
-    """Half sizes: thin in any number of directions, in one only (plates), or all but one and 50 m long."""
+    """Half sizes: thin in any number of directions, in one only (plates), or all but one and 50 m
+    long."""
     half = log_uniform(rng, THINNEST / 2, THICKEST / 2)
     style = rng.random()
     if style < 0.5:
@@ -101,7 +117,8 @@ def surface_point(shape: Shape, rng: np.random.Generator) -> Floats:
 
 
 def placed(kind: str, rng: np.random.Generator, n: int) -> tuple[Shape, float, Floats]:
-    """A random shape whose surface passes through the middle part of a random map of n cubed voxels."""
+    """A random shape whose surface passes through the middle part of a random map of n cubed
+    voxels."""
     shape = random_shape(kind, rng)
     voxel = float(rng.choice(VOXELS))
     origin = rng.uniform(-20, 20, 3)
@@ -109,12 +126,16 @@ def placed(kind: str, rng: np.random.Generator, n: int) -> tuple[Shape, float, F
     return shape.at(target - surface_point(shape, rng)), voxel, origin
 
 
-def centres_only(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> NDArray[np.bool_]:
+def centres_only(
+    shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
+) -> NDArray[np.bool_]:
     """The mutant: a voxel is occupied when its centre is inside."""
     return reference.points_inside(shape, reference.voxel_centres(grid_shape, voxel, origin))
 
 
-def samples_only(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> NDArray[np.bool_]:
+def samples_only(
+    shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
+) -> NDArray[np.bool_]:
     """A better mutant: a voxel is occupied when any of 27 points spread over its cube is inside."""
     centres = reference.voxel_centres(grid_shape, voxel, origin)
     hit = np.zeros(grid_shape, bool)
@@ -133,9 +154,10 @@ def samples_only(shape: Shape, grid_shape: tuple[int, int, int], voxel: float, o
 def test_the_reference_agrees_with_mujocos_own_distance_to_a_cube(kind: str, count: int) -> None:
     """``mj_geomDistance`` of a box geom, with a tolerance tighter than its default.
 
-    At the default (1e-6, 35 iterations) it erred by up to 1.5e-6 m on flat ellipsoids; tightened, by 2e-7 m.
-    Some capsules whose axis runs through the box it calls apart (14 of 7042 that touch, by up to 2 cm, at any
-    tolerance), so of capsules only those that the reference finds apart are compared.
+    At the default (1e-6, 35 iterations) it erred by up to 1.5e-6 m on flat ellipsoids; tightened,
+    by 2e-7 m. Some capsules whose axis runs through the box it calls apart (14 of 7042 that touch,
+    by up to 2 cm, at any tolerance), so of capsules only those that the reference finds apart are
+    compared.
     """
     rng = np.random.default_rng(11)
     apart = touching = 0
@@ -184,7 +206,8 @@ def cube_feature(
 
 
 def squarely(shape: Shape, normal: Floats, rng: np.random.Generator) -> Shape:
-    """The shape turned until one of its axes, or a direction up to 0.1 rad from it, points along -normal."""
+    """The shape turned until one of its axes, or a direction up to 0.1 rad from it, points along
+    -normal."""
     along = np.eye(3)[rng.integers(3)] + rng.normal(size=3) * 10.0 ** rng.uniform(-9, -1)
     turn, _ = Rotation.align_vectors([-normal], [along / np.linalg.norm(along)])
     x, y, z, w = (Rotation.from_rotvec(normal * rng.uniform(0, 2 * math.pi)) * turn).as_quat()
@@ -194,11 +217,12 @@ def squarely(shape: Shape, normal: Floats, rng: np.random.Generator) -> Shape:
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(250)
 def test_gaps_of_a_micrometre_decide(kind: str, count: int) -> None:
-    """Cubes at a distance known by construction, from solids at random attitudes or flat against them.
+    """Cubes at a distance known by construction, from solids at random attitudes or flat against
+    them.
 
-    The point of the solid that is farthest along -n is put the gap away along n from a point of the cube
-    where n is an outward normal: the plane between the two separates them, so the gap is their distance.
-    No search is involved, so this judges ``reference`` too.
+    The point of the solid that is farthest along -n is put the gap away along n from a point of the
+    cube where n is an outward normal: the plane between the two separates them, so the gap is their
+    distance. No search is involved, so this judges ``reference`` too.
     """
     rng = np.random.default_rng(12)
     cubes = 0
@@ -211,7 +235,10 @@ def test_gaps_of_a_micrometre_decide(kind: str, count: int) -> None:
         if kind == "plane":
             normal = shape.rot[:, 2]
             corner = np.where(normal > 0, -0.5, 0.5)
-            touch, lowest = origin + (index + 0.5 + corner) * voxel, shape.rot[:, :2] @ rng.uniform(-9, 9, 2)
+            touch, lowest = (
+                origin + (index + 0.5 + corner) * voxel,
+                shape.rot[:, :2] @ rng.uniform(-9, 9, 2),
+            )
             normal = -normal
         else:
             touch, normal = cube_feature(index, voxel, origin, rng)
@@ -248,12 +275,15 @@ SEEN_THROUGH = 1e-3
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(ATTITUDES)
 def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind: str, count: int) -> None:
-    """Random sizes, attitudes, positions and voxels; every voxel of every map, near the surface or not."""
+    """Random sizes, attitudes, positions and voxels; every voxel of every map, near the surface or
+    not."""
     rng = np.random.default_rng([13, KINDS.index(kind)])
     n = 16
     boundary = filled = undecidable = 0
     cases = [placed(kind, rng, n) for _ in range(count)]
-    for (shape, voxel, origin), solids in zip(cases, compiled([case[0] for case in cases]), strict=True):
+    for (shape, voxel, origin), solids in zip(
+        cases, compiled([case[0] for case in cases]), strict=True
+    ):
         truth = check(shape, solids, (n, n, n), voxel, origin)
         boundary += int(truth.boundary.sum())
         filled += int((truth.boundary & (truth.verdict == OCCUPIED)).sum())
@@ -306,14 +336,17 @@ def test_a_shifted_or_eroded_or_padded_map_would_not_pass() -> None:
 # ---------------------------------------------------------------------------------------------------------
 
 
-def check(shape: Shape, solids: Solids, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Judged:
+def check(
+    shape: Shape, solids: Solids, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
+) -> Judged:
     """Assert that the answer for one shape, compiled to `solids`, is the reference's."""
     truth = judge(shape, grid_shape, voxel, origin)
     answer = rasterize(solids, grid_of(grid_shape, voxel), np.asarray(origin, float))
     wrong = disagreements(answer, truth)
     assert truth.undecided == 0, (shape, voxel, origin)
     assert not len(wrong), (
-        f"{len(wrong)} voxels, first {wrong[0]}, of {shape} voxel {voxel} origin {list(np.asarray(origin))}"
+        f"{len(wrong)} voxels, first {wrong[0]}, of {shape} voxel {voxel} origin "
+        f"{list(np.asarray(origin))}"
     )
     return truth
 
@@ -380,7 +413,8 @@ def test_a_ball_touching_a_face_an_edge_and_a_corner_touches() -> None:
 
 @pytest.mark.parametrize("kind", ["cylinder", "box", "capsule", "ellipsoid"])
 def test_upright_and_upside_down_solids_at_many_yaws(kind: str) -> None:
-    """Yaw only, and yaw after a half turn about x, y or any level axis; on the lattice and off it."""
+    """Yaw only, and yaw after a half turn about x, y or any level axis; on the lattice and off
+    it."""
     rng = np.random.default_rng(17)
     upside = (np.array([1.0, 0, 0, 0]), np.array([0.0, 1, 0, 0]), np.array([0.0, 0, 1, 0]))
     shapes, voxels = [], []
@@ -393,7 +427,11 @@ def test_upright_and_upside_down_solids_at_many_yaws(kind: str) -> None:
         at_rest = k % 2 == 0  # standing on a layer of voxels, as on a floor
         pos = rng.uniform(5, 9, 3) * voxel
         if at_rest:
-            height = size[2] if kind in ("box", "ellipsoid") else size[1] + (size[0] if kind == "capsule" else 0)
+            height = (
+                size[2]
+                if kind in ("box", "ellipsoid")
+                else size[1] + (size[0] if kind == "capsule" else 0)
+            )
             pos[2] = 4 * voxel + height
         shapes.append(Shape(kind, size, pos, quat))
         voxels.append(voxel)
@@ -407,10 +445,11 @@ def test_upright_and_upside_down_solids_at_many_yaws(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(8)
 def test_a_hair_off_upright_is_not_upright(kind: str, count: int) -> None:
-    """Tilts from 1e-9 to 1e-2 rad of solids up to 50 m long, whose far end is then micrometres to metres off.
+    """Tilts from 1e-9 to 1e-2 rad of solids up to 50 m long, whose far end is then micrometres to
+    metres off.
 
-    The map lies at the far end, where an error of attitude shows most: the solid's rim or face is 4 and 12
-    micrometres away from a layer of voxels there, and must be told from touching.
+    The map lies at the far end, where an error of attitude shows most: the solid's rim or face is 4
+    and 12 micrometres away from a layer of voxels there, and must be told from touching.
     """
     rng = np.random.default_rng(18)
     decided = 0
@@ -444,7 +483,8 @@ def test_a_hair_off_upright_is_not_upright(kind: str, count: int) -> None:
 @pytest.mark.parametrize("kind", CONVEX)
 @quarter(40)
 def test_solids_smaller_than_a_voxel_leave_a_mark(kind: str, count: int) -> None:
-    """From 0.2 mm to 4 cm across: one voxel when inside it, and all those around a corner it sits on.
+    """From 0.2 mm to 4 cm across: one voxel when inside it, and all those around a corner it sits
+    on.
 
     Inside means anywhere inside, close to faces, edges and corners too.
     """
@@ -469,7 +509,8 @@ def test_solids_smaller_than_a_voxel_leave_a_mark(kind: str, count: int) -> None
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(120)
 def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind: str, count: int) -> None:
-    """Maps that a solid swallows, clips, or misses altogether, of unequal sides and far from the origin."""
+    """Maps that a solid swallows, clips, or misses altogether, of unequal sides and far from the
+    origin."""
     rng = np.random.default_rng(20)
     kinds_seen = {"full": 0, "part": 0, "empty": 0}
     for k in range(count):
@@ -509,7 +550,9 @@ def test_the_map_at_the_size_of_use_holds_a_whole_scene() -> None:
                 rng.normal(size=4),
             )
         )
-    truth = reference.union((judge(s, grid.shape, grid.voxel_m, origin) for s in shapes), grid.shape)
+    truth = reference.union(
+        (judge(s, grid.shape, grid.voxel_m, origin) for s in shapes), grid.shape
+    )
     answer = rasterize(solids_of(reference.world_of(*shapes)), grid, origin)
     assert truth.undecided == 0
     assert not len(disagreements(answer, truth))
@@ -517,7 +560,8 @@ def test_the_map_at_the_size_of_use_holds_a_whole_scene() -> None:
 
 
 def test_solids_stand_where_their_bodies_put_them_at_qpos0() -> None:
-    """Nested bodies, a hinge and a slide with a reference, a free body: the pose is the model's at rest."""
+    """Nested bodies, a hinge and a slide with a reference, a free body: the pose is the model's at
+    rest."""
     spec = mujoco.MjSpec()
     outer = spec.worldbody.add_body(pos=[1, 0.5, 0.3], quat=[0.9, 0.1, -0.3, 0.2])
     outer.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], ref=0.7)
@@ -525,7 +569,9 @@ def test_solids_stand_where_their_bodies_put_them_at_qpos0() -> None:
     inner.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], ref=-0.4)
     free = spec.worldbody.add_body(pos=[-0.7, 0.8, 1.1], quat=[0.2, 0.4, 0.6, 0.1])
     free.add_freejoint()
-    local = Shape("box", (0.3, 0.2, 0.5), np.array([0.1, 0.2, -0.1]), np.array([0.3, 0.8, 0.1, 0.4]))
+    local = Shape(
+        "box", (0.3, 0.2, 0.5), np.array([0.1, 0.2, -0.1]), np.array([0.3, 0.8, 0.1, 0.4])
+    )
     for body in (outer, inner, free):
         local.add_to(body)
     model = spec.compile()
@@ -576,7 +622,9 @@ def bracket_shape() -> Mesh:
 
 
 def ring() -> Mesh:
-    torus = trimesh.creation.torus(major_radius=0.8, minor_radius=0.3, major_sections=16, minor_sections=8)
+    torus = trimesh.creation.torus(
+        major_radius=0.8, minor_radius=0.3, major_sections=16, minor_sections=8
+    )
     return np.asarray(torus.vertices), np.asarray(torus.faces)
 
 
@@ -604,7 +652,9 @@ def fan() -> Mesh:
     """Six triangles around a point, a tent without a floor."""
     turns = np.radians(np.arange(6) * 60)
     rim = np.stack([np.cos(turns), np.sin(turns), 0.2 * (-1.0) ** np.arange(6)], axis=1)
-    return np.concatenate([[[0, 0, 0.7]], rim]), np.array([(0, i + 1, (i + 1) % 6 + 1) for i in range(6)])
+    return np.concatenate([[[0, 0, 0.7]], rim]), np.array(
+        [(0, i + 1, (i + 1) % 6 + 1) for i in range(6)]
+    )
 
 
 def punctured_ball() -> Mesh:
@@ -613,7 +663,12 @@ def punctured_ball() -> Mesh:
     return np.asarray(ball.vertices), np.asarray(ball.faces)[1:]
 
 
-WATERTIGHT = {"bracket": bracket_shape, "ring": ring, "hollow_box": hollow_box, "two_blocks": two_blocks}
+WATERTIGHT = {
+    "bracket": bracket_shape,
+    "ring": ring,
+    "hollow_box": hollow_box,
+    "two_blocks": two_blocks,
+}
 OPEN = {"open_box": open_box, "fan": fan, "punctured_ball": punctured_ball}
 
 
@@ -628,7 +683,10 @@ def mesh_model(mesh: Mesh, pos: ArrayLike, quat: ArrayLike, **attributes: object
         **attributes,
     )
     spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH, meshname="m", pos=list(np.asarray(pos)), quat=list(np.asarray(quat))
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="m",
+        pos=list(np.asarray(pos)),
+        quat=list(np.asarray(quat)),
     )
     return spec.compile()
 
@@ -640,7 +698,9 @@ def mesh_triangles(mesh: Mesh, pos: ArrayLike, quat: ArrayLike) -> Floats:
 
 
 @pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
-@pytest.mark.parametrize("count", [3, pytest.param(6, marks=pytest.mark.slow)])  # one of each voxel, at least
+@pytest.mark.parametrize(
+    "count", [3, pytest.param(6, marks=pytest.mark.slow)]
+)  # one of each voxel, at least
 def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str, count: int) -> None:
     """At random attitudes; hollows and holes stay free, unlike in the convex hull."""
     rng = np.random.default_rng(22)
@@ -659,11 +719,17 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str, cou
         answer = occupied(mesh_model(mesh, pos, quat), grid_shape, voxel, origin)
         wrong = disagreements(answer, truth)
         assert truth.undecided == 0
-        assert not len(wrong), f"{len(wrong)} voxels, first {wrong[0]}, {name} pos {pos} quat {quat} voxel {voxel}"
+        assert not len(wrong), (
+            f"{len(wrong)} voxels, first {wrong[0]}, {name} pos {pos} quat {quat} voxel {voxel}"
+        )
         enclosed += int((truth.verdict != shell.verdict).sum())
         # The hull would have been another answer.
-        hull = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)).convex_hull
-        convex = reference.judge_mesh(np.asarray(hull.triangles), grid_shape, voxel, origin, filled=True)
+        hull = trimesh.Trimesh(
+            triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
+        ).convex_hull
+        convex = reference.judge_mesh(
+            np.asarray(hull.triangles), grid_shape, voxel, origin, filled=True
+        )
         beyond += len(disagreements(answer, convex))
     assert (enclosed > 8 * count) == closed
     assert beyond > 10 * count
@@ -672,7 +738,8 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str, cou
 @pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
 @quarter(150)
 def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name: str, count: int) -> None:
-    """Small maps anywhere in and around it: what is inside does not depend on how much the map shows."""
+    """Small maps anywhere in and around it: what is inside does not depend on how much the map
+    shows."""
     rng = np.random.default_rng(26)
     closed = name in WATERTIGHT
     mesh = (WATERTIGHT | OPEN)[name]()
@@ -699,14 +766,19 @@ def test_scaled_and_mirrored_meshes_are_filled(scale: tuple[float, float, float]
     quat, pos = np.array([0.3, 0.5, -0.2, 0.7]), np.array([2.0, 2.1, 1.9])
     triangles = mesh_triangles((vertices * scale, faces), pos, quat)
     truth = reference.judge_mesh(triangles, (20, 20, 20), 0.2, np.zeros(3), filled=True)
-    answer = occupied(mesh_model((vertices, faces), pos, quat, scale=scale), (20, 20, 20), 0.2, np.zeros(3))
+    answer = occupied(
+        mesh_model((vertices, faces), pos, quat, scale=scale), (20, 20, 20), 0.2, np.zeros(3)
+    )
     assert truth.undecided == 0
     assert not len(disagreements(answer, truth))
 
 
-@pytest.mark.parametrize("faults", ["three vertices a face", "all faces inward", "some faces inward"])
+@pytest.mark.parametrize(
+    "faults", ["three vertices a face", "all faces inward", "some faces inward"]
+)
 def test_a_watertight_mesh_is_filled_however_its_faces_are_listed(faults: str) -> None:
-    """Vertices not shared between faces, or faces wound the wrong way round, enclose the same space."""
+    """Vertices not shared between faces, or faces wound the wrong way round, enclose the same
+    space."""
     vertices, faces = bracket_shape()
     quat, pos = np.array([1, 0.2, 0.3, 0.4]), np.full(3, 2.0)
     triangles = mesh_triangles((vertices, faces), pos, quat)
@@ -724,10 +796,11 @@ def test_a_watertight_mesh_is_filled_however_its_faces_are_listed(faults: str) -
 
 @quarter(100)
 def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count: int) -> None:
-    """As for the primitives: the farthest vertex along -n lies a known gap from a cube with a normal n there.
+    """As for the primitives: the farthest vertex along -n lies a known gap from a cube with a
+    normal n there.
 
-    MuJoCo keeps mesh vertices as float32 numbers relative to the mesh's own centre, which moves them by up to
-    2e-7 m here; the gaps leave room for that.
+    MuJoCo keeps mesh vertices as float32 numbers relative to the mesh's own centre, which moves
+    them by up to 2e-7 m here; the gaps leave room for that.
     """
     rng = np.random.default_rng(27)
     grid_shape = (3, 2, 4)
@@ -738,7 +811,9 @@ def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count: int) ->
         if name == "hfield":
             elevation, size = random_elevation(rng, 4, 5), (0.8, 0.6, 0.7, 0.2)
             model = hfield_model(elevation, size, np.zeros(3), quat)
-            points = reference.hfield_prisms(elevation * size[2], size, np.zeros(3), quat).reshape(-1, 3)
+            points = reference.hfield_prisms(elevation * size[2], size, np.zeros(3), quat).reshape(
+                -1, 3
+            )
         else:
             mesh = (WATERTIGHT | OPEN)[name]()
             model = mesh_model(mesh, np.zeros(3), quat)
@@ -757,11 +832,14 @@ def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count: int) ->
 
 
 def test_a_cavity_stays_free() -> None:
-    """Counted by hand: a box of 7 voxels a side with a hollow of 3, on a lattice shifted by half a voxel."""
+    """Counted by hand: a box of 7 voxels a side with a hollow of 3, on a lattice shifted by half a
+    voxel."""
     outer, faces = cuboid([0, 0, 0], [7, 7, 7])
     inner, _ = cuboid([2, 2, 2], [5, 5, 5])
     mesh = np.concatenate([outer, inner]) * 0.25, np.concatenate([faces, faces[:, ::-1] + 8])
-    answer = occupied(mesh_model(mesh, [0, 0, 0], [1, 0, 0, 0]), (10, 10, 10), 0.25, np.full(3, -0.375))
+    answer = occupied(
+        mesh_model(mesh, [0, 0, 0], [1, 0, 0, 0]), (10, 10, 10), 0.25, np.full(3, -0.375)
+    )
     expected = np.zeros((10, 10, 10), bool)
     expected[1:9, 1:9, 1:9] = True
     expected[4:6, 4:6, 4:6] = False
@@ -770,7 +848,8 @@ def test_a_cavity_stays_free() -> None:
 
 @quarter(150)
 def test_a_triangle_occupies_the_cubes_it_grazes(count: int) -> None:
-    """Open meshes of one sliver or large triangle at random, each voxel; thin ones slip past every centre."""
+    """Open meshes of one sliver or large triangle at random, each voxel; thin ones slip past every
+    centre."""
     rng = np.random.default_rng(23)
     boundary = 0
     for _ in range(count):
@@ -780,7 +859,9 @@ def test_a_triangle_occupies_the_cubes_it_grazes(count: int) -> None:
         mesh = corners.astype(float), np.array([(0, 1, 2), (0, 2, 3)])
         triangles = mesh_triangles(mesh, np.zeros(3), [1, 0, 0, 0])
         truth = reference.judge_mesh(triangles, (10, 10, 10), 0.2, np.zeros(3), filled=False)
-        answer = occupied(mesh_model(mesh, np.zeros(3), [1, 0, 0, 0]), (10, 10, 10), 0.2, np.zeros(3))
+        answer = occupied(
+            mesh_model(mesh, np.zeros(3), [1, 0, 0, 0]), (10, 10, 10), 0.2, np.zeros(3)
+        )
         assert truth.undecided == 0
         assert not len(disagreements(answer, truth)), (mesh, disagreements(answer, truth)[0])
         boundary += int(truth.boundary.sum())
@@ -797,7 +878,9 @@ def hfield_model(
 ) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     rows, cols = elevation.shape
-    spec.add_hfield(name="h", nrow=rows, ncol=cols, size=list(size), userdata=elevation.ravel().tolist())
+    spec.add_hfield(
+        name="h", nrow=rows, ncol=cols, size=list(size), userdata=elevation.ravel().tolist()
+    )
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_HFIELD,
         hfieldname="h",
@@ -854,7 +937,9 @@ def test_height_fields_are_filled_down_to_their_base(turned: bool) -> None:
         answer = occupied(model, grid_shape, voxel, origin)
         wrong = disagreements(answer, truth)
         assert truth.undecided == 0
-        assert not len(wrong), f"case {k}: {len(wrong)} voxels, first {wrong[0]}, {rows}x{cols} {size} {pos} {quat}"
+        assert not len(wrong), (
+            f"case {k}: {len(wrong)} voxels, first {wrong[0]}, {rows}x{cols} {size} {pos} {quat}"
+        )
 
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
@@ -917,8 +1002,11 @@ def test_a_geom_of_alpha_zero_is_absent(kind: str) -> None:
 @pytest.mark.parametrize("material_alpha", [None, 0.0, 1.0])
 @pytest.mark.parametrize("contype", [0, 1])
 @pytest.mark.parametrize("group", [0, 4])
-def test_what_a_ray_sees_is_occupied(geom_alpha: float, material_alpha: float | None, contype: int, group: int) -> None:
-    """``mj_ray`` decides, whatever collides and whichever group is drawn; materials have their own alpha."""
+def test_what_a_ray_sees_is_occupied(
+    geom_alpha: float, material_alpha: float | None, contype: int, group: int
+) -> None:
+    """``mj_ray`` decides, whatever collides and whichever group is drawn; materials have their own
+    alpha."""
     spec = mujoco.MjSpec()
     geom = spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -936,5 +1024,8 @@ def test_what_a_ray_sees_is_occupied(geom_alpha: float, material_alpha: float | 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     hit = np.zeros(1, np.int32)
-    seen = mujoco.mj_ray(model, data, np.array([1.0, 1, 3]), np.array([0, 0, -1.0]), None, 1, -1, hit) >= 0
+    seen = (
+        mujoco.mj_ray(model, data, np.array([1.0, 1, 3]), np.array([0, 0, -1.0]), None, 1, -1, hit)
+        >= 0
+    )
     assert occupied(model, (10, 10, 10), 0.2, np.zeros(3)).any() == seen

@@ -1,4 +1,5 @@
-"""Truth of surfaces alone: what lies wholly inside one solid is not occupied, and every return still is."""
+"""Truth of surfaces alone: what lies wholly inside one solid is not occupied, and every return
+still is."""
 
 import dataclasses
 import itertools
@@ -34,10 +35,15 @@ EDGE = 24
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 
 
-def both(solids: Solids, shape: tuple[int, int, int], voxel: float, origin: Floats) -> list[NDArray[np.bool_]]:
+def both(
+    solids: Solids, shape: tuple[int, int, int], voxel: float, origin: Floats
+) -> list[NDArray[np.bool_]]:
     """Solid truth, and surface truth."""
     grid = GridSpec(shape=shape, voxel_m=voxel)
-    return [rasterize(solids, dataclasses.replace(grid, hollow=hollow), origin) for hollow in (False, True)]
+    return [
+        rasterize(solids, dataclasses.replace(grid, hollow=hollow), origin)
+        for hollow in (False, True)
+    ]
 
 
 def eroded(shape: Shape, by: float) -> Shape:
@@ -49,7 +55,9 @@ def eroded(shape: Shape, by: float) -> Shape:
         size *= 1 - by / size.min()
     else:
         size -= by * np.array(
-            {"sphere": (1, 0, 0), "capsule": (1, 0, 0), "cylinder": (1, 1, 0)}.get(shape.kind, (1, 1, 1))
+            {"sphere": (1, 0, 0), "capsule": (1, 0, 0), "cylinder": (1, 1, 0)}.get(
+                shape.kind, (1, 1, 1)
+            )
         )
     return dataclasses.replace(shape, size=tuple(size))
 
@@ -59,7 +67,9 @@ def test_what_is_left_out_lies_wholly_inside_one_solid_and_nothing_else_does(kin
     rng = np.random.default_rng(list(kind.encode()))
     places = [placed(kind, rng, EDGE) for _ in range(40)]
     inner = 0
-    for solids, (shape, voxel, origin) in zip(compiled([shape for shape, _, _ in places]), places, strict=True):
+    for solids, (shape, voxel, origin) in zip(
+        compiled([shape for shape, _, _ in places]), places, strict=True
+    ):
         solid, surface = both(solids, (EDGE,) * 3, voxel, origin)
         assert not (surface & ~solid).any()
         centres = reference.voxel_centres(solid.shape, voxel, origin)
@@ -67,8 +77,15 @@ def test_what_is_left_out_lies_wholly_inside_one_solid_and_nothing_else_does(kin
         inner += len(left_out)
         points = np.concatenate([CORNERS, rng.uniform(-0.5, 0.5, (20, 3))]) * voxel
         assert reference.points_inside(shape, left_out[:, None] + points).all()
-        if min(shape.size[: 1 if kind in ("sphere", "capsule") else 2 if kind == "cylinder" else 3]) > 1e-4:
-            deep = reference.points_inside(eroded(shape, 2e-6), centres[surface][:, None] + CORNERS * voxel)
+        if (
+            min(
+                shape.size[: 1 if kind in ("sphere", "capsule") else 2 if kind == "cylinder" else 3]
+            )
+            > 1e-4
+        ):
+            deep = reference.points_inside(
+                eroded(shape, 2e-6), centres[surface][:, None] + CORNERS * voxel
+            )
             assert not deep.all(axis=1).any()
     assert inner > 500
 
@@ -84,7 +101,12 @@ def test_solids_that_overlap_keep_each_its_own_surface() -> None:
     rng = np.random.default_rng(5)
     origin = np.zeros(3)
     shapes = [
-        Shape(kind, tuple(rng.uniform(0.5, 1.2, 3)), pos=tuple(rng.uniform(1, 2, 3)), quat=rng.normal(size=4))
+        Shape(
+            kind,
+            tuple(rng.uniform(0.5, 1.2, 3)),
+            pos=tuple(rng.uniform(1, 2, 3)),
+            quat=rng.normal(size=4),
+        )
         for kind in reference.KINDS
         if kind != "plane"
     ]
@@ -126,7 +148,12 @@ def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth(k
 def plan(folder: Path, *, hollow: bool | None = True) -> Plan:
     recipe = small_recipe(grid={} if hollow is None else {"hollow": hollow})
     return plan_dataset(
-        folder, recipe, DrawnWorlds(recipe), seed=3, counts={"train": 3, "val": 0, "test": 0}, shard_samples=2
+        folder,
+        recipe,
+        DrawnWorlds(recipe),
+        seed=3,
+        counts={"train": 3, "val": 0, "test": 0},
+        shard_samples=2,
     )
 
 
@@ -141,7 +168,9 @@ def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path: Path)
     assert dataset.manifest.recipe == small_recipe(grid={"hollow": True})
     again = plan_rescan(dataset, tmp_path / "again", chain=Noise.parse("range:0.02"))
     build(again)
-    for one_sample, other in zip(dataset.split("train"), Dataset(again.folder).split("train"), strict=True):
+    for one_sample, other in zip(
+        dataset.split("train"), Dataset(again.folder).split("train"), strict=True
+    ):
         np.testing.assert_array_equal(one_sample.occupancy, other.occupancy)
     assert "hollow = true" in recipe_text(one.parameters, "again")
     with pytest.raises(DatasetError, match=r'grid\.hollow is true there, "absent" asked for'):
@@ -156,4 +185,6 @@ def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path: Path)
 def test_manifests_of_solids_do_not_name_it(tmp_path: Path) -> None:
     assert plan(tmp_path, hollow=False).parameters == plan(tmp_path, hollow=None).parameters
     assert plan(tmp_path, hollow=None).parameters["grid"].keys() == {"shape", "voxel", "truncation"}
-    assert plan(tmp_path).parameters["grid"] == plan(tmp_path, hollow=None).parameters["grid"] | {"hollow": True}
+    assert plan(tmp_path).parameters["grid"] == plan(tmp_path, hollow=None).parameters["grid"] | {
+        "hollow": True
+    }

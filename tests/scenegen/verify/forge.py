@@ -1,4 +1,5 @@
-"""A forger who knows the format: edits a dataset and rewrites every checksum and digest to match."""
+"""A forger who knows the format: edits a dataset and rewrites every checksum and digest to
+match."""
 
 import hashlib
 import json
@@ -22,9 +23,13 @@ DIGESTED = ("ranges", "position", "quaternion", "origin", "world", "viewpoint")
 Arrays = dict[str, np.ndarray]
 
 
-def make(folder: Path, kind: str = "pillar", *, counts: dict[str, int] = COUNTS, compact: bool = False) -> Path:
+def make(
+    folder: Path, kind: str = "pillar", *, counts: dict[str, int] = COUNTS, compact: bool = False
+) -> Path:
     recipe = small_recipe(kind)
-    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=6)
+    plan = plan_dataset(
+        folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=6
+    )
     assert build(plan).complete
     return folder
 
@@ -45,10 +50,15 @@ def sample_digest(arrays: Arrays, row: int) -> bytes:
     return hashlib.sha256(raw).digest()
 
 
-def store(folder: Path, file: str, arrays: Arrays, attributes: dict[str, Any], *, digests: bool = True) -> None:
+def store(
+    folder: Path, file: str, arrays: Arrays, attributes: dict[str, Any], *, digests: bool = True
+) -> None:
     """Write a shard, its samples' digests made to match, and sign the manifest again."""
     if digests:
-        rows = [np.frombuffer(sample_digest(arrays, row), np.uint8) for row in range(len(arrays["world"]))]
+        rows = [
+            np.frombuffer(sample_digest(arrays, row), np.uint8)
+            for row in range(len(arrays["world"]))
+        ]
         arrays["sha256"] = np.array(rows)
     with h5py.File(folder / file, "w") as shard:
         for name, values in arrays.items():
@@ -66,17 +76,22 @@ def edit(folder: Path, file: str, change: Callable[[Arrays], None]) -> None:
 
 
 def sign(folder: Path, **changes: Any) -> None:
-    """Make the manifest's checksums and digest, and what shards say of themselves, those of the files."""
+    """Make the manifest's checksums and digest, and what shards say of themselves, those of the
+    files."""
     given = {**manifest.read(folder), **changes}
     total = hashlib.sha256()
     fingerprint = manifest.fingerprint(manifest.parameters_of(given))
     for entry in given["shards"]:
         entry["worlds_sha256"] = hashlib.sha256((folder / entry["worlds"]).read_bytes()).hexdigest()
         with h5py.File(folder / entry["file"], "r+") as shard:
-            if dict(shard.attrs) | {"worlds_sha256": entry["worlds_sha256"], "parameters": fingerprint} != dict(
-                shard.attrs
-            ):
-                shard.attrs["worlds_sha256"], shard.attrs["parameters"] = entry["worlds_sha256"], fingerprint
+            if dict(shard.attrs) | {
+                "worlds_sha256": entry["worlds_sha256"],
+                "parameters": fingerprint,
+            } != dict(shard.attrs):
+                shard.attrs["worlds_sha256"], shard.attrs["parameters"] = (
+                    entry["worlds_sha256"],
+                    fingerprint,
+                )
             total.update(shard["sha256"][()].tobytes())
         entry["sha256"] = hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest()
     given["digest"] = total.hexdigest()

@@ -8,7 +8,9 @@ PAGE = Path(__file__).parents[3] / "docs" / "verify.md"
 
 
 def test_the_table_is_that_of_the_checks() -> None:
-    rows = [f"| `{check.name}` | {'yes' if check.quick else ''} | {check.proves} |" for check in CHECKS]
+    rows = [
+        f"| `{check.name}` | {'yes' if check.quick else ''} | {check.proves} |" for check in CHECKS
+    ]
     table = "\n".join(["| check | `--quick` | proves |", "|---|---|---|", *rows])
     assert f"\n\n{table}\n\n" in PAGE.read_text(encoding="utf-8")
 

@@ -1,4 +1,5 @@
-"""Datasets of generator 1, whose last bits its processor decided, and of other machines: read, and verified fairly."""
+"""Datasets of generator 1, whose last bits its processor decided, and of other machines: read, and
+verified fairly."""
 
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from lidarsim import Pose, Scan, voxelize
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
+from scenegen.software import software
 from scenegen.verify import Outcome, verify
 from tests.scenegen.verify import forge
 from tests.scenegen.verify.conftest import failed
@@ -30,14 +32,18 @@ def again(folder: Path) -> Outcome:
 
 
 def fly_lower(folder: Path) -> None:
-    """Compute a shard's voxels from a little below the stored place: the level ray then runs under the grid's middle,
-    as it would have with another sine."""
+    """Compute a shard's voxels from a little below the stored place: the level ray then runs under
+    the grid's middle, as it would have with another sine."""
     dataset = Dataset(folder)
 
     def change(arrays: forge.Arrays) -> None:
         for row in range(len(arrays["world"])):
             pose = Pose(arrays["position"][row] - [0.0, 0.0, 1e-14], arrays["quaternion"][row])
-            seen = voxelize(Scan(arrays["ranges"][row], pose, dataset.lidar), dataset.grid, arrays["origin"][row])
+            seen = voxelize(
+                Scan(arrays["ranges"][row], pose, dataset.lidar),
+                dataset.grid,
+                arrays["origin"][row],
+            )
             arrays["free"][row], arrays["observed"][row] = seen.free, seen.observed
 
     forge.edit(folder, SHARD, change)
@@ -59,7 +65,7 @@ def test_what_cannot_be_compared_is_counted_and_fails_nothing(older: Path) -> No
 
 
 def test_another_machine_is_said_and_fails_nothing(folder: Path) -> None:
-    forge.sign(folder, seed=1, software=manifest.software() | {"machine": "aarch64"})
+    forge.sign(folder, seed=1, software=software() | {"machine": "aarch64"})
     check = again(folder)
     assert (check.ok, check.skipped) == (True, True)
     assert 'machine is "aarch64" there' in check.detail

@@ -31,11 +31,17 @@ def soon_and_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> object:
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
     begin = time.monotonic()
-    # forked children begin with what this process has, and the figure is the largest of all that ever were
-    before = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    # forked children begin with what this process has, and the figure is the largest of all that
+    # ever were
+    before = max(
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
     yield
     assert time.monotonic() - begin < SECONDS
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < before + (1 << 20)  # KB, so a gigabyte
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < before + (
+        1 << 20
+    )  # KB, so a gigabyte
     assert list(elsewhere.iterdir()) == []
     assert not (tmp_path / "evil").exists()
 
@@ -56,7 +62,9 @@ def soft_link(shard: h5py.File) -> None:
 
 
 def external_storage(shard: h5py.File) -> None:
-    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", external=[("/etc/passwd", 0, 6 * 24 * 24 * 16 * 4)])
+    shard.create_dataset(
+        "tudf", (6, 24, 24, 16), "<f4", external=[("/etc/passwd", 0, 6 * 24 * 24 * 16 * 4)]
+    )
 
 
 def virtual(shard: h5py.File) -> None:
@@ -70,7 +78,9 @@ def unknown_filter(shard: h5py.File) -> None:
 
 
 def absurd_shape(shard: h5py.File) -> None:
-    shard.create_dataset("tudf", (6, 10**6, 10**6, 10**6), "<f4", chunks=(1, 24, 24, 16), compression="gzip")
+    shard.create_dataset(
+        "tudf", (6, 10**6, 10**6, 10**6), "<f4", chunks=(1, 24, 24, 16), compression="gzip"
+    )
 
 
 def other_type(shard: h5py.File) -> None:
@@ -102,7 +112,9 @@ def chunks(content: bytes) -> Callable[[h5py.File], None]:
     """Every sample's distances are `content`, as they stand in the file."""
 
     def put(shard: h5py.File) -> None:
-        made = shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", chunks=(1, 24, 24, 16), compression="gzip")
+        made = shard.create_dataset(
+            "tudf", (6, 24, 24, 16), "<f4", chunks=(1, 24, 24, 16), compression="gzip"
+        )
         for row in range(6):
             made.id.write_direct_chunk((row, 0, 0, 0), content)
 
@@ -116,15 +128,24 @@ def chunks(content: bytes) -> Callable[[h5py.File], None]:
         (soft_link, "tudf is a link to elsewhere"),
         (external_storage, "tudf keeps its data in other files"),
         (virtual, "tudf keeps its data in other files"),
-        (unknown_filter, "tudf has filters (32000,), expected only gzip (1), shuffle (2) and fletcher32 (3)"),
-        (absurd_shape, "tudf is float32 (6, 1000000, 1000000, 1000000), expected float32 (6, 24, 24, 16)"),
+        (
+            unknown_filter,
+            "tudf has filters (32000,), expected only gzip (1), shuffle (2) and fletcher32 (3)",
+        ),
+        (
+            absurd_shape,
+            "tudf is float32 (6, 1000000, 1000000, 1000000), expected float32 (6, 24, 24, 16)",
+        ),
         (other_type, "tudf is float64"),
         (other_chunks, "tudf has other chunks than one a sample"),
         (contiguous, "tudf has other chunks than one a sample"),
         (nothing_stored, "tudf: 0 of 6 samples are stored"),
         (group, "tudf is not a dataset"),
         (hidden, "more: there or missing"),
-        (chunks(zlib.compress(bytes(1 << 25))), "sample 0: tudf cannot be unpacked"),  # a bomb: 32 MB in 33 KB
+        (
+            chunks(zlib.compress(bytes(1 << 25))),
+            "sample 0: tudf cannot be unpacked",
+        ),  # a bomb: 32 MB in 33 KB
         (chunks(b"nonsense"), "sample 0: tudf cannot be unpacked"),
         (chunks(bytes(100_000)), "100000 bytes at byte"),
     ],
@@ -226,37 +247,85 @@ def world(document: bytes) -> Callable[[dict[str, bytes]], None]:
 
 
 def geoms(count: int, more: str = "") -> bytes:
-    return b"<mujoco>%s<worldbody>%s</worldbody></mujoco>" % (more.encode(), b'<geom size="1"/>' * count)
+    return b"<mujoco>%s<worldbody>%s</worldbody></mujoco>" % (
+        more.encode(),
+        b'<geom size="1"/>' * count,
+    )
 
 
-LAUGHS = b'<!DOCTYPE m [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><mujoco model="&b;"/>'
+MANY = " ".join(f"a{n}='1'" for n in range(101))
+LAUGHS = (
+    b'<!DOCTYPE m [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><mujoco model="&b;"/>'
+)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda m: m.update({"../evil.xml": b""}), "member '../evil.xml': expected a plain file name"),
+        (
+            lambda m: m.update({"../evil.xml": b""}),
+            "member '../evil.xml': expected a plain file name",
+        ),
         (lambda m: m.update({"/tmp/evil": b""}), "member '/tmp/evil': expected a plain file name"),
         (lambda m: m.update({"a\\..\\evil": b""}), "expected a plain file name"),
         (lambda m: m.update({"world.xml": b""}), "member 'world.xml': expected a world's number"),
-        (lambda m: m.update({"000009.xml": geoms(1)}), "holds worlds 0 to 9 (3), its samples are of 0 to 1 (2)"),
+        (
+            lambda m: m.update({"000009.xml": geoms(1)}),
+            "holds worlds 0 to 9 (3), its samples are of 0 to 1 (2)",
+        ),
         (lambda m: m.pop("000001.xml"), "holds worlds 0 to 0 (1), its samples are of 0 to 1 (2)"),
         (world(b" " * (MOST_DOCUMENT_BYTES + 1)), f"expected {MOST_DOCUMENT_BYTES} at most"),
         (world(b"<mujoco>"), "000000.xml: is not plain XML"),
         (world(b""), "000000.xml: is not plain XML"),
         (world(LAUGHS), "declares a document type or entities"),
         (world(geoms(1, '<include file="/etc/passwd"/>')), "has <include>"),
-        (world(geoms(1, '<asset><mesh file="/etc/passwd"/></asset>')), "expected a file of the archive"),
-        (world(geoms(1, '<asset><mesh file="../evil.obj"/></asset>')), "expected a file of the archive"),
+        (
+            world(geoms(1, '<asset><mesh file="/etc/passwd"/></asset>')),
+            "expected a file of the archive",
+        ),
+        (
+            world(geoms(1, '<asset><mesh file="../evil.obj"/></asset>')),
+            "expected a file of the archive",
+        ),
         (world(geoms(1, '<compiler meshdir="/etc"/>')), "expected files beside the document"),
-        (world(geoms(1, '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>')), "nrow times"),
+        (
+            world(
+                geoms(
+                    1,
+                    '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
+                )
+            ),
+            "nrow times",
+        ),
         (world(geoms(1, '<size memory="100G"/>')), "expected 1073741824 at most"),
-        (world(geoms(1, '<custom><numeric name="a" size="2000000000"/></custom>')), "expected 100000 at most"),
+        (
+            world(geoms(1, '<custom><numeric name="a" size="2000000000"/></custom>')),
+            "expected 100000 at most",
+        ),
         (world(geoms(1, '<extension><plugin plugin="x"/></extension>')), "has <extension>"),
-        (world(b"<mujoco><worldbody>" + b"<body>" * 300 + b"</body>" * 300 + b"</worldbody></mujoco>"), "200 levels"),
+        (
+            world(
+                b"<mujoco><worldbody>"
+                + b"<body>" * 300
+                + b"</body>" * 300
+                + b"</worldbody></mujoco>"
+            ),
+            "200 levels",
+        ),
         (world(geoms(1_000_000)[:MOST_DOCUMENT_BYTES]), "more than 50000 geoms"),
         (
-            lambda m: m.update({"a.png": b"\x89PNG\r\n\x1a\n" + bytes(8) + struct.pack(">II", 10**5, 10**5)}),
+            world(geoms(1, f"<worldbody>{'<site/>' * 5001}</worldbody>")),
+            "more than 5000 elements besides geom",
+        ),
+        (world(geoms(1, f"<size {MANY}/>")), "100 attributes of one"),
+        (
+            lambda m: m.update({f"{n:06d}.xml": geoms(1) for n in range(7)}),
+            "7 worlds, expected one a sample",
+        ),
+        (
+            lambda m: m.update(
+                {"a.png": b"\x89PNG\r\n\x1a\n" + bytes(8) + struct.pack(">II", 10**5, 10**5)}
+            ),
             "an image of",
         ),
     ],
@@ -272,7 +341,9 @@ def test_an_archive_that_means_harm_is_named(
 
 
 def test_what_passes_the_screen_but_is_no_world_is_named(folder: Path) -> None:
-    forge.rezip(folder / WORLDS, world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>'))
+    forge.rezip(
+        folder / WORLDS, world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>')
+    )
     forge.sign(folder)
     assert f"{WORLDS}: 000000.xml: MuJoCo cannot compile it" in failed(folder)["splits"]
 
@@ -283,7 +354,12 @@ def test_archives_that_lie_about_their_members_are_named(folder: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         size = archive.infolist()[0].file_size
     lie = whole.replace(struct.pack("<I", size), struct.pack("<I", size // 2))
-    for content in (lie, whole[: len(whole) // 2] + b"PK\5\6" + bytes(18), b"", b"PK\5\6" + b"\xff" * 18):
+    for content in (
+        lie,
+        whole[: len(whole) // 2] + b"PK\5\6" + bytes(18),
+        b"",
+        b"PK\5\6" + b"\xff" * 18,
+    ):
         path.write_bytes(content)
         assert failed(folder, quick=True)["archives"].startswith(WORLDS)
 
@@ -296,19 +372,28 @@ def test_a_recipe_without_end_is_given_up(folder: Path, monkeypatch: pytest.Monk
     recipe = manifest.read(folder)["recipe"]
     many = {"iterations": 20_000, "flights_per_world": 1000}
     forge.sign(folder, recipe=recipe | {"flight": recipe["flight"] | many | {"iterations": 10**9}})
-    assert "iterations = 1000000000: expected a whole number" in failed(folder, workers=3)["manifest"]
+    assert (
+        "iterations = 1000000000: expected a whole number" in failed(folder, workers=3)["manifest"]
+    )
     nothing_will_do = {"accept": recipe["accept"] | {"min_returned_share": 1.0}}
     forge.sign(folder, recipe=recipe | {"flight": recipe["flight"] | many} | nothing_will_do)
     assert (
-        "train-00000.h5 or train-00000.worlds.zip: examining it took too long" in failed(folder, workers=3)["examined"]
+        "train-00000.h5 or train-00000.worlds.zip: examining it took too long"
+        in failed(folder, workers=3)["examined"]
     )
 
 
 def test_screening_takes_plain_worlds_and_knows_them_again() -> None:
     box = b'<geom name="%s" rgba="1 0 0 1" size="1 1 1" type="box" pos="%s 0 0"/>'
-    first = b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"2") + b"</worldbody></mujoco>"
-    second = b"<mujoco><worldbody>" + box % (b"c", b"2") + box % (b"d", b"1") + b"</worldbody></mujoco>"
-    third = b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"3") + b"</worldbody></mujoco>"
+    first = (
+        b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"2") + b"</worldbody></mujoco>"
+    )
+    second = (
+        b"<mujoco><worldbody>" + box % (b"c", b"2") + box % (b"d", b"1") + b"</worldbody></mujoco>"
+    )
+    third = (
+        b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"3") + b"</worldbody></mujoco>"
+    )
     one, two, three = (screen(document, {}, "w") for document in (first, second, third))
     assert one == two != three
     with pytest.raises(BrokenError, match="w: has <replicate>"):

@@ -1,4 +1,5 @@
-"""What is right passes, and every planted fault is caught by name, by forgers who rewrite all checksums, too."""
+"""What is right passes, and every planted fault is caught by name, by forgers who rewrite all
+checksums, too."""
 
 import json
 import os
@@ -32,9 +33,13 @@ SCENES = Path(__file__).parents[3] / "scenes"
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
 @pytest.mark.parametrize("quick", [False, True])
-def test_a_dataset_as_made_passes_every_check(originals: dict[str, Path], kind: str, quick: bool) -> None:
+def test_a_dataset_as_made_passes_every_check(
+    originals: dict[str, Path], kind: str, quick: bool
+) -> None:
     told: list[int] = []
-    report = verify(originals[kind], quick=quick, on_start=lambda n: told.append(-n), on_done=told.append)
+    report = verify(
+        originals[kind], quick=quick, on_start=lambda n: told.append(-n), on_done=told.append
+    )
     assert [check.detail for check in report.checks if not check.ok] == []
     assert [check.name for check in report.checks] == [
         check.name for check in CHECKS if (check.quick or not quick) and check.field not in LABELS
@@ -48,15 +53,23 @@ def test_a_dataset_as_made_passes_every_check(originals: dict[str, Path], kind: 
 def test_nothing_in_the_folder_changes_and_nothing_appears_elsewhere(
     originals: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = {path.name: (path.stat().st_mtime_ns, path.stat().st_size) for path in originals["pillar"].iterdir()}
+    before = {
+        path.name: (path.stat().st_mtime_ns, path.stat().st_size)
+        for path in originals["pillar"].iterdir()
+    }
     monkeypatch.chdir(tmp_path)
     assert verify(originals["pillar"]).ok
-    assert {p.name: (p.stat().st_mtime_ns, p.stat().st_size) for p in originals["pillar"].iterdir()} == before
+    assert {
+        p.name: (p.stat().st_mtime_ns, p.stat().st_size) for p in originals["pillar"].iterdir()
+    } == before
     assert list(tmp_path.iterdir()) == []
 
 
 def test_compact_datasets_pass(tmp_path: Path) -> None:
-    report = verify(forge.make(tmp_path / "d", compact=True, counts={"train": 3, "val": 0, "test": 0}), workers=2)
+    report = verify(
+        forge.make(tmp_path / "d", compact=True, counts={"train": 3, "val": 0, "test": 0}),
+        workers=2,
+    )
     assert report.failed == ()
     assert {"tudf", "free"} & {check.name for check in report.checks} == set()
     assert "regenerated" in {check.name for check in report.checks}
@@ -68,18 +81,30 @@ def test_worlds_drawn_by_hand_pass(tmp_path: Path, scene: str) -> None:
     tables = {name: SMALL[name] for name in ("lidar", "grid")} | {"flight": {"viewpoints": 2}}
     recipe = make_recipe("scene", tables, where="test")
     plan = plan_dataset(
-        tmp_path / "d", recipe, read_scenes(SCENES / scene, counts, seed=0), seed=0, counts=counts, shard_samples=4
+        tmp_path / "d",
+        recipe,
+        read_scenes(SCENES / scene, counts, seed=0),
+        seed=0,
+        counts=counts,
+        shard_samples=4,
     )
     build(plan)
     report = verify(tmp_path / "d")
     assert [check.detail for check in report.checks if not check.ok or check.skipped] == []
-    (tmp_path / "d" / "train-00001.worlds.zip").write_bytes((tmp_path / "d" / "train-00000.worlds.zip").read_bytes())
+    (tmp_path / "d" / "train-00001.worlds.zip").write_bytes(
+        (tmp_path / "d" / "train-00000.worlds.zip").read_bytes()
+    )
     forge.rezip(
         tmp_path / "d" / "train-00001.worlds.zip",
-        lambda members: members.update({"000000.xml": members["000000.xml"].replace(b"pos=", b" pos=", 1)}),
+        lambda members: members.update(
+            {"000000.xml": members["000000.xml"].replace(b"pos=", b" pos=", 1)}
+        ),
     )
     forge.sign(tmp_path / "d")
-    assert "is not the world that the manifest's recipe.scenes names" in failed(tmp_path / "d", quick=True)["archives"]
+    assert (
+        "is not the world that the manifest's recipe.scenes names"
+        in failed(tmp_path / "d", quick=True)["archives"]
+    )
 
 
 def roll(arrays: forge.Arrays) -> None:
@@ -113,9 +138,9 @@ def lose_free(arrays: forge.Arrays) -> None:
 
 
 def see_what_is_not_there(arrays: forge.Arrays) -> None:
-    arrays["observed"][0] |= ~arrays["occupancy"][0] & (np.arange(arrays["observed"][0].size) % 97 == 0).reshape(
-        arrays["observed"][0].shape
-    )
+    arrays["observed"][0] |= ~arrays["occupancy"][0] & (
+        np.arange(arrays["observed"][0].size) % 97 == 0
+    ).reshape(arrays["observed"][0].shape)
 
 
 def fill_a_voxel(arrays: forge.Arrays) -> None:
@@ -161,12 +186,32 @@ def change_everything_alike(arrays: forge.Arrays) -> None:
         (flip_rays, "rays", "rays differ", False),
         (flip_rays, "voxels", "observed is not what follows from ranges", False),
         (scale_tudf, "tudf", "sample 0: tudf is not what follows from occupancy", False),
-        (nudge_tudf, "tudf", "sample 5: tudf is not what follows from occupancy: 1 voxels differ, at (0, 0, 0)", False),
+        (
+            nudge_tudf,
+            "tudf",
+            "sample 5: tudf is not what follows from occupancy: 1 voxels differ, at (0, 0, 0)",
+            False,
+        ),
         (free_the_observed, "laws", "sample 3", False),
-        (lose_free, "free", "sample 3: free is not what follows from ranges: 1 voxels differ", False),
+        (
+            lose_free,
+            "free",
+            "sample 3: free is not what follows from ranges: 1 voxels differ",
+            False,
+        ),
         (see_what_is_not_there, "laws", "observed voxels are not occupied", True),
-        (fill_a_voxel, "occupancy", "sample 4: occupancy is not what follows from world 1: 1 voxels differ", False),
-        (move_the_grid, "centred", "sample 4: origin is 1e-09 m from position less half the grid", True),
+        (
+            fill_a_voxel,
+            "occupancy",
+            "sample 4: occupancy is not what follows from world 1: 1 voxels differ",
+            False,
+        ),
+        (
+            move_the_grid,
+            "centred",
+            "sample 4: origin is 1e-09 m from position less half the grid",
+            True,
+        ),
         (stretch_the_attitude, "centred", "sample 1: quaternion has length 1.001", True),
         (stretch_the_attitude, "free", "sample 1: pose: quaternion has length 1.001", False),
         (rename, "names", "sample 0: is world 0, viewpoint 1, expected (0, 0)", True),
@@ -188,17 +233,27 @@ def test_the_same_edits_without_the_digests_are_caught_by_the_digest(folder: Pat
     arrays, attributes = forge.load(folder, SHARD)
     move_a_return(arrays)
     forge.store(folder, SHARD, arrays, attributes, digests=False)
-    assert "sample 2: its content does not have the digest stored beside it" in failed(folder, quick=True)["digest"]
+    assert (
+        "sample 2: its content does not have the digest stored beside it"
+        in failed(folder, quick=True)["digest"]
+    )
 
 
-def test_samples_that_are_true_but_not_the_seeds_are_caught(originals: dict[str, Path], tmp_path: Path) -> None:
+def test_samples_that_are_true_but_not_the_seeds_are_caught(
+    originals: dict[str, Path], tmp_path: Path
+) -> None:
     folder = forge.copy(originals["geometric"], tmp_path / "d")
     forge.edit(folder, "val-00000.h5", change_everything_alike)
     assert set(failed(folder)) == {"regenerated"}
-    assert "val-00000.h5: sample 0: observed is not what the seed gives" in failed(folder)["regenerated"]
+    assert (
+        "val-00000.h5: sample 0: observed is not what the seed gives"
+        in failed(folder)["regenerated"]
+    )
 
 
-def share_a_world(folder: Path, disguise: Callable[[bytes], bytes] = lambda document: document) -> None:
+def share_a_world(
+    folder: Path, disguise: Callable[[bytes], bytes] = lambda document: document
+) -> None:
     """World 0 of test becomes world 0 of train, with the samples."""
     arrays, _ = forge.load(folder, SHARD)
     _, attributes = forge.load(folder, "test-00000.h5")
@@ -206,7 +261,8 @@ def share_a_world(folder: Path, disguise: Callable[[bytes], bytes] = lambda docu
     members: dict[str, bytes] = {}
     forge.rezip(folder / "train-00000.worlds.zip", members.update)
     forge.rezip(
-        folder / "test-00000.worlds.zip", lambda there: there.update({"000000.xml": disguise(members["000000.xml"])})
+        folder / "test-00000.worlds.zip",
+        lambda there: there.update({"000000.xml": disguise(members["000000.xml"])}),
     )
     forge.store(folder, "test-00000.h5", taken, attributes)
 
@@ -235,7 +291,8 @@ def test_a_world_in_two_splits_is_found_whatever_its_geoms_are_called(
 
 
 def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder: Path) -> None:
-    """Everything in the twin is true of its own world: only the two splits together are at fault."""
+    """Everything in the twin is true of its own world: only the two splits together are at
+    fault."""
     members: dict[str, bytes] = {}
     forge.rezip(folder / "train-00000.worlds.zip", members.update)
     spec = mujoco.MjSpec.from_string(members["000000.xml"].decode())
@@ -248,17 +305,28 @@ def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder: Path) -> No
     twin = {name: values[:3].copy() for name, values in arrays.items()}
     recipe = small_recipe()
     for row in range(3):
-        scan = cast(MujocoEngine.of(world.model), recipe.lidar, Pose(twin["position"][row], twin["quaternion"][row]))
+        scan = cast(
+            MujocoEngine.of(world.model),
+            recipe.lidar,
+            Pose(twin["position"][row], twin["quaternion"][row]),
+        )
         seen = voxelize(scan, recipe.grid)
         truth = rasterize(world.solids, recipe.grid, seen.origin)
         new = (seen.observed, seen.free, truth, distance_field(truth, recipe.grid), scan.ranges)
-        for name, value in zip(("observed", "free", "occupancy", "tudf", "ranges"), new, strict=True):
+        for name, value in zip(
+            ("observed", "free", "occupancy", "tudf", "ranges"), new, strict=True
+        ):
             twin[name][row] = value
-    forge.rezip(folder / "test-00000.worlds.zip", lambda there: there.update({"000000.xml": world.mjcf}))
+    forge.rezip(
+        folder / "test-00000.worlds.zip", lambda there: there.update({"000000.xml": world.mjcf})
+    )
     forge.store(folder, "test-00000.h5", twin, attributes)
     found = failed(folder)
     assert set(found) == {"near-twins", "regenerated"}
-    assert f"shows the map of {SHARD}: sample" in found["near-twins"] or "shows the map of test" in found["near-twins"]
+    assert (
+        f"shows the map of {SHARD}: sample" in found["near-twins"]
+        or "shows the map of test" in found["near-twins"]
+    )
 
 
 def test_a_truncated_shard_is_named(folder: Path) -> None:
@@ -304,22 +372,40 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
             "manifest",
             "rejected.worlds = {'no_flight': 7}",
         ),
-        ({"counts": {"train": 7, "val": 3, "test": 3}}, "manifest", "counts.train = 7, but its shards hold 6 samples"),
+        (
+            {"counts": {"train": 7, "val": 3, "test": 3}},
+            "manifest",
+            "counts.train = 7, but its shards hold 6 samples",
+        ),
         ({"complete": False}, "manifest", "complete is false"),
         ({"seed": "0"}, "manifest", "seed = '0'"),
         ({"seed": -1}, "manifest", "seed = -1"),
         ({"fields": ["tudf"]}, "manifest", "fields = ['tudf']"),
         ({"shards": [{"file": "../x"}]}, "manifest", "shards.0.file"),
-        ({"grid": {"shape": [8000] * 3, "voxel": 0.2, "truncation": 2.0}}, "manifest", "voxels at most"),
-        ({"grid": {"shape": [24, 24, 16], "voxel": float("nan"), "truncation": 2.0}}, "manifest", "grid.voxel = nan"),
-        ({"grid": {"shape": [24, 24, 15], "voxel": 0.2, "truncation": 2.0}}, "layout", f"{SHARD}: observed is bool"),
+        (
+            {"grid": {"shape": [8000] * 3, "voxel": 0.2, "truncation": 2.0}},
+            "manifest",
+            "voxels at most",
+        ),
+        (
+            {"grid": {"shape": [24, 24, 16], "voxel": float("nan"), "truncation": 2.0}},
+            "manifest",
+            "grid.voxel = nan",
+        ),
+        (
+            {"grid": {"shape": [24, 24, 15], "voxel": 0.2, "truncation": 2.0}},
+            "layout",
+            f"{SHARD}: observed is bool",
+        ),
         ({"lidar": {"rows": 10**9}}, "manifest", "rows = 1000000000"),
         ({"lidar": {"rays": 4}}, "manifest", "unknown parameter 'rays'"),
         ({"recipe": {"flight": {"speed": 1}}}, "manifest", "unknown parameter 'speed'"),
         ({"kind": "scene"}, "manifest", "recipe.scenes = None"),
     ],
 )
-def test_an_edited_manifest_is_named(folder: Path, changes: dict[str, object], check: str, said: str) -> None:
+def test_an_edited_manifest_is_named(
+    folder: Path, changes: dict[str, object], check: str, said: str
+) -> None:
     forge.edit_manifest(folder, **changes)
     assert said in failed(folder, quick=True)[check]
 
@@ -328,8 +414,11 @@ def test_a_recipe_edited_with_every_shard_is_caught_by_what_the_seed_gives(folde
     forge.sign(folder, seed=1)
     found = failed(folder)
     assert set(found) == {"regenerated"}
-    assert "train-00000.worlds.zip: 000000.xml is not the world that the seed gives" in found["regenerated"] or (
-        "train-00000.worlds.zip: 000001.xml is not the world that the seed gives" in found["regenerated"]
+    assert "train-00000.worlds.zip: 000000.xml is not the world that the seed gives" in found[
+        "regenerated"
+    ] or (
+        "train-00000.worlds.zip: 000001.xml is not the world that the seed gives"
+        in found["regenerated"]
     )
 
 
@@ -358,7 +447,13 @@ def test_only_a_folder_without_a_dataset_raises(tmp_path: Path) -> None:
         verify(tmp_path)
     with pytest.raises(DatasetError, match="not a dataset"):
         verify(tmp_path / "nowhere")
-    for content in ("{", "[" * 100_000, "[1]", '{"format": "other"}', '{"format": "scenegen-dataset", "shards": 1}'):
+    for content in (
+        "{",
+        "[" * 100_000,
+        "[1]",
+        '{"format": "other"}',
+        '{"format": "scenegen-dataset", "shards": 1}',
+    ):
         (tmp_path / NAME).write_text(content)
         with pytest.raises(DatasetError, match=NAME) as caught:
             verify(tmp_path)

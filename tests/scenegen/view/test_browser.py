@@ -18,8 +18,15 @@ from tests.scenegen.view.test_live import served
 from tests.scenegen.view.test_page import HOSTILE
 
 pytestmark = pytest.mark.slow
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+SOFTWARE = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+]
 
 
 @pytest.fixture(scope="module")
@@ -34,20 +41,25 @@ def browser() -> Iterator[Any]:
 
 
 def opened(browser: Any, path: Path, text: str) -> tuple[Any, list[str]]:
-    """A file's page once its first sample shows, and the list of what its console says against it."""
+    """A file's page once its first sample shows, and the list of what its console says against
+    it."""
     path.write_text(text, encoding="utf-8")
     return reached(browser, path.as_uri(), ("file:", "blob:"))
 
 
-def reached(browser: Any, address: str, allowed: tuple[str, ...], first: int = 0) -> tuple[Any, list[str]]:
-    """The page at an address, and the list of what its console says against it, and of requests that are not
-    `allowed`."""
+def reached(
+    browser: Any, address: str, allowed: tuple[str, ...], first: int = 0
+) -> tuple[Any, list[str]]:
+    """The page at an address, and the list of what its console says against it, and of requests
+    that are not `allowed`."""
     told: list[str] = []
     tab = browser.new_page(viewport={"width": 900, "height": 700})
     tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
     tab.on("pageerror", lambda error: told.append(str(error)))
     tab.on("dialog", lambda dialog: told.append(f"dialog {dialog.message}") or dialog.dismiss())
-    tab.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
+    tab.on(
+        "request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url)
+    )
     tab.goto(address)
     tab.wait_for_selector(f"body[data-sample='{first}']", state="attached", timeout=60_000)
     return tab, told
@@ -59,7 +71,9 @@ def test_a_page_steps_shows_and_slides(browser: Any, made: Path, tmp_path: Path)
     state = lambda name: tab.evaluate(f"document.body.dataset.{name}")  # noqa: E731
     assert state("layers").split() == ["#box", "#sensor", "#x", "#y", "#z", "occupancy", "points"]
     image = imread(io.BytesIO(tab.locator("canvas#scene").screenshot()), format="png")
-    assert len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100  # many heights and shades
+    assert (
+        len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100
+    )  # many heights and shades
     tab.keyboard.press("ArrowRight")
     tab.wait_for_selector("body[data-sample='1']", state="attached")
     assert int(state("milliseconds")) < 2000
@@ -75,12 +89,16 @@ def test_a_page_steps_shows_and_slides(browser: Any, made: Path, tmp_path: Path)
     for name, key in (("rays", "2"), ("observed", "3"), ("free", "4"), ("unknown", "6")):
         tab.keyboard.press(key)
         assert name in state("layers").split()
-    tab.locator("canvas#scene").drag_to(tab.locator("canvas#scene"), target_position={"x": 600, "y": 300})
+    tab.locator("canvas#scene").drag_to(
+        tab.locator("canvas#scene"), target_position={"x": 600, "y": 300}
+    )
     assert told == []
     tab.close()
 
 
-def test_a_hostile_dataset_runs_no_script_in_a_browser(browser: Any, made: Path, tmp_path: Path) -> None:
+def test_a_hostile_dataset_runs_no_script_in_a_browser(
+    browser: Any, made: Path, tmp_path: Path
+) -> None:
     (look,), _ = looks(Dataset(made), "train", [0])
     bad = replace(look, name=HOSTILE, masks={HOSTILE: look.masks["occupancy"]})
     tab, told = opened(browser, tmp_path / "page.html", page([bad], title=HOSTILE, notes=[HOSTILE]))
@@ -91,7 +109,9 @@ def test_a_hostile_dataset_runs_no_script_in_a_browser(browser: Any, made: Path,
     tab.close()
 
 
-def test_the_viewer_steps_through_splits_and_tells_what_is_damaged(browser: Any, dataset: Path) -> None:
+def test_the_viewer_steps_through_splits_and_tells_what_is_damaged(
+    browser: Any, dataset: Path
+) -> None:
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
 
     def guesses(sample: Any, samples: Any) -> list[Guess]:

@@ -1,12 +1,16 @@
 """What is written in another format, an independent reader finds again."""
 
 import json
+import multiprocessing
+import os
+import signal
 import struct
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import trimesh
@@ -33,7 +37,9 @@ def converted(made: Path, out: Path, to: str, **choices: Any) -> Path:
 
 def bits(path: Path, count: int) -> np.ndarray:
     """As SemanticKITTI's development kit unpacks them: the first voxel is the highest bit."""
-    return np.array([byte >> (7 - n) & 1 for byte in path.read_bytes() for n in range(8)], bool)[:count]
+    return np.array([byte >> (7 - n) & 1 for byte in path.read_bytes() for n in range(8)], bool)[
+        :count
+    ]
 
 
 @pytest.mark.parametrize("unseen", [False, True])
@@ -46,11 +52,16 @@ def test_semantickitti(made: Path, tmp_path: Path, unseen: bool) -> None:
         labels = np.fromfile(stem.with_suffix(".label"), np.uint16)
         invalid = bits(stem.with_suffix(".invalid"), nx * ny * nz)
         rng = np.random.default_rng(number)
-        for x, y, z in [*np.argwhere(sample.occupancy)[:50], *rng.integers(0, (nx, ny, nz), (200, 3))]:
+        for x, y, z in [
+            *np.argwhere(sample.occupancy)[:50],
+            *rng.integers(0, (nx, ny, nz), (200, 3)),
+        ]:
             at = (x * ny + y) * nz + z
             assert observed[at] == sample.observed[x, y, z]
             assert labels[at] == (50 if sample.occupancy[x, y, z] else 0)
-            assert invalid[at] == (unseen and not (sample.observed[x, y, z] or sample.free[x, y, z]))
+            assert invalid[at] == (
+                unseen and not (sample.observed[x, y, z] or sample.free[x, y, z])
+            )
         assert (labels > 0).sum() == sample.occupancy.sum() > 0
         assert invalid.any() == unseen
 
@@ -90,7 +101,9 @@ def read_pcd(path: Path) -> np.ndarray:
     assert said["VERSION"] == ["0.7"]
     sizes = [f"{kind.lower()}{size}" for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
     row = np.dtype(list(zip(said["FIELDS"], sizes, strict=True)))
-    assert len(body) == int(said["POINTS"][0]) * row.itemsize == int(said["WIDTH"][0]) * row.itemsize
+    assert (
+        len(body) == int(said["POINTS"][0]) * row.itemsize == int(said["WIDTH"][0]) * row.itemsize
+    )
     table = np.frombuffer(body, row)
     return np.stack([table[name] for name in "xyz"], axis=1)
 
@@ -105,7 +118,9 @@ def test_both_frames_hold_the_same_points(made: Path) -> None:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    np.testing.assert_allclose(sample.points(frame="body") @ turn.T + sample.position, sample.points(), atol=1e-9)
+    np.testing.assert_allclose(
+        sample.points(frame="body") @ turn.T + sample.position, sample.points(), atol=1e-9
+    )
 
 
 def test_octomap(made: Path, tmp_path: Path) -> None:
@@ -142,7 +157,10 @@ def read_octomap(path: Path) -> tuple[float, int, dict[tuple[float, ...], bool],
         inner = []
         for child in range(8):
             state = word >> 2 * child & 3
-            middle = tuple(c + (width / 4 if child >> axis & 1 else -width / 4) for axis, c in enumerate(centre))
+            middle = tuple(
+                c + (width / 4 if child >> axis & 1 else -width / 4)
+                for axis, c in enumerate(centre)
+            )
             nodes += state != 0
             if state == 3:
                 inner.append(middle)
@@ -157,9 +175,15 @@ def read_octomap(path: Path) -> tuple[float, int, dict[tuple[float, ...], bool],
     return resolution, int(said["size"]), leaves, nodes
 
 
-def test_a_stopped_conversion_goes_on(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_conversion_goes_on(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("scenegen.view.exchange.convert.CHUNK", 1)
-    whole, out, choices = converted(made, tmp_path / "whole", "semantickitti"), tmp_path / "out", Choices()
+    whole, out, choices = (
+        converted(made, tmp_path / "whole", "semantickitti"),
+        tmp_path / "out",
+        Choices(),
+    )
     form, seen = FORMATS.find("semantickitti")(choices), 0
 
     def stop(count: int) -> None:
@@ -169,11 +193,23 @@ def test_a_stopped_conversion_goes_on(made: Path, tmp_path: Path, monkeypatch: p
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        convert(Dataset(made), out, to="semantickitti", form=form, choices=choices, splits=("val",), on_sample=stop)
+        convert(
+            Dataset(made),
+            out,
+            to="semantickitti",
+            form=form,
+            choices=choices,
+            splits=("val",),
+            on_sample=stop,
+        )
     next(out.rglob("*.invalid")).unlink()  # as if stopped within the first sample
-    done = convert(Dataset(made), out, to="semantickitti", form=form, choices=choices, splits=("val",))
+    done = convert(
+        Dataset(made), out, to="semantickitti", form=form, choices=choices, splits=("val",)
+    )
     assert (done.written, done.there) == (2, 0)
-    done = convert(Dataset(made), out, to="semantickitti", form=form, choices=choices, splits=("val",))
+    done = convert(
+        Dataset(made), out, to="semantickitti", form=form, choices=choices, splits=("val",)
+    )
     assert (done.written, done.there) == (0, 2)
     files = sorted(path.relative_to(whole) for path in whole.rglob("*") if path.is_file())
     assert files == sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file())
@@ -184,7 +220,36 @@ def test_a_stopped_conversion_goes_on(made: Path, tmp_path: Path, monkeypatch: p
         converted(made, out, "ply")
 
 
-def test_a_folder_of_others_is_let_be(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("killed_at", [0, 1])
+@pytest.mark.parametrize("to", ["npz", "semantickitti"])
+def test_what_a_killed_conversion_leaves_is_taken_away(
+    to: str, killed_at: int, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At its own description, or at the first sample."""
+    plain, put = Path.replace, list[Path]()
+
+    def dies(draft: Path, path: Path) -> None:
+        if len(put) == killed_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+        put.append(path)
+        plain(draft, path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", dies)
+        killed = multiprocessing.get_context("fork").Process(
+            target=converted, args=(made, tmp_path / "out", to)
+        )
+        killed.start()
+        killed.join()
+    assert killed.exitcode == -signal.SIGKILL
+    assert list((tmp_path / "out").rglob("*.tmp"))
+    converted(made, tmp_path / "out", to)
+    assert not list((tmp_path / "out").rglob("*.tmp"))
+
+
+def test_a_folder_of_others_is_let_be(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("mine")
     code, _, said = run(capsys, "convert", made, "--to", "ply", "-o", tmp_path / "mine")
@@ -196,24 +261,45 @@ def test_what_cannot_be_read_is_named_and_the_rest_is_written(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (dataset / "train-00001.h5").unlink()
+    with h5py.File(dataset / "train-00000.h5", "r+") as shard:
+        shard["position"][1] += 0.05
     out = tmp_path / "out"
-    code, _, said = run(capsys, "convert", dataset, "--to", "pcd", "-o", out, "--split", "train", "--quiet")
+    code, _, said = run(
+        capsys, "convert", dataset, "--to", "pcd", "-o", out, "--split", "train", "--quiet"
+    )
     assert code == 1
-    assert [f"train {number} is left out" in said for number in range(2, 7)] == [False, True, True, True, False]
-    assert said.splitlines()[-1] == f"scenegen: {dataset}: 3 samples could not be read; the others are in {out}"
-    assert len(list(out.rglob("*.pcd"))) == 8
+    assert [f"train {n} is left out" in said for n in range(7)] == [
+        False,
+        True,
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
+    assert "train-00000.h5: sample 1: its content does not have the digest" in said
+    assert (
+        said.splitlines()[-1]
+        == f"scenegen: {dataset}: 4 samples could not be read; the others are in {out}"
+    )
+    assert len(list(out.rglob("*.pcd"))) == 7
     assert json.loads((out / STATE).read_text())["format"] == "pcd"
 
 
-def test_a_format_of_ones_own(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_a_format_of_ones_own(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     (tmp_path / "my_format_of_tests.py").write_text(
         "class Counts:\n"
         "    def __init__(self, choices): pass\n"
         "    def names(self, split, number): return (f'{split}-{number}.txt',)\n"
-        "    def encode(self, sample, grid, lidar): return (str(sample.occupancy.sum()).encode(),)\n"
+        "    def encode(self, sample, grid, lidar): return "
+        "(str(sample.occupancy.sum()).encode(),)\n"
     )
     monkeypatch.chdir(tmp_path)
-    code, _, said = run(capsys, "convert", made, "--to", "my_format_of_tests:Counts", "-o", "out", "--quiet")
+    code, _, said = run(
+        capsys, "convert", made, "--to", "my_format_of_tests:Counts", "-o", "out", "--quiet"
+    )
     assert code == 0, said
     for number, sample in enumerate(Dataset(made).split("test")):
         assert int((tmp_path / "out" / f"test-{number}.txt").read_text()) == sample.occupancy.sum()
@@ -238,7 +324,9 @@ def test_webdataset_s_own_loader_finds_every_sample(
         for name in (*SENSED, "tudf"):
             np.testing.assert_array_equal(one["npz"][name], getattr(sample, name))
     again = converted(made, tmp_path / "again", "webdataset")
-    assert [path.read_bytes() for path in sorted(again.glob("*.tar"))] == [Path(path).read_bytes() for path in shards]
+    assert [path.read_bytes() for path in sorted(again.glob("*.tar"))] == [
+        Path(path).read_bytes() for path in shards
+    ]
 
 
 def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made: Path, tmp_path: Path) -> None:
@@ -248,7 +336,9 @@ def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made: Path, tmp_
     samples, grid = Dataset(made).split("val"), Dataset(made).grid
     seen = set()
     with open(out / "val-000000.mcap", "rb") as file:
-        read = reader.make_reader(file, decoder_factories=[ros2.DecoderFactory()], validate_crcs=True)
+        read = reader.make_reader(
+            file, decoder_factories=[ros2.DecoderFactory()], validate_crcs=True
+        )
         for schema, channel, message, decoded in read.iter_decoded_messages():
             number, topic = message.sequence, channel.topic[1:]
             seen.add((number, topic))
@@ -272,15 +362,24 @@ def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made: Path, tmp_
             ]
             points = np.frombuffer(bytes(decoded.data), "<f4").reshape(decoded.width, 3)
             assert decoded.row_step == decoded.point_step * decoded.width == len(decoded.data)
-            expected = sample.points() if topic == "scan" else grid.centres(sample.origin)[getattr(sample, topic)]
+            expected = (
+                sample.points()
+                if topic == "scan"
+                else grid.centres(sample.origin)[getattr(sample, topic)]
+            )
             np.testing.assert_array_equal(points, expected.astype(np.float32))
-    assert seen == {(n, topic) for n in range(len(samples)) for topic in (*SENSED, "scan", "map", "pose")}
+    assert seen == {
+        (n, topic) for n in range(len(samples)) for topic in (*SENSED, "scan", "map", "pose")
+    }
 
 
 def shown_as_foxglove_reads_it(found: Any, sample: Sample, grid: GridSpec) -> None:
-    """Where the cell of a byte lies is as https://docs.foxglove.dev/docs/sdk/schemas/voxel-grid says."""
+    """Where the cell of a byte lies is as https://docs.foxglove.dev/docs/sdk/schemas/voxel-grid
+    says."""
     data = np.frombuffer(bytes(found.data), np.uint8)
-    assert [(one.name, one.offset, one.type) for one in found.fields] == [(name, n, 1) for n, name in enumerate(SENSED)]
+    assert [(one.name, one.offset, one.type) for one in found.fields] == [
+        (name, n, 1) for n, name in enumerate(SENSED)
+    ]
     assert (found.column_count, found.row_count) == grid.shape[:2]
     assert len(data) == found.slice_stride * grid.shape[2]
     i = np.arange(0, len(data), found.cell_stride)
@@ -298,7 +397,9 @@ def shown_as_foxglove_reads_it(found: Any, sample: Sample, grid: GridSpec) -> No
     for field in found.fields:
         held = sample.origin + cells[data[i + field.offset] == 1] + grid.voxel_m / 2
         expected = grid.centres(sample.origin)[getattr(sample, field.name)]
-        np.testing.assert_allclose(*(points[np.lexsort(points.round(6).T)] for points in (held, expected)), atol=1e-9)
+        np.testing.assert_allclose(
+            *(points[np.lexsort(points.round(6).T)] for points in (held, expected)), atol=1e-9
+        )
 
 
 RERUN = """
@@ -327,7 +428,11 @@ def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
     pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
     given = environment(shim, tmp_path)
     ended = subprocess.run(
-        [sys.executable, "-c", RERUN, made, tmp_path / "out"], env=given, capture_output=True, text=True, check=False
+        [sys.executable, "-c", RERUN, made, tmp_path / "out"],
+        env=given,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert ended.returncode == 0, ended.stderr
     assert "watched" in ended.stdout
@@ -344,7 +449,9 @@ def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
         if (name := chunk.entity_path.strip("/")) not in (*SENSED, "scan"):
             continue
         batch = chunk.to_record_batch()
-        for number, points in zip(batch["sample"].to_pylist(), batch["Points3D:positions"].to_pylist(), strict=True):
+        for number, points in zip(
+            batch["sample"].to_pylist(), batch["Points3D:positions"].to_pylist(), strict=True
+        ):
             seen.add((number, name))
             sample = samples[number]
             centres = dataset.grid.centres(sample.origin)
@@ -353,20 +460,30 @@ def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
     assert seen == {(n, name) for n in range(len(samples)) for name in (*SENSED, "scan")}
 
 
-def test_a_world_s_surfaces_are_where_its_solids_are(made: Path, tmp_path: Path, capsys: Any) -> None:
+def test_a_world_s_surfaces_are_where_its_solids_are(
+    made: Path, tmp_path: Path, capsys: Any
+) -> None:
     """Of every shape, against another reader of meshes' volumes and bounds; y is up there."""
     (tmp_path / "w.xml").write_text(
         "<mujoco><custom><numeric name='flight_bounds' data='0 0 0 10 8 4'/></custom><worldbody>"
         "<geom type='sphere' size='1' pos='4 4 2' rgba='1 0 0 1'/>"
         "<geom type='box' size='.5 .6 .7' pos='8 2 1' euler='0 0 30'/>"
-        "<geom type='cylinder' size='.5 1' pos='1 1 1'/><geom type='capsule' size='.4 .8' pos='6 6 2' euler='40 0 0'/>"
+        "<geom type='cylinder' size='.5 1' pos='1 1 1'/><geom type='capsule' size='.4 .8' pos='6 "
+        "6 2' euler='40 0 0'/>"
         "<geom type='ellipsoid' size='.4 .8 1.2' pos='2 6 2'/></worldbody></mujoco>"
     )
-    code, _, said = run(capsys, "world", tmp_path / "w.xml", "-o", tmp_path / "w.glb")
+    code, told, said = run(capsys, "world", tmp_path / "w.xml", "-o", tmp_path / "w.glb")
     assert (code, said) == (0, "")
+    assert str(tmp_path / "w.glb") in told
     scene = trimesh.load(tmp_path / "w.glb", file_type="glb")
     solids = read_world(tmp_path / "w.xml").solids
-    volumes = {SPHERE: 4.18879, BOX: 1.68, CYLINDER: 1.5708, CAPSULE: 0.80425 + 0.26808, ELLIPSOID: 1.60850}
+    volumes = {
+        SPHERE: 4.18879,
+        BOX: 1.68,
+        CYLINDER: 1.5708,
+        CAPSULE: 0.80425 + 0.26808,
+        ELLIPSOID: 1.60850,
+    }
     lower, upper = solids.boxes
     assert len(scene.geometry) == len(solids)
     for n, shape in enumerate(solids.shape):
@@ -379,7 +496,9 @@ def test_a_world_s_surfaces_are_where_its_solids_are(made: Path, tmp_path: Path,
         assert 0.96 < mesh.volume / volumes[int(shape)] < 1.0001
     ball = scene.geometry[scene.graph["solid 0"][1]]
     assert tuple(
-        np.asarray(ball.visual.face_colors if ball.visual.kind == "face" else ball.visual.vertex_colors)[0][:3]
+        np.asarray(
+            ball.visual.face_colors if ball.visual.kind == "face" else ball.visual.vertex_colors
+        )[0][:3]
     ) == (255, 0, 0)
     code, _, said = run(capsys, "world", made, 0, "-o", tmp_path / "d.glb")
     assert (code, said) == (0, "")

@@ -1,4 +1,5 @@
-"""The page served: samples as they are, to who asks it by its own address, and lines about what is damaged."""
+"""The page served: samples as they are, to who asks it by its own address, and lines about what is
+damaged."""
 
 import base64
 import gzip
@@ -61,13 +62,21 @@ def test_samples_are_served_as_they_are_by_split_and_number(made: Path) -> None:
         status, headers, text = ask(server, "/")
         assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
         page = Seen(text)
-        splits = {name: len(dataset.split(name)) for name in ("train", "val", "test") if len(dataset.split(name))}
+        splits = {
+            name: len(dataset.split(name))
+            for name in ("train", "val", "test")
+            if len(dataset.split(name))
+        }
         assert page.data()["live"] == {
             "datasets": [{"name": "pillar: pillar", "splits": splits}],
             "split": "test",
             "index": 2,
         }
-        (policy,) = [names["content"] for tag, names, _ in page.found if tag == "meta" and "http-equiv" in names]
+        (policy,) = [
+            names["content"]
+            for tag, names, _ in page.found
+            if tag == "meta" and "http-equiv" in names
+        ]
         assert "default-src 'none'" in policy
         assert policy.endswith("; connect-src 'self'")
         for split, number in (("train", 7), ("test", 0)):
@@ -97,12 +106,17 @@ def test_the_world_of_a_sample_is_served_in_its_maps_frame(made: Path) -> None:
         packed = gzip.decompress(base64.b64decode(json.loads(text)["triangles"]))
         corners = np.frombuffer(packed, "<f4").reshape(-1, 3)
         world = compile_archived(dataset, "test", int(sample.world))
-        for low, high, solid in zip(world.solids.lower, world.solids.upper, surfaces(world), strict=True):
+        for low, high, solid in zip(
+            world.solids.lower, world.solids.upper, surfaces(world), strict=True
+        ):
             there, corners = np.split(corners, [solid.triangles.size // 3])
             np.testing.assert_allclose(there.min(axis=0) + sample.origin, low, atol=0.05)
             np.testing.assert_allclose(there.max(axis=0) + sample.origin, high, atol=0.05)
         assert not len(corners)
-        for path, told in (("/world/1/test/0", "no such dataset"), ("/world/0/test/999", "the world is not shown: ")):
+        for path, told in (
+            ("/world/1/test/0", "no such dataset"),
+            ("/world/0/test/999", "the world is not shown: "),
+        ):
             status, _, text = ask(server, path)
             assert status == 404
             assert json.loads(text)["error"].startswith(told)
@@ -118,13 +132,17 @@ def test_what_is_predicted_comes_with_the_sample(made: Path, split: str) -> None
 
     with served(made, split=split, guesses=guesses, methods=(HOSTILE,)) as server:
         assert ask(server, "/")[2].count("<script>alert") == 0
-        assert [guess["name"] for guess in json.loads(ask(server, f"/sample/0/{split}/0")[2])["guesses"]] == [HOSTILE]
+        assert [
+            guess["name"] for guess in json.loads(ask(server, f"/sample/0/{split}/0")[2])["guesses"]
+        ] == [HOSTILE]
 
 
 def test_datasets_of_a_folder_are_served_by_their_numbers(made: Path, dataset: Path) -> None:
     (dataset / "train-00000.h5").unlink()
     with served([made, dataset]) as server:
-        assert [one["name"] for one in Seen(ask(server, "/")[2]).data()["live"]["datasets"]] == ["pillar: pillar"] * 2
+        assert [one["name"] for one in Seen(ask(server, "/")[2]).data()["live"]["datasets"]] == [
+            "pillar: pillar"
+        ] * 2
         assert ask(server, "/sample/0/train/0")[0] == 200
         assert ask(server, "/sample/1/train/0")[0] == 404
         assert ask(server, "/sample/1/train/4")[0] == 200
@@ -144,7 +162,12 @@ def test_a_stranger_s_name_is_refused(made: Path) -> None:
             status, _, text = ask(server, "/sample/0/train/0", Host=host)
             assert status == 403, host
             assert "points" not in text
-        for host in (f"127.0.0.1:{port}", f"localhost:{port}", "localhost:9000", "[::1]:9000"):  # SSH has another port
+        for host in (
+            f"127.0.0.1:{port}",
+            f"localhost:{port}",
+            "localhost:9000",
+            "[::1]:9000",
+        ):  # SSH has another port
             assert ask(server, "/sample/0/train/0", Host=host)[0] == 200, host
         assert not server.allows(socket.gethostname())  # it is served on the loopback alone
 
@@ -152,7 +175,9 @@ def test_a_stranger_s_name_is_refused(made: Path) -> None:
 def test_what_is_damaged_is_told_and_the_rest_is_served(dataset: Path) -> None:
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
     manifest = json.loads((dataset / "dataset.json").read_text())
-    (dataset / "dataset.json").write_text(json.dumps(manifest | {"complete": False, "digest": None}))
+    (dataset / "dataset.json").write_text(
+        json.dumps(manifest | {"complete": False, "digest": None})
+    )
     with served(dataset) as server:
         status, _, text = ask(server, "/sample/0/train/4")
         assert status == 404
@@ -181,7 +206,9 @@ def test_an_address_that_cannot_be_had_is_an_error(made: Path, capsys: Any, tmp_
 
 def test_ctrl_c_ends_it_with_the_code_of_stops(made: Path) -> None:
     words = [sys.executable, "-m", "scenegen", "view", made, "--port", "0"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ) as process:
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("http://127.0.0.1:")
         process.send_signal(signal.SIGINT)

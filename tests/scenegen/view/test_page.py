@@ -1,4 +1,5 @@
-"""A page holds what its samples hold, asks no network, and takes nothing of a stranger's for a script."""
+"""A page holds what its samples hold, asks no network, and takes nothing of a stranger's for a
+script."""
 
 import base64
 import gzip
@@ -61,19 +62,31 @@ def test_a_page_holds_what_its_samples_hold(made: Path) -> None:
             np.testing.assert_array_equal(
                 bits[: sample.observed.size].reshape(sample.observed.shape), getattr(sample, name)
             )
-        distances = np.frombuffer(unpacked(packed["tudf"]), np.uint8).reshape(sample.tudf.shape) / 255
+        distances = (
+            np.frombuffer(unpacked(packed["tudf"]), np.uint8).reshape(sample.tudf.shape) / 255
+        )
         np.testing.assert_allclose(
             distances * packed["truncation"], sample.tudf, atol=packed["truncation"] / 510 + 1e-6
         )
-        points = np.frombuffer(unpacked(packed["points"]), "<i2").reshape(-1, 3) / 32767 * packed["reach"]
-        np.testing.assert_allclose(points + sample.position, sample.points(), atol=packed["reach"] / 65534 + 1e-9)
+        points = (
+            np.frombuffer(unpacked(packed["points"]), "<i2").reshape(-1, 3)
+            / 32767
+            * packed["reach"]
+        )
+        np.testing.assert_allclose(
+            points + sample.position, sample.points(), atol=packed["reach"] / 65534 + 1e-9
+        )
         assert packed["figures"]["returns"] == f"{len(points)} of {sample.ranges.size} rays"
 
 
 def test_a_hostile_dataset_runs_no_script(made: Path) -> None:
     (look,), _ = looks(Dataset(made), "train", [0])
     good = Seen(page([look], title="good"))
-    text = page([replace(look, name=HOSTILE, masks={HOSTILE: look.masks["free"]})], title=HOSTILE, notes=[HOSTILE])
+    text = page(
+        [replace(look, name=HOSTILE, masks={HOSTILE: look.masks["free"]})],
+        title=HOSTILE,
+        notes=[HOSTILE],
+    )
     bad = Seen(text)
     assert [(tag, sorted(names)) for tag, names, _ in bad.found] == [
         (tag, sorted(names)) for tag, names, _ in good.found
@@ -81,15 +94,25 @@ def test_a_hostile_dataset_runs_no_script(made: Path) -> None:
     data = bad.data()
     assert data["title"] == data["notes"][0] == data["samples"][0]["name"] == HOSTILE
     scripts = [(names, text) for tag, names, text in bad.found if tag == "script"]
-    running = [names for names, _ in scripts if not names.get("type", "").startswith("application/")]
-    (policy,) = [names["content"] for tag, names, _ in bad.found if tag == "meta" and "http-equiv" in names]
+    running = [
+        names for names, _ in scripts if not names.get("type", "").startswith("application/")
+    ]
+    (policy,) = [
+        names["content"] for tag, names, _ in bad.found if tag == "meta" and "http-equiv" in names
+    ]
     assert len(running) == 1
     assert f"script-src 'nonce-{running[0]['nonce']}' blob:;" in policy
     assert "default-src 'none'" in policy  # so nothing is loaded, whatever else stands in the page
-    assert not any(name.startswith("on") or name in ("src", "href") for _, names, _ in bad.found for name in names)
+    assert not any(
+        name.startswith("on") or name in ("src", "href")
+        for _, names, _ in bad.found
+        for name in names
+    )
     script = HERE.joinpath("page.js").read_text(encoding="utf-8")
     assert not [
-        word for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(") if word in script
+        word
+        for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(")
+        if word in script
     ]
 
 
@@ -107,7 +130,9 @@ def test_the_renderer_is_unmodified_and_its_licence_is_in_the_page(made: Path) -
     assert "three.js authors" in text
 
 
-def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset: Path, tmp_path: Path, capsys: Any) -> None:
+def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(
+    dataset: Path, tmp_path: Path, capsys: Any
+) -> None:
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
     with h5py.File(dataset / "train-00000.h5", "r") as file:
         place = file["tudf"].id.get_chunk_info(1)
@@ -132,7 +157,9 @@ def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset: Path, tmp_pat
     assert "--index below 11" in said
 
 
-def test_an_incomplete_dataset_is_shown_with_a_line(dataset: Path, tmp_path: Path, capsys: Any) -> None:
+def test_an_incomplete_dataset_is_shown_with_a_line(
+    dataset: Path, tmp_path: Path, capsys: Any
+) -> None:
     manifest = json.loads((dataset / "dataset.json").read_text())
     last = manifest["shards"].pop()
     manifest |= {"complete": False, "digest": None}
@@ -167,10 +194,14 @@ def test_a_pose_that_is_none_is_an_error(made: Path) -> None:
         look_at(sample, dataset.grid, dataset.lidar, "train 0")
 
 
-def test_a_page_too_large_to_mail_holds_fewer_samples_and_says_so(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_too_large_to_mail_holds_fewer_samples_and_says_so(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     shown, _ = looks(Dataset(made), "train", [0, 1, 2])
     whole = Seen(page(shown, title="")).data()["samples"]
-    monkeypatch.setattr("scenegen.view.page.MOST_BYTES", sum(len(json.dumps(one)) for one in whole[:2]) + 10)
+    monkeypatch.setattr(
+        "scenegen.view.page.MOST_BYTES", sum(len(json.dumps(one)) for one in whole[:2]) + 10
+    )
     data = Seen(page(shown, title="")).data()
     assert data["samples"] == whole[:2]
     assert data["notes"] == ["1 samples are left out: the page would be too large"]

@@ -47,7 +47,11 @@ def test_the_face_painted_last_is_the_one_that_the_eye_meets_first(seed: int) ->
     quads = view.project(corners)
     met = 0
     for spot in rng.uniform(quads.min(axis=(0, 1)), quads.max(axis=(0, 1)), (100, 2)):
-        ray = spot[0] * view.right + spot[1] * view.up + np.linspace(12, -12, 3001)[:, None] * view.eye
+        ray = (
+            spot[0] * view.right
+            + spot[1] * view.up
+            + np.linspace(12, -12, 3001)[:, None] * view.eye
+        )
         cells = np.floor(ray).astype(int)
         inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
         hits = [tuple(cell) for cell in cells[inside] if mask[tuple(cell)]]
@@ -67,7 +71,8 @@ def _is_in(quad: np.ndarray, spot: np.ndarray) -> bool:
 
 
 def test_a_world_is_what_another_engine_meets() -> None:
-    """A ball, a pillar through the box's lid, and a floor: where the picture is white, MuJoCo's rays meet nothing."""
+    """A ball, a pillar through the box's lid, and a floor: where the picture is white, MuJoCo's
+    rays meet nothing."""
     world = compile_world(
         b"<mujoco><custom><numeric name='flight_bounds' data='0 0 0 10 8 4'/></custom><worldbody>"
         b"<geom type='sphere' size='1' pos='4 4 2'/><geom type='box' size='.5 .5 9' pos='8 2 0'/>"
@@ -79,25 +84,38 @@ def test_a_world_is_what_another_engine_meets() -> None:
     rng = np.random.default_rng(0)
     places = rng.integers(0, (rows, columns), (400, 2))
     spots = np.stack(
-        [left + (places[:, 1] + 0.5) * (right - left) / columns, down + (places[:, 0] + 0.5) * (up - down) / rows], 1
+        [
+            left + (places[:, 1] + 0.5) * (right - left) / columns,
+            down + (places[:, 0] + 0.5) * (up - down) / rows,
+        ],
+        1,
     )
     flat = spots[:, :1] * VIEW.right + spots[:, 1:] * VIEW.up
     faces = np.stack([(low - flat) / VIEW.eye, (high - flat) / VIEW.eye])
     begin, end = faces.max(axis=0).min(axis=1), faces.min(axis=0).max(axis=1)
     inside = begin > end + 0.05
     engine = MujocoEngine.of(world.model, world.data)
-    ranges = engine.cast(flat + begin[:, None] * VIEW.eye, np.broadcast_to(-VIEW.eye, (400, 1, 3)), 50.0)[:, 0]
+    ranges = engine.cast(
+        flat + begin[:, None] * VIEW.eye, np.broadcast_to(-VIEW.eye, (400, 1, 3)), 50.0
+    )[:, 0]
     colours = image[places[:, 0], places[:, 1]]
     white = (colours == 1).all(axis=1)
-    assert (white[inside] == np.isinf(ranges[inside])).mean() > 0.98  # a pixel is a hundredth of a metre
+    assert (
+        white[inside] == np.isinf(ranges[inside])
+    ).mean() > 0.98  # a pixel is a hundredth of a metre
     assert white[begin < end].all()
     top = VIEW.project([8.0, 2.0, 4.0])  # where the box's lid cuts the pillar
-    row, column = int((top[1] - down) / (up - down) * rows), int((top[0] - left) / (right - left) * columns)
+    row, column = (
+        int((top[1] - down) / (up - down) * rows),
+        int((top[0] - left) / (right - left) * columns),
+    )
     np.testing.assert_allclose(image[row, column], CUT)
     assert 0 < (image == CUT).all(axis=2).mean() < 0.2
 
 
-def test_a_sample_becomes_a_picture_with_its_sensor(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sample_becomes_a_picture_with_its_sensor(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("scenegen.view.still.DPI", 60)
     (look,), _ = looks(Dataset(made), "train", [1])
     image = imread(io.BytesIO(to_bytes(draw_sample(look), ".png")), format="png")
@@ -157,7 +175,12 @@ def test_a_turntable_turns_once_around(made: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("scenegen.view.still.TURN_DPI", 40)
     (look,), _ = looks(Dataset(made), "train", [1])
     with Image.open(io.BytesIO(draw_turn(look, title="small", frames=4))) as film:
-        assert (film.format, film.is_animated, film.n_frames, film.size) == ("WEBP", True, 4, (256, 192))
+        assert (film.format, film.is_animated, film.n_frames, film.size) == (
+            "WEBP",
+            True,
+            4,
+            (256, 192),
+        )
         shown = []
         for n in range(4):
             film.seek(n)
@@ -168,7 +191,8 @@ def test_a_turntable_turns_once_around(made: Path, monkeypatch: pytest.MonkeyPat
 
 
 def predicted(made: Path) -> tuple[Look, np.ndarray]:
-    """A sample of which the upper half is missed, and a block is invented, with a path through the map."""
+    """A sample of which the upper half is missed, and a block is invented, with a path through the
+    map."""
     (look,), _ = looks(Dataset(made), "train", [1])
     truth = look.masks["occupancy"]
     guess = truth.copy()
@@ -176,7 +200,8 @@ def predicted(made: Path) -> tuple[Look, np.ndarray]:
     guess[-4:, :4, -4:] = True
     ends = look.origin + np.array([[0.5, 0.5, 0.5], [4.0, 4.0, 2.5]])
     paths = [
-        Route(start=ends[0], goal=ends[1], points=ends + shift, told="", fails=False) for shift in (0.0, [0, 0, 1])
+        Route(start=ends[0], goal=ends[1], points=ends + shift, told="", fails=False)
+        for shift in (0.0, [0, 0, 1])
     ]
     names = ("occ", "$own$")
     said = [
@@ -194,21 +219,33 @@ def test_the_paper_s_figures_show_methods_errors_and_paths(
     look, _ = predicted(made)
 
     def share(shown: Look, colour: tuple[int, ...], near: float = 6) -> float:
-        image = imread(io.BytesIO(to_bytes(FIGURES[name]([shown], title=""), ".png")), format="png")[:-40, :-60, :3]
+        image = imread(
+            io.BytesIO(to_bytes(FIGURES[name]([shown], title=""), ".png")), format="png"
+        )[:-40, :-60, :3]
         shades = [np.array(colour) * light for light in SHADES]  # which sides of cubes have
         far = np.min([np.abs(image * 255 - one).max(axis=2) for one in shades], axis=0)
         return float((far < near).mean())
 
-    right = replace(look, guesses=tuple(replace(one, occupied=look.masks["occupancy"]) for one in look.guesses))
+    right = replace(
+        look, guesses=tuple(replace(one, occupied=look.masks["occupancy"]) for one in look.guesses)
+    )
     if name == "completions":
         assert share(look, MISSED) > share(right, MISSED) + 0.002
         assert share(look, INVENTED, 40) > share(right, INVENTED, 40)
     if name in ("paths", "example"):
-        bare = replace(look, guesses=tuple(replace(one, route=replace(one.route, points=None)) for one in look.guesses))
+        bare = replace(
+            look,
+            guesses=tuple(
+                replace(one, route=replace(one.route, points=None)) for one in look.guesses
+            ),
+        )
         for colour in path_colours(["occ", "$own^$"]):
             assert share(look, colour) > share(bare, colour)
         with pytest.raises(DatasetError, match="no path"):
-            FIGURES[name]([replace(look, guesses=tuple(replace(one, route=None) for one in look.guesses))], title="")
+            FIGURES[name](
+                [replace(look, guesses=tuple(replace(one, route=None) for one in look.guesses))],
+                title="",
+            )
     if name == "distances":
         assert share(look, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
     with pytest.raises(DatasetError, match="--weights"):

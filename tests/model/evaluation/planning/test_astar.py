@@ -1,4 +1,5 @@
-"""A* finds the shortest path on the lattice: Dijkstra's, from scipy, on a graph built here by other means."""
+"""A* finds the shortest path on the lattice: Dijkstra's, from scipy, on a graph built here by other
+means."""
 
 import itertools
 
@@ -15,13 +16,19 @@ from scenegen.model.evaluation.planning.astar import Lattice, plan_path
 GRID = GridSpec(shape=(24, 21, 14))
 
 
-def reference_lengths(occupied: NDArray[np.bool_], grid: GridSpec, step: int, *, edge_check: bool) -> dict:
+def reference_lengths(
+    occupied: NDArray[np.bool_], grid: GridSpec, step: int, *, edge_check: bool
+) -> dict:
     """Shortest lengths in metres from the middle to every node that can be reached, by voxel.
 
-    Nodes are found by walking outwards from the middle; with the edge check, 40 points of every edge are looked up.
+    Nodes are found by walking outwards from the middle; with the edge check, 40 points of every
+    edge are looked up.
     """
     middle = tuple(n // 2 for n in grid.shape)
-    lines = [[v for v in range(n) if (v - m) % step == 0] for n, m in zip(grid.shape, middle, strict=True)]
+    lines = [
+        [v for v in range(n) if (v - m) % step == 0]
+        for n, m in zip(grid.shape, middle, strict=True)
+    ]
     number = {v: n for n, v in enumerate(itertools.product(*lines)) if not occupied[v]}
     if middle not in number:
         return {}
@@ -37,7 +44,9 @@ def reference_lengths(occupied: NDArray[np.bool_], grid: GridSpec, step: int, *,
             columns.append(number[there])
             weights.append(step * grid.voxel_m * float(np.linalg.norm(direction)))
     count = max(number.values()) + 1
-    lengths = dijkstra(csr_array((weights, (rows, columns)), shape=(count, count)), indices=number[middle])
+    lengths = dijkstra(
+        csr_array((weights, (rows, columns)), shape=(count, count)), indices=number[middle]
+    )
     return {voxel: lengths[n] for voxel, n in number.items() if np.isfinite(lengths[n])}
 
 
@@ -46,9 +55,12 @@ def length_of(path: NDArray[np.float64]) -> float:
 
 
 @pytest.mark.parametrize("edge_check", [False, True])
-@pytest.mark.parametrize(("step", "density"), [(1, 0.55), (1, 0.75), (2, 0.5), (2, 0.8), (3, 0.3), (3, 0.6)])
+@pytest.mark.parametrize(
+    ("step", "density"), [(1, 0.55), (1, 0.75), (2, 0.5), (2, 0.8), (3, 0.3), (3, 0.6)]
+)
 def test_paths_are_as_short_as_dijkstras(step: int, density: float, edge_check: bool) -> None:
-    """To every free node, reachable or not; and every path is one of free nodes, neighbour to neighbour."""
+    """To every free node, reachable or not; and every path is one of free nodes, neighbour to
+    neighbour."""
     rng = np.random.default_rng(100 * step + int(10 * density))
     config = PlanConfig(step_voxels=step, edge_check=edge_check)
     lattice = Lattice(GRID, step)
@@ -97,7 +109,9 @@ def test_the_default_lattice_is_the_papers() -> None:
     lattice = Lattice(GridSpec(), PlanConfig().step_voxels)
     assert lattice.shape == (27, 27, 13)
     assert lattice.voxels(lattice.start).tolist() == [40, 40, 20]
-    np.testing.assert_allclose(lattice.centres([1, 0, 0]) - lattice.centres([0, 0, 0]), [0.6, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        lattice.centres([1, 0, 0]) - lattice.centres([0, 0, 0]), [0.6, 0, 0], atol=1e-12
+    )
     for node in ([0, 0, 0], [26, 26, 12], [3, 20, 7]):
         assert (lattice.voxels(node) >= 0).all()
         assert (lattice.voxels(node) < GridSpec().shape).all()
@@ -105,7 +119,8 @@ def test_the_default_lattice_is_the_papers() -> None:
 
 
 def test_an_empty_map_is_crossed_by_the_lattices_own_distance() -> None:
-    """As many space diagonals as the shortest axis needs, then plane diagonals, then straight steps."""
+    """As many space diagonals as the shortest axis needs, then plane diagonals, then straight
+    steps."""
     grid, config = GridSpec(), PlanConfig()
     lattice = Lattice(grid, 3)
     empty = np.zeros(grid.shape, bool)
@@ -119,7 +134,8 @@ def test_an_empty_map_is_crossed_by_the_lattices_own_distance() -> None:
 
 
 def test_a_wall_between_nodes_stops_paths_with_the_edge_check_alone() -> None:
-    """One voxel thick, between two layers of nodes; with a hole in it, the path goes through the hole."""
+    """One voxel thick, between two layers of nodes; with a hole in it, the path goes through the
+    hole."""
     grid = GridSpec(shape=(40, 40, 20))
     lattice = Lattice(grid, 3)
     occupied = np.zeros(grid.shape, bool)
@@ -134,7 +150,9 @@ def test_a_wall_between_nodes_stops_paths_with_the_edge_check_alone() -> None:
     around, _ = plan_path(occupied, goal, grid, checked)
     assert around is not None
     assert np.isclose(around[:, 1], 32.5 * 0.2).sum() == 2
-    assert length_of(around) == pytest.approx(reference_lengths(occupied, grid, 3, edge_check=True)[(32, 20, 10)])
+    assert length_of(around) == pytest.approx(
+        reference_lengths(occupied, grid, 3, edge_check=True)[(32, 20, 10)]
+    )
 
 
 def test_the_same_map_gives_the_same_path() -> None:
@@ -156,15 +174,22 @@ def test_the_same_map_gives_the_same_path() -> None:
 def test_blocked_ends_are_told_apart() -> None:
     lattice = Lattice(GRID, 3)
     goal = lattice.centres([0, 0, 0])
-    for voxel, reason in (([12, 10, 7], "start_blocked"), (lattice.voxels([0, 0, 0]), "goal_blocked")):
+    for voxel, reason in (
+        ([12, 10, 7], "start_blocked"),
+        (lattice.voxels([0, 0, 0]), "goal_blocked"),
+    ):
         occupied = np.zeros(GRID.shape, bool)
         occupied[tuple(voxel)] = True
         assert plan_path(occupied, goal, GRID, PlanConfig()) == (None, reason)
-    start = plan_path(np.zeros(GRID.shape, bool), lattice.centres(lattice.start), GRID, PlanConfig()).waypoints
+    start = plan_path(
+        np.zeros(GRID.shape, bool), lattice.centres(lattice.start), GRID, PlanConfig()
+    ).waypoints
     np.testing.assert_allclose(start, [[2.5, 2.1, 1.5]])
 
 
-@pytest.mark.parametrize("goal", [[2.5, 2.1, 1.6], [2.7, 2.1, 1.5], [-0.5, 2.1, 1.5], [99, 2, 2], [2.5, 2.1, np.nan]])
+@pytest.mark.parametrize(
+    "goal", [[2.5, 2.1, 1.6], [2.7, 2.1, 1.5], [-0.5, 2.1, 1.5], [99, 2, 2], [2.5, 2.1, np.nan]]
+)
 def test_a_goal_that_is_no_node_is_refused(goal: list[float]) -> None:
     with pytest.raises(ValueError, match="goal"):
         plan_path(np.zeros(GRID.shape, bool), goal, GRID, PlanConfig())

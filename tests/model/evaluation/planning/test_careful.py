@@ -29,7 +29,9 @@ def test_it_never_enters_what_its_map_holds_occupied() -> None:
     for seed in range(20):
         occupied = scattered(seed)
         field = distance_field(occupied, GRID)
-        for goal in draw_trials(occupied, GRID, PLAN, count=4, rng=np.random.default_rng(seed)).goals:
+        for goal in draw_trials(
+            occupied, GRID, PLAN, count=4, rng=np.random.default_rng(seed)
+        ).goals:
             done = plan_carefully(occupied, field, goal, GRID, PLAN)
             found += done.path is not None
             assert not occupied.reshape(-1)[done.voxels].any()
@@ -46,8 +48,8 @@ def test_it_abstains_where_it_knows_no_way() -> None:
 
 
 def test_the_risk_asked_is_the_risk_had() -> None:
-    """A method that sees all obstacles of a world shrunk alike, in some worlds to nothing: calibrated on some worlds,
-    and given other ones."""
+    """A method that sees all obstacles of a world shrunk alike, in some worlds to nothing:
+    calibrated on some worlds, and given other ones."""
     rng = np.random.default_rng(0)
     shrunk_m, share = [0.0, 0.4, 0.8, 1.2, 1.6], [0.2, 0.2, 0.2, 0.2, 0.2]
 
@@ -56,26 +58,46 @@ def test_the_risk_asked_is_the_risk_had() -> None:
         tudf = distance_field(truth, GRID)
         return truth, np.minimum(tudf + rng.choice(shrunk_m, p=share), 2).astype(np.float32)
 
-    def collisions(found: Calibration, truth: np.ndarray, said: np.ndarray, seed: int) -> np.ndarray:
+    def collisions(
+        found: Calibration, truth: np.ndarray, said: np.ndarray, seed: int
+    ) -> np.ndarray:
         goals = draw_trials(truth, GRID, PLAN, count=2, rng=np.random.default_rng(seed)).goals
         lows = [found.low(said, None, risk) for risk in found.risks]
-        plans = [[plan_carefully(low <= 0, low, goal, GRID, PLAN) for goal in goals] for low in lows]
-        return np.array([np.mean([truth.reshape(-1)[one.voxels].any() for one in row]) for row in plans])
+        plans = [
+            [plan_carefully(low <= 0, low, goal, GRID, PLAN) for goal in goals] for low in lows
+        ]
+        return np.array(
+            [np.mean([truth.reshape(-1)[one.voxels].any() for one in row]) for row in plans]
+        )
 
     known, new = [world(seed) for seed in range(80)], [world(seed) for seed in range(1000, 1080)]
     everywhere = np.ones(GRID.shape, bool)
-    counts = [count_scores(said, None, distance_field(truth, GRID), everywhere, GRID) for truth, said in known]
+    counts = [
+        count_scores(said, None, distance_field(truth, GRID), everywhere, GRID)
+        for truth, said in known
+    ]
     risks, margins = fit_margins(np.stack(counts), near_bins(GRID, ()), (0.7, 0.5, 0.4, 0.3, 0.1))
     found = Calibration(
-        worlds=80, class_weight=1, temperature=None, step_m=STEP_M, chances=(), risks=risks, margins=margins
+        worlds=80,
+        class_weight=1,
+        temperature=None,
+        step_m=STEP_M,
+        chances=(),
+        risks=risks,
+        margins=margins,
     )
-    promised = path_risks(np.array([collisions(found, *one, seed) for seed, one in enumerate(known)]))
+    promised = path_risks(
+        np.array([collisions(found, *one, seed) for seed, one in enumerate(known)])
+    )
     found = dataclasses.replace(found, path_risks=promised)
     had = np.array([collisions(found, *one, seed) for seed, one in enumerate(new)])
     error = had.std(axis=0) / len(new) ** 0.5
     asked = (0.04, 0.1, 0.2)
     chosen = [found.risks.index(found.for_paths(risk)) for risk in asked]
-    assert (had.mean(axis=0)[chosen] <= asked + 2 * error[chosen]).all(), (promised, had.mean(axis=0))
+    assert (had.mean(axis=0)[chosen] <= asked + 2 * error[chosen]).all(), (
+        promised,
+        had.mean(axis=0),
+    )
     assert len(set(chosen)) > 1, "risk is what is chosen between"
     assert had.mean(axis=0)[0] > 0.1
     with pytest.raises(UncertaintyError, match=r"promises down to 0\.0"):

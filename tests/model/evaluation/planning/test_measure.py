@@ -16,7 +16,9 @@ from scenegen.model.evaluation.planning.trials import draw_trials
 from scenegen.truth import distance_field
 
 GRID = GridSpec(shape=(40, 40, 20))
-LATTICE = Lattice(GRID, 3)  # nodes at voxels 2, 5 ... 38 in x and y, at 1, 4 ... 19 in z; the start is (20, 20, 10)
+LATTICE = Lattice(
+    GRID, 3
+)  # nodes at voxels 2, 5 ... 38 in x and y, at 1, 4 ... 19 in z; the start is (20, 20, 10)
 EAST = LATTICE.centres([12, 6, 3])  # voxel (38, 20, 10): straight along x
 FREE = np.zeros(GRID.shape, bool)
 FAR = np.full(GRID.shape, 2.0, np.float32)
@@ -29,7 +31,9 @@ def filled(*slices: tuple) -> NDArray[np.bool_]:
     return occupied
 
 
-def trial(pred: NDArray, truth: NDArray, goal: ArrayLike = EAST, **parameters: object) -> Measurement:
+def trial(
+    pred: NDArray, truth: NDArray, goal: ArrayLike = EAST, **parameters: object
+) -> Measurement:
     config = PlanConfig(**parameters)  # type: ignore[arg-type]
     fields = distance_field(pred, GRID), distance_field(truth, GRID)
     return run_trial(pred, fields[0], truth, fields[1], goal, GRID, config)
@@ -48,15 +52,20 @@ def scattered(seed: int) -> NDArray[np.bool_]:
 
 @pytest.mark.parametrize("clearance", ["trilinear", "voxel"])
 def test_measurements_are_those_of_a_slow_reference(clearance: str) -> None:
-    """Every leg cut into pieces of at most 0.05 m, read by scipy or by index, averaged along the path."""
+    """Every leg cut into pieces of at most 0.05 m, read by scipy or by index, averaged along the
+    path."""
     axes = [(np.arange(n) + 0.5) * 0.2 for n in GRID.shape]
     config = PlanConfig(clearance=clearance)  # type: ignore[arg-type]
     outcomes = set()
     for seed in range(12):
         truth, pred = scattered(seed), scattered(seed) & scattered(100 + seed)
         tudf, tudf_pred = distance_field(truth, GRID), distance_field(pred, GRID)
-        read = RegularGridInterpolator(axes, tudf.astype(float), bounds_error=False, fill_value=None)
-        for goal in draw_trials(truth, GRID, config, count=5, rng=np.random.default_rng(seed)).goals:
+        read = RegularGridInterpolator(
+            axes, tudf.astype(float), bounds_error=False, fill_value=None
+        )
+        for goal in draw_trials(
+            truth, GRID, config, count=5, rng=np.random.default_rng(seed)
+        ).goals:
             result = run_trial(pred, tudf_pred, truth, tudf, goal, GRID, config)
             initial, _ = plan_path(pred, goal, GRID, config)
             assert initial is not None
@@ -73,8 +82,12 @@ def test_measurements_are_those_of_a_slow_reference(clearance: str) -> None:
                 weights.append(np.full(count, np.linalg.norm(b - a) / count))
                 assert result.min_clearance_m <= found.min() + 1e-9
             assert result.success == clear
-            assert result.waypoints_clear == (not truth[tuple(np.floor(path / 0.2).astype(int).T)].any())
-            assert result.length_m == pytest.approx(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+            assert result.waypoints_clear == (
+                not truth[tuple(np.floor(path / 0.2).astype(int).T)].any()
+            )
+            assert result.length_m == pytest.approx(
+                np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+            )
             mean = np.average(np.concatenate(distances), weights=np.concatenate(weights))
             assert result.mean_clearance_m == pytest.approx(mean, abs=1e-9)
             assert result.min_clearance_m <= result.mean_clearance_m <= 2.0
@@ -87,29 +100,39 @@ def test_measurements_are_those_of_a_slow_reference(clearance: str) -> None:
 
 
 def test_a_perfect_prediction_plans_like_the_truth() -> None:
-    """What is excluded in the truth aside, it always finds a path, whose waypoints are free before refinement; with
-    the edge check, the whole of it is."""
+    """What is excluded in the truth aside, it always finds a path, whose waypoints are free before
+    refinement; with the edge check, the whole of it is."""
     for seed in range(12):
         truth = scattered(seed)
-        trials = draw_trials(truth, GRID, PlanConfig(edge_check=True), count=8, rng=np.random.default_rng(seed))
+        trials = draw_trials(
+            truth, GRID, PlanConfig(edge_check=True), count=8, rng=np.random.default_rng(seed)
+        )
         for goal in trials.goals:
             checked = trial(truth, truth, goal, edge_check=True, iterations=0)
             assert checked.success
             unchecked = trial(truth, truth, goal, iterations=0)
             assert unchecked.waypoints_clear
             assert unchecked.length_m <= checked.length_m + 1e-9
-            assert trial(truth, truth, goal).cause in (None, "initial_collides", "refined_into_obstacle")
+            assert trial(truth, truth, goal).cause in (
+                None,
+                "initial_collides",
+                "refined_into_obstacle",
+            )
 
 
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, -1, 0), (1, 1, 0), (-1, 1, 1)])
-def test_an_empty_prediction_goes_straight_and_fails_where_the_truth_blocks(direction: tuple[int, int, int]) -> None:
+def test_an_empty_prediction_goes_straight_and_fails_where_the_truth_blocks(
+    direction: tuple[int, int, int],
+) -> None:
     """Along an axis or a diagonal, where the lattice allows a straight path."""
     nodes = 3
     goal = LATTICE.centres(LATTICE.start + nodes * np.array(direction))
     for seed in range(8):
         truth = np.random.default_rng(seed).random(GRID.shape) < 0.04
         result = run_trial(FREE, FAR, truth, distance_field(truth, GRID), goal, GRID, PlanConfig())
-        passed = [tuple(np.array((20, 20, 10)) + n * np.array(direction)) for n in range(3 * nodes + 1)]
+        passed = [
+            tuple(np.array((20, 20, 10)) + n * np.array(direction)) for n in range(3 * nodes + 1)
+        ]
         assert result.length_m == pytest.approx(0.6 * nodes * np.linalg.norm(direction))
         assert result.success == (not any(truth[voxel] for voxel in passed))
         assert result.cause == (None if result.success else "initial_collides")
@@ -132,7 +155,9 @@ def test_an_empty_truth_leaves_the_truncation_as_clearance() -> None:
         (filled((29,)), "no_path"),
     ],
 )
-def test_a_prediction_that_blocks_the_way_fails_without_a_path(pred: NDArray[np.bool_], cause: str) -> None:
+def test_a_prediction_that_blocks_the_way_fails_without_a_path(
+    pred: NDArray[np.bool_], cause: str
+) -> None:
     result = trial(pred, FREE)
     assert not result.success
     assert not result.waypoints_clear
@@ -142,18 +167,29 @@ def test_a_prediction_that_blocks_the_way_fails_without_a_path(pred: NDArray[np.
 
 def test_a_missed_obstacle_is_run_into() -> None:
     result = trial(FREE, filled((slice(28, 31), slice(18, 23))))
-    assert (result.success, result.waypoints_clear, result.cause) == (False, False, "initial_collides")
+    assert (result.success, result.waypoints_clear, result.cause) == (
+        False,
+        False,
+        "initial_collides",
+    )
     assert result.min_clearance_m == 0.0
-    assert trial(filled((slice(28, 31), slice(18, 23))), filled((slice(28, 31), slice(18, 23)))).success
+    assert trial(
+        filled((slice(28, 31), slice(18, 23))), filled((slice(28, 31), slice(18, 23)))
+    ).success
 
 
 def test_a_thin_obstacle_between_waypoints_is_seen_by_the_samples_alone() -> None:
     result = trial(FREE, filled((30,)))  # nodes at 29 and 32
-    assert (result.success, result.waypoints_clear, result.cause) == (False, True, "initial_collides")
+    assert (result.success, result.waypoints_clear, result.cause) == (
+        False,
+        True,
+        "initial_collides",
+    )
 
 
 def test_an_imagined_obstacle_can_push_the_path_into_a_real_one() -> None:
-    """A wall is imagined two voxels beside a free way; an obstacle stands a voxel off on the other."""
+    """A wall is imagined two voxels beside a free way; an obstacle stands a voxel off on the
+    other."""
     imagined = filled((slice(22, 37), 22))
     real = filled((slice(27, 33), slice(16, 19)))
     result = trial(imagined, real)

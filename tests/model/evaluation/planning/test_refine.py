@@ -1,4 +1,5 @@
-"""Refinement descends on the stated cost: its value and gradient against references, its laws on real maps."""
+"""Refinement descends on the stated cost: its value and gradient against references, its laws on
+real maps."""
 
 import numpy as np
 import pytest
@@ -21,19 +22,27 @@ def reference_field(tudf: NDArray, grid: GridSpec, points: NDArray) -> NDArray[n
     return RegularGridInterpolator(axes, tudf.astype(np.float64))(held)
 
 
-def reference_cost(path: NDArray, tudf: NDArray, grid: GridSpec, safety_m: float, weight: float) -> float:
+def reference_cost(
+    path: NDArray, tudf: NDArray, grid: GridSpec, safety_m: float, weight: float
+) -> float:
     bends = path[2:] - 2 * path[1:-1] + path[:-2]
     lack = np.maximum(0.0, safety_m - reference_field(tudf, grid, path[1:-1]))
     return float((bends**2).sum() + weight * (lack**2).sum())
 
 
 def cost(path: NDArray, tudf: NDArray, grid: GridSpec, config: PlanConfig) -> float:
-    return _cost(path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight)
+    return _cost(
+        path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight
+    )
 
 
-def gradient(path: NDArray, tudf: NDArray, grid: GridSpec, config: PlanConfig) -> NDArray[np.float64]:
+def gradient(
+    path: NDArray, tudf: NDArray, grid: GridSpec, config: PlanConfig
+) -> NDArray[np.float64]:
     slope = np.empty_like(path)
-    _gradient(path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight, slope)
+    _gradient(
+        path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight, slope
+    )
     return slope
 
 
@@ -60,9 +69,14 @@ def test_the_field_is_read_as_scipy_reads_it() -> None:
         grid = GridSpec(shape=shape, voxel_m=0.25)
         tudf = rng.random(shape).astype(np.float32)
         points = np.concatenate(
-            [rng.uniform(-0.2, np.array(shape) * 0.25 + 0.2, (500, 3)), grid.centres([0, 0, 0])[1].reshape(-1, 3)]
+            [
+                rng.uniform(-0.2, np.array(shape) * 0.25 + 0.2, (500, 3)),
+                grid.centres([0, 0, 0])[1].reshape(-1, 3),
+            ]
         )
-        np.testing.assert_allclose(interpolate(tudf, points, grid), reference_field(tudf, grid, points), atol=1e-12)
+        np.testing.assert_allclose(
+            interpolate(tudf, points, grid), reference_field(tudf, grid, points), atol=1e-12
+        )
     flat = GridSpec(shape=(4, 1, 3))
     tudf = rng.random(flat.shape).astype(np.float32)
     np.testing.assert_allclose(interpolate(tudf, [[0.3, 0.7, 0.1]], flat), tudf[1, 0, 0], atol=1e-7)
@@ -77,7 +91,9 @@ def test_cost_and_gradient_are_the_formulas(safety_m: float, weight: float) -> N
     inside = rng.uniform(0.2, GRID.extent_m - 0.2, (40, 3))
     outside = rng.uniform(-0.5, GRID.extent_m + 0.5, (40, 3))
     for path in (inside, outside):
-        assert cost(path, tudf, GRID, config) == pytest.approx(reference_cost(path, tudf, GRID, safety_m, weight))
+        assert cost(path, tudf, GRID, config) == pytest.approx(
+            reference_cost(path, tudf, GRID, safety_m, weight)
+        )
         slope = gradient(path, tudf, GRID, config)
         for i in range(len(path)):
             for axis in range(3):
@@ -85,7 +101,9 @@ def test_cost_and_gradient_are_the_formulas(safety_m: float, weight: float) -> N
                 step[i, axis] = 1e-6
                 rise = reference_cost(path + step, tudf, GRID, safety_m, weight)
                 rise -= reference_cost(path - step, tudf, GRID, safety_m, weight)
-                assert slope[i, axis] == pytest.approx(0.0 if i in (0, 39) else rise / 2e-6, abs=2e-6)
+                assert slope[i, axis] == pytest.approx(
+                    0.0 if i in (0, 39) else rise / 2e-6, abs=2e-6
+                )
 
 
 @pytest.mark.parametrize("first_step", [1e-3, 1.0, 1e4])
@@ -122,9 +140,13 @@ def test_a_bent_path_in_free_space_becomes_the_even_straight_line() -> None:
     tudf = np.full(GRID.shape, 2.0, np.float32)
     line = np.linspace([0.5, 0.5, 0.5], [4.5, 3.5, 2.5], 6)
     bent = line + np.pad(rng.uniform(-0.3, 0.3, (4, 3)), ((1, 1), (0, 0)))
-    np.testing.assert_allclose(refine(bent, tudf, GRID, PlanConfig(iterations=2000)), line, atol=1e-5)
+    np.testing.assert_allclose(
+        refine(bent, tudf, GRID, PlanConfig(iterations=2000)), line, atol=1e-5
+    )
     corner = np.array([[0.5, 0.5, 0.5], [0.5, 3.0, 0.5], [3.5, 3.0, 0.5]])
-    np.testing.assert_allclose(refine(corner, tudf, GRID, PlanConfig())[1], [2.0, 1.75, 0.5], atol=1e-9)
+    np.testing.assert_allclose(
+        refine(corner, tudf, GRID, PlanConfig())[1], [2.0, 1.75, 0.5], atol=1e-9
+    )
 
 
 def test_an_obstacle_beside_the_path_pushes_it_to_the_other_side() -> None:
@@ -135,7 +157,8 @@ def test_an_obstacle_beside_the_path_pushes_it_to_the_other_side() -> None:
     tudf = distance_field(occupied, grid)
     line = np.linspace([0.5, 4.1, 2.1], [7.5, 4.1, 2.1], 13)
     nearest = [
-        interpolate(tudf, refine(line, tudf, grid, PlanConfig(safety_m=d)), grid).min() for d in (0.3, 0.6, 1.0, 1.5)
+        interpolate(tudf, refine(line, tudf, grid, PlanConfig(safety_m=d)), grid).min()
+        for d in (0.3, 0.6, 1.0, 1.5)
     ]
     assert nearest[0] == pytest.approx(interpolate(tudf, line, grid).min(), abs=1e-9)
     assert (np.diff(nearest) > 0.05).all()
@@ -159,7 +182,12 @@ def test_waypoints_stay_within_the_outermost_voxel_centres() -> None:
 
 def test_hostile_waypoints_are_refused() -> None:
     tudf = np.full(GRID.shape, 2.0, np.float32)
-    for path in ([[1.0, 1.0, 0.1]], [[1.0, 1.0, 1.0], [5.0, 1.0, 1.0]], [[1.0, np.nan, 1.0]], [1.0, 1.0, 1.0]):
+    for path in (
+        [[1.0, 1.0, 0.1]],
+        [[1.0, 1.0, 1.0], [5.0, 1.0, 1.0]],
+        [[1.0, np.nan, 1.0]],
+        [1.0, 1.0, 1.0],
+    ):
         with pytest.raises(ValueError, match="waypoints"):
             refine(path, tudf, GRID, PlanConfig())
     with pytest.raises(ValueError, match="tudf: shape"):

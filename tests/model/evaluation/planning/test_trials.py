@@ -1,4 +1,5 @@
-"""Trials: goals on the right faces, free and reachable in the truth, the same from the same stream."""
+"""Trials: goals on the right faces, free and reachable in the truth, the same from the same
+stream."""
 
 import numpy as np
 import pytest
@@ -51,11 +52,14 @@ def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike() -> No
 
 
 def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason() -> None:
-    """A wall cuts off the layer x = 38 (49 + 28 goals in it); one of the others lies in an obstacle."""
+    """A wall cuts off the layer x = 38 (49 + 28 goals in it); one of the others lies in an
+    obstacle."""
     truth = np.zeros(GRID.shape, bool)
     truth[35] = True
     truth[2, 2, 1] = True
-    trials = draw_trials(truth, GRID, PlanConfig(goal_faces="lateral"), count=10_000, rng=np.random.default_rng(0))
+    trials = draw_trials(
+        truth, GRID, PlanConfig(goal_faces="lateral"), count=10_000, rng=np.random.default_rng(0)
+    )
     layer = 13 * 7
     rim = 4 * 12 * 7  # nodes of the outermost layer in x or y
     assert len(trials.goals) == rim - layer - 2 * 7 - 1
@@ -75,9 +79,15 @@ def test_goals_keep_within_bounds() -> None:
     """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
     bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
     free = np.zeros(GRID.shape, bool)
-    goals = draw_trials(free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0), bounds=bounds).goals
-    everywhere = draw_trials(free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0)).goals
-    inside = everywhere[(everywhere[:, 0] <= 6) & (everywhere[:, 2] >= 1) & (everywhere[:, 2] <= 2.5)]
+    goals = draw_trials(
+        free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0), bounds=bounds
+    ).goals
+    everywhere = draw_trials(
+        free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0)
+    ).goals
+    inside = everywhere[
+        (everywhere[:, 0] <= 6) & (everywhere[:, 2] >= 1) & (everywhere[:, 2] <= 2.5)
+    ]
     assert 0 < len(goals) < len(everywhere)
     assert {tuple(goal) for goal in goals} == {tuple(goal) for goal in inside}
 
@@ -85,6 +95,8 @@ def test_goals_keep_within_bounds() -> None:
 def test_the_start_is_never_a_goal() -> None:
     """On a map of one node there is none."""
     grid = GridSpec(shape=(3, 3, 3))
-    trials = draw_trials(np.zeros((3, 3, 3), bool), grid, PlanConfig(), count=5, rng=np.random.default_rng(0))
+    trials = draw_trials(
+        np.zeros((3, 3, 3), bool), grid, PlanConfig(), count=5, rng=np.random.default_rng(0)
+    )
     assert trials.goals.shape == (0, 3)
     assert not trials.excluded

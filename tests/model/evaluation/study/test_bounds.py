@@ -15,11 +15,14 @@ def test_sparsification() -> None:
     assert ause(error, -error) > ause(error, rng.random(400)) > 0.2
     doubt = rng.random(400)
     shares = [
-        np.mean(error[np.argsort(doubt)][: int(s * 400)]) - np.mean(np.sort(error)[: int(s * 400)]) for s in SHARES
+        np.mean(error[np.argsort(doubt)][: int(s * 400)]) - np.mean(np.sort(error)[: int(s * 400)])
+        for s in SHARES
     ]
     assert ause(error, doubt) == pytest.approx(np.mean(shares) / error.mean())
     flat = [error.mean() - np.mean(np.sort(error)[: int(s * 400)]) for s in SHARES]
-    assert ause(error, np.ones(400)) == pytest.approx(np.mean(flat) / error.mean()), "equal doubt orders nothing"
+    assert ause(error, np.ones(400)) == pytest.approx(np.mean(flat) / error.mean()), (
+        "equal doubt orders nothing"
+    )
     assert ause(np.zeros(4), np.arange(4)) == 0
 
 

@@ -53,7 +53,12 @@ def test_every_variant_is_a_trial_of_its_own() -> None:
                     safety_m=variant.safety_m,
                 )
                 trial = run_trial(occupied, fields[variant.field], *true, goal, GRID, config)
-                expected = [trial.success, trial.length_m, trial.min_clearance_m, trial.mean_clearance_m]
+                expected = [
+                    trial.success,
+                    trial.length_m,
+                    trial.min_clearance_m,
+                    trial.mean_clearance_m,
+                ]
                 np.testing.assert_array_equal(found[g, v, :-1], expected)
                 met.add(FATES[int(found[g, v, -1])])
                 blocked = seed == 2 and not free_start
@@ -63,7 +68,9 @@ def test_every_variant_is_a_trial_of_its_own() -> None:
 
 def test_without_predicted_distances_there_is_one_field() -> None:
     occupied = scattered(0)
-    fields = fields_of(Prediction(occupancy_probability=occupied.astype(np.float32)), occupied, GRID)
+    fields = fields_of(
+        Prediction(occupancy_probability=occupied.astype(np.float32)), occupied, GRID
+    )
     assert list(fields) == ["edt"]
     np.testing.assert_array_equal(fields["edt"], distance_field(occupied, GRID))
     chosen = variants(PLAN, STUDY)
@@ -78,7 +85,12 @@ WALL = filled((30,))  # nodes at 29 and 32
 
 @pytest.mark.parametrize(
     ("occupied", "seen", "expected"),
-    [(WALL, WALL, "known"), (FREE, WALL, "missed"), (FREE, FREE, "unseen"), (filled((29,)), WALL, "no_path")],
+    [
+        (WALL, WALL, "known"),
+        (FREE, WALL, "missed"),
+        (FREE, FREE, "unseen"),
+        (filled((29,)), WALL, "no_path"),
+    ],
 )
 def test_a_failure_is_told_by_what_the_method_and_the_scan_knew(
     occupied: NDArray[np.bool_], seen: NDArray[np.bool_], expected: str
@@ -91,4 +103,6 @@ def test_a_failure_is_told_by_what_the_method_and_the_scan_knew(
 
 def test_thresholds_do_not_touch_predicted_distances() -> None:
     said = Prediction(tudf=np.full(GRID.shape, 0.5, np.float32))
-    np.testing.assert_array_equal(said.distance(Thresholds(), GRID), fields_of(said, FREE, GRID)["tudf"])
+    np.testing.assert_array_equal(
+        said.distance(Thresholds(), GRID), fields_of(said, FREE, GRID)["tudf"]
+    )

@@ -1,0 +1,110 @@
+"""Every benchmark runs, as small as it can be, and its figures are there, and are numbers."""
+
+import re
+import runpy
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.recipe import preset
+from scenegen.source import DrawnWorlds
+from tests.conftest import Once
+from tests.shell import Shell
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+SHARED = {"bars", "measuring"}
+DATA = "data"
+"""Stands for a dataset's folder."""
+NUMBER = r"(\d[\d.]*)"
+RAY = r"ray +N +N +N +N +N\n" if find_spec("ray") else "ray: not measured"
+SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
+    "against": ((BENCHMARKS.parent,), ("N ms a sample there, N here", "samples (equal)")),
+    "calibrate": (("pillar",), ("truth +N±", "returns +N±")),
+    "elsewhere": (("--out", "out"), (r"scaffold, default ra(n)ge:0\.05",)),
+    "ensemble": (
+        (DATA, *("--weights", "proposed") * 2),
+        ("iou +alone N N  together N", "brier +alone N N  together N"),
+    ),
+    "executors": ((), (r"rank +N +N +N +N +N\n", RAY)),
+    "folders": (
+        (),
+        (
+            r"--version` \| N, N \|",
+            r"last job of many, noted \| N, N \|",
+            r"merge \| N, N \| N \| N \|",
+        ),
+    ),
+    "generate": (
+        (),
+        (
+            "N samples a second and core",
+            "everything else",
+            r"--compact: N samples in N s .* N s of proc",
+        ),
+    ),
+    "gpu": ((), (r"pillar +N M rays/s +N samples/s", r" (0) values differ")),
+    "inference": ((), (r"occ +stem 2:  eager +N ms", r"openvino +N ms")),
+    "intervals": ((), (r"success, geometric +N +N +N",)),
+    "points": ((DATA,), (r"sample +iou N recall N", r"voxels alone +iou N recall N near_rmse N")),
+    "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
+    "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
+    "stream": ((), (r"generate --compact +N \(1\.00\) +N", r"cache read +N \(N\) +N")),
+    "training": (
+        (DATA,),
+        (r"and distances: N samples/s", r"float32 +N ms a map, N of processor; +bfloat16 +N ms"),
+    ),
+    "verify": (
+        (DATA,),
+        (r"full: N samples, failed: (none)", r"by processor time +N samples a second"),
+    ),
+}
+"""Of every benchmark: what it is given, and figures that it prints; N stands for one."""
+LEARNED = {"elsewhere", "ensemble", "inference", "points", "training"}
+"""These import torch, which takes seconds: they run in this process, which has done so for other
+tests."""
+
+
+def test_every_benchmark_is_here() -> None:
+    assert {path.stem for path in BENCHMARKS.glob("*.py")} == SCRIPTS.keys() | SHARED
+
+
+@pytest.fixture(scope="session")
+def data(once: Once) -> Path:
+    """Maps of the size that the bundled networks take, of one world a split."""
+
+    def fill(folder: Path) -> None:
+        recipe, counts = preset("pillar"), {"train": 2, "val": 1, "test": 2}
+        build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
+
+    return once("benchmarked", fill)
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_benchmark_runs_and_prints_its_figures(
+    name: str,
+    data: Path,
+    tmp_path: Path,
+    shell: Shell,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words, figures = SCRIPTS[name]
+    script = str(BENCHMARKS / f"{name}.py")
+    given = [*(str(data if word == DATA else word) for word in words), "--smoke"]
+    if name in LEARNED:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [script, *given])
+        monkeypatch.syspath_prepend(BENCHMARKS)
+        monkeypatch.setenv("OMP_WAIT_POLICY", "passive")  # which they set
+        runpy.run_path(script, run_name="__main__")
+        said = capsys.readouterr().out
+    else:
+        ended = shell.python(script, *given, here=tmp_path)
+        assert ended.code == 0, ended.err
+        said = ended.out
+    assert not re.search(r"\b(nan|inf)\b", said)
+    for figure in figures:
+        assert re.search(figure.replace("N", NUMBER), said), f"no {figure!r} in {said}"

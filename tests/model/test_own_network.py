@@ -1,0 +1,225 @@
+"""A network, a loss and an input of a user's own: the page as it stands, and what a file may not
+do."""
+
+import csv
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from scenegen.errors import ScenegenError
+from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
+from scenegen.model.completion.completer import Completer
+from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.evaluation.pretrained import Pretrained
+from scenegen.model.inputs import input_called
+from tests.command_line import ROOT, run
+from tests.model.training.runs import train
+
+PAGE = (ROOT / "docs" / "own-network.md").read_text(encoding="utf-8")
+OWN = "my_net:Net,my_input:rise"
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
+@pytest.fixture
+def here(folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A user's folder with the page's files, to stand in; what is imported is forgotten
+    afterwards."""
+    before = list(sys.path), set(sys.modules)
+    for text, name in re.findall(r"```python\n(# (my_\w+\.py)\n.*?)```", PAGE, re.DOTALL):
+        (tmp_path / name).write_text(text)
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "pillar").symlink_to(folders[0])
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    sys.path[:] = before[0]
+    for name in set(sys.modules) - before[1]:
+        if name.partition("_")[0] in ("my", "trap", "wrong"):
+            del sys.modules[name]
+    input_called.cache_clear()
+
+
+def test_the_page_trains_resumes_completes_benches_and_exports(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        sum(
+            len((here / name).read_text().splitlines())
+            for name in ("my_net.py", "my_loss.py", "my_input.py")
+        )
+        <= 41
+    )
+    commands = [line.split()[1:] for line in re.findall(r"^scenegen .*$", PAGE, re.MULTILINE)]
+    assert [words[0] for words in commands] == ["train", "complete", "bench", "export", "complete"]
+    for words in commands:
+        code, _, error = run(capsys, *words)
+        assert code == 0, error
+    with h5py.File("predictions.h5") as said, h5py.File("again.h5") as again:
+        for name in ("occupancy_probability", "tudf"):
+            np.testing.assert_allclose(said[name], again[name], atol=5e-2)
+    code, said, _ = run(capsys, *commands[0][:-1], 3)  # goes on
+    assert (code, "epoch 3:" in said, "epoch 1:" in said) == (0, True, False)
+    with open("runs/Net/metrics.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["train_entropy"]) < float(rows[0]["train_entropy"])
+    assert float(rows[0]["val_loss"]) == pytest.approx(
+        float(rows[0]["val_entropy"]) + float(rows[0]["val_metres"]), rel=1e-4
+    )
+    code, _, error = run(capsys, *(word.replace("my_loss:loss", "coupled") for word in commands[0]))
+    assert (code, "objective is" in error) == (1, True)
+    tuned = (
+        "train",
+        "data/pillar",
+        "--weights",
+        f"{OWN}@runs/Net",
+        "--maps",
+        1,
+        "--out",
+        "runs/tuned",
+    )
+    code, _, error = run(capsys, *tuned)
+    assert (
+        code,
+        "give the network as my_input:rise,my_loss:loss,my_net:Net@runs/Net" in error,
+    ) == (1, True)
+    assert run(capsys, *tuned, "--loss", "my_loss:loss")[0] == 0
+    exec(PAGE.split("```python\n")[-1].split("```")[0], {})
+    assert Path("runs/wide/best.safetensors").exists()
+
+
+@pytest.fixture
+def trapped(here: Path) -> Path:
+    """A stranger's network that names code in the folder where the user stands."""
+    (here / "trap.py").write_text(
+        "open('sprung', 'w')\nfrom my_net import Net\nfrom my_input import rise\n"
+    )
+    config = TrainConfig(
+        network=NetworkConfig(variant="my_net:Net", inputs=("my_input:rise",)), epochs=1
+    )
+    train([here / "data" / "pillar"], config, here / "run", device="cpu")
+    tensors, header = load_tensors(here / "run" / "best.safetensors")
+    for name, changed in (
+        ("net", {"variant": "trap:Net", "inputs": ["observed"]}),
+        ("input", {"variant": "occ", "inputs": ["trap:rise"]}),
+    ):
+        save_tensors(
+            here / f"{name}.safetensors", tensors, header | {"network": header["network"] | changed}
+        )
+    return here
+
+
+def test_a_file_has_nothing_imported_by_itself(
+    trapped: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("net", "input"):
+        for opening in (Completer.from_pretrained, Pretrained):
+            with pytest.raises(
+                CheckpointError, match=r"imported only if you name it.*trap:\w+@"
+            ) as caught:
+                opening(f"{name}.safetensors")
+            assert "\n" not in str(caught.value)
+        with pytest.raises(CheckpointError, match="trap"):
+            Completer.from_pretrained(f"my_net:Net@{name}.safetensors")
+    for words in (
+        ("complete", "data/pillar", "--weights"),
+        ("export",),
+        ("train", "--weights"),
+        ("inspect",),
+    ):
+        assert run(capsys, *words, "net.safetensors")[0] == 1
+    assert not Path("sprung").exists()
+    found = Completer.from_pretrained("my_net:Net,my_input:rise@run")
+    assert found.opened[0].startswith("my_input:rise,my_net:Net@/")
+    assert Completer.from_pretrained(found.opened[0]).inputs == ("my_input:rise",)
+
+
+WRONG = """
+import torch
+from torch import nn
+from scenegen.model.network import Output
+from my_net import Net
+class Flat(Net):
+    def forward(self, batch):
+        return Output(*(part[..., 0] for part in super().forward(batch)))
+class Blind(Net):
+    tasks = ("occupancy",)
+class Seeing(Net):
+    tasks = ("occupancy",)
+    def forward(self, batch):
+        return Output(super().forward(batch).logits, None)
+class Broken(Net):
+    def forward(self, batch):
+        raise KeyError("gone")
+class Sorted(Net):
+    def forward(self, batch):
+        logits, tudf = super().forward(batch)
+        return Output(logits.flatten(1).cumsum(1).view_as(logits), tudf)
+class Branching(Net):
+    def forward(self, batch):
+        logits, tudf = super().forward(batch)
+        return Output(logits + 1 if float(logits.sum()) > 0 else logits, tudf)
+def plain(config): return 3
+def vector(output, batch): return {"iou": output.logits.mean(), "b": 0.5}
+class Scaled:
+    def __init__(self, config, grid): self.scale = config.occupancy / grid.voxel_m
+    def __call__(self, output, batch): return self.scale * output.logits.square().mean()
+def short(seen, grid, lidar): return seen.observed[:-1]
+def failing(seen, grid, lidar): raise KeyError("gone")
+"""
+NET = {"variant": "my_net:Net", "width": 4}
+
+
+@pytest.mark.parametrize(
+    ("network", "loss", "more", "said"),
+    [
+        ({"variant": "wrong:Flat"}, {}, {}, r"variant wrong:Flat: gives .*expected"),
+        ({"variant": "wrong:Blind"}, {}, {}, "by its `tasks`"),
+        ({"variant": "wrong:plain"}, {}, {}, "lacks `load_state_dict`"),
+        ({"variant": "wrong:Gone"}, {}, {}, "has no Gone"),
+        (NET, {"objective": "wrong:vector"}, {}, "iou is .*no metric has"),
+        (
+            NET,
+            {"objective": "wrong:Scaled"},
+            {"choose": "occupancy"},
+            "the loss has no such term, but loss",
+        ),
+        (
+            NET | {"inputs": ("wrong:short",)},
+            {},
+            {},
+            r"input wrong:short: gives an array of shape \(23, 24, 16\)",
+        ),
+        (NET | {"inputs": ("wrong:failing",)}, {}, {}, r"line \d+ of wrong.py: KeyError"),
+    ],
+)
+def test_what_is_wrong_with_own_code_is_told_in_one_line(
+    here: Path, network: dict, loss: dict, more: dict, said: str
+) -> None:
+    (here / "wrong.py").write_text(WRONG)
+    config = TrainConfig(network=NetworkConfig(**network), loss=LossConfig(**loss), **more)
+    with pytest.raises(ScenegenError, match=said) as caught:
+        train([here / "data" / "pillar"], config, here / "run", device="cpu")
+    assert "\n" not in str(caught.value)
+    assert not (here / "run").exists()
+
+
+def test_one_task_and_a_scalar_loss_will_do_and_an_export_works_or_says_why_not(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "wrong.py").write_text(WRONG)
+    words = ("train", "data/pillar", "--epochs", 1, "--device", "cpu", "--quiet", "--variant")
+    assert run(capsys, *words, "wrong:Seeing", "--loss", "wrong:Scaled", "--workers", 1)[0] == 0
+    assert run(capsys, "export", "wrong:Seeing@runs/Seeing")[0] == 0
+    assert Completer.from_pretrained("Seeing.onnx")(np.zeros((24, 24, 16), bool)).tudf is None
+    code, _, error = run(capsys, *words, "wrong:Broken")
+    assert (code, error.count("\n"), "of wrong.py: KeyError" in error) == (1, 1, True)
+    for name, code in (("Sorted", 0), ("Branching", 1)):
+        assert run(capsys, *words, f"wrong:{name}")[0] == 0
+        ended, _, error = run(capsys, "export", f"wrong:{name}@runs/{name}")
+        assert (ended, error.count("\n"), f"wrong:{name}" in error) == (code, code, bool(code)), (
+            error
+        )

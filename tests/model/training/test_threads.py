@@ -1,0 +1,38 @@
+"""Threads that wait for others sleep, unless the user says otherwise."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = """
+import rich_click as click
+
+
+@click.command()
+def load():
+    import torch
+"""
+
+
+@pytest.mark.parametrize(("given", "found"), [({}, "0"), ({"GOMP_SPINCOUNT": "7"}, "7")])
+def test_torch_is_loaded_with_threads_that_wait_asleep(
+    given: dict[str, str], found: str, tmp_path: Path
+) -> None:
+    """As OpenMP itself says when torch loads it: how often a thread looks for work before it
+    sleeps."""
+    (tmp_path / "mine.py").write_text(COMMAND)
+    plain = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
+    }
+    words = [sys.executable, "-m", "scenegen", "mine:load"]
+    environment = {**plain, **given, "OMP_DISPLAY_ENV": "verbose"}
+    said = subprocess.run(
+        words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    ).stderr
+    assert re.findall(r"GOMP_SPINCOUNT = '(\d+)'", said) == [found]

@@ -1,0 +1,190 @@
+"""Nothing that is not ours is replaced or removed, by any command, whatever its name is."""
+
+import multiprocessing
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from scenegen.__main__ import PLACES
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.files import whole
+from scenegen.model.checkpoint import save_network
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
+from scenegen.source import DrawnWorlds
+from tests.command_line import ROOT, SMALL, run
+from tests.conftest import Once, small_recipe
+
+SCENE = ROOT / "scenes" / "forest.xml"
+SCAN = ("scan", SCENE, "--flight", "--quiet")
+BENCH = ("bench", "d", "--quick", "--method", "returns", "-o", "out")
+TRAIN = ("train", "d", "--out", "out", "--epochs", 1, "--device", "cpu")
+REPRODUCE = ("reproduce", "-o", "out", "--scale", 0.001)
+GENERATE = (
+    "generate",
+    "--recipe",
+    "small.toml",
+    "--n",
+    3,
+    "--val",
+    0,
+    "--test",
+    0,
+    "--quiet",
+    "--out",
+    "out",
+)
+FILES: tuple[tuple[tuple[object, ...], str], ...] = (
+    (("world", "d", 0, "-o", "w.xml"), "w.xml"),
+    (("world", "d", 0, "-o", "w.glb"), "w.glb"),
+    (("render", "d", "--quiet"), "sample.png"),
+    (("render", "d", "-o", "p.svg"), "p.svg"),
+    (SCAN, "scan.ply"),
+    ((*SCAN, "-o", "s.bin"), "s.bin"),
+    ((*SCAN, "--every", 5, "-o", "s.npz"), "s-001.npz"),
+    (("sensors", "raster", "-o", "s.png"), "s.png"),
+    (("recipe", "pillar", "-o", "new/r.toml"), "new/r.toml"),
+    (("inspect", "d", "--html", "i.html"), "i.html"),
+    (("view", "d", "--html", "v.html", "--n", 1), "v.html"),
+    (("export", "n.safetensors"), "n.onnx"),
+    (("calibrate", "n.safetensors", "d", "-o", "c.safetensors"), "c.safetensors"),
+    (("calibrate", "proposed", "d"), "proposed.safetensors"),
+    (("complete", "d", "--weights", "n.safetensors", "--device", "cpu"), "predictions.h5"),
+    (
+        ("complete", "scan.npy", "--weights", "n.safetensors", "--device", "cpu"),
+        "scan.completed.h5",
+    ),
+)
+"""Commands and a file that each writes."""
+FOLDERS: tuple[tuple[tuple[object, ...], tuple[str, ...]], ...] = (
+    (BENCH, ("report.json", "report.md", "report.html")),
+    (TRAIN, ("card.md", "curve.png", "metrics.csv", "best.safetensors", "config.json")),
+    (REPRODUCE, ("settings.json", "study.json", "study.md", "figures")),
+    (GENERATE, ("train-00000.h5", "train-00099.h5", "rays.npy", "dataset.json", "notes.txt")),
+    (("rescan", "d", "-o", "out", "--noise", "range:0.02"), ("rays.npy",)),
+    (("merge", "d", "e", "-o", "out"), ("train-00000.h5",)),
+    (("take", "d", "--n", 1, "-o", "out"), ("train-00000.h5",)),
+    (("convert", "d", "--to", "npz", "-o", "out"), ("convert.json", "train/000000.npz")),
+    (("publish", "d", "--repo", "ada/d", "--dry-run", "-o", "out"), ("README.md", "SHA256SUMS")),
+)
+"""Commands and names that each uses in the folder `out`."""
+SILENT = ("completion", "datasets", "doctor", "networks", "verify")
+"""Commands that write no file."""
+
+
+@pytest.fixture
+def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with what the commands read: two datasets, a network and a scan."""
+
+    def make(folder: Path) -> None:
+        recipe, counts = small_recipe(), {"train": 4, "val": 2, "test": 2}
+        for name, seed in (("d", 1), ("e", 2)):
+            build(
+                plan_dataset(folder / name, recipe, DrawnWorlds(recipe), seed=seed, counts=counts)
+            )
+        grid = Dataset(folder / "d").grid
+        save_network(
+            folder / "n.safetensors",
+            Network(NetworkConfig(width=2, height=grid.shape[2])),
+            grid,
+            {},
+        )
+        np.save(folder / "scan.npy", np.random.default_rng(0).normal(size=(50, 3)))
+        (folder / "small.toml").write_text(SMALL)
+
+    for path in once("strangers", make).iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    monkeypatch.chdir(tmp_path)
+    torch.set_num_threads(1)
+    return tmp_path
+
+
+def begin_and_die(path: Path) -> None:
+    with whole(path):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [FILES[n] for n in (0, 8, 14)],
+    ids=lambda it: it if isinstance(it, str) else str(it[0]),
+)
+def test_what_a_killed_command_left_is_taken_away(
+    words: tuple[object, ...], name: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / name).parent.mkdir(exist_ok=True)
+    killed = multiprocessing.get_context("fork").Process(target=begin_and_die, args=(here / name,))
+    killed.start()
+    killed.join()
+    assert list(here.rglob("*.tmp"))
+    assert run(capsys, *words)[0] == 0
+    assert not list(here.rglob("*.tmp"))
+
+
+def test_every_command_is_here() -> None:
+    assert {str(words[0]) for words, _ in (*FILES, *FOLDERS)} | set(SILENT) >= set(PLACES)
+
+
+@pytest.mark.parametrize(
+    ("words", "name"), FILES, ids=lambda it: it if isinstance(it, str) else str(it[0])
+)
+def test_a_strangers_file_is_not_replaced(
+    words: tuple[object, ...], name: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / name).parent.mkdir(exist_ok=True)
+    (here / name).write_bytes(b"mine")
+    before = set(here.rglob("*"))
+    code, said, complaint = run(capsys, *words)
+    assert (code, said) in ((1, ""), (2, "")), complaint
+    assert name in complaint
+    assert complaint.count("\n") == 1
+    assert (here / name).read_bytes() == b"mine"
+    assert set(here.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [(words, name) for words, names in FOLDERS for name in names],
+    ids=lambda it: str(it).split("'")[1] if isinstance(it, tuple) else it,
+)
+def test_nor_one_in_a_folder(
+    words: tuple[object, ...], name: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "out" / name).parent.mkdir(parents=True)
+    content = b"{}" if name.endswith(".json") else b"mine"
+    (here / "out" / name).write_bytes(content)
+    before = set(here.rglob("*"))
+    code, _, complaint = run(capsys, *words)
+    assert code in (1, 2), complaint
+    assert "out" in complaint
+    assert "Traceback" not in complaint
+    assert (here / "out" / name).read_bytes() == content
+    assert set(here.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [FILES[n] for n in (0, 1, 5, 7, 8, 10)],
+    ids=lambda it: it if isinstance(it, str) else str(it[0]),
+)
+def test_its_own_is_replaced_until_somebody_changes_it(
+    words: tuple[object, ...], name: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        os.setxattr(here, "user.test", b"")
+    except (AttributeError, OSError):
+        pytest.skip("this file system keeps no attributes")
+    for _ in range(2):
+        code, _, complaint = run(capsys, *words)
+        assert code == 0, complaint
+    content = (here / name).read_bytes() + b"and mine"
+    (here / name).write_bytes(content)
+    code, _, complaint = run(capsys, *words)
+    assert code in (1, 2)
+    assert "not as scenegen wrote it" in complaint
+    assert (here / name).read_bytes() == content
