@@ -21,7 +21,7 @@ from scenegen.errors import GuardError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
-from scenegen.model.config import NetworkConfig
+from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Output
 from scenegen.workers import guarded
 
@@ -133,7 +133,7 @@ def read_graph(content: bytes) -> dict[str, Any]:
         )
     try:
         header = dict(json.loads(headers[-1]))
-        network_from(header)
+        config, _ = network_from(header)
         header["about"] = dict(header.get("about", {}))
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise CheckpointError(
@@ -146,7 +146,14 @@ def read_graph(content: bytes) -> dict[str, Any]:
             f"has loops or parts elsewhere, which no export has ({printable(odd)[:100]})"
         )
     there = {output.name for output in graph.output}
-    return header | {"outputs": [name for name in NAMES.values() if name in there]}
+    tasks = [task for task, name in NAMES.items() if name in there]
+    known = VARIANTS.get(config.variant)  # a network of the user's own says what it likes
+    if known and set(tasks) != set(known.tasks):
+        raise CheckpointError(
+            f"gives {' and '.join(tasks) or 'nothing'}, where {config.variant} gives "
+            f"{' and '.join(known.tasks)}; export it again"
+        )
+    return header | {"outputs": [NAMES[task] for task in tasks]}
 
 
 def _try(task: tuple[bytes, Examined]) -> None:

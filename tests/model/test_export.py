@@ -227,7 +227,7 @@ def point_outside(model: Any) -> None:
         (set_weight(np.nan), "gives other than logits and tudf"),
         (fix_the_batch, "cannot run it"),
         (widen, "cannot run it"),
-        (rename_outputs, "cannot run it"),
+        (rename_outputs, "gives nothing, where columns gives"),
         (loop, "has loops or parts elsewhere"),
         (point_outside, "has loops or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),
