@@ -1,6 +1,6 @@
 """The command line: which commands there are. Each is imported when it is given."""
 
-from scenegen.terminal import stops
+from scenegen.cli import stops
 
 if stops.is_command():  # before anything is imported that takes long
     stops.answer()
@@ -10,9 +10,9 @@ from typing import NoReturn
 import rich_click as click
 
 from scenegen import __version__
-from scenegen.terminal.command import Commands, run_command
+from scenegen.cli.command import Commands, run_command
 
-MADE, INFERRED = "scenegen.commands", "scenegen.model.commands"
+MADE, INFERRED = "scenegen.cli", "scenegen.model.commands"
 OF_DATA = ("generate", "rescan", "world", "verify", "publish", "convert", "recipe")
 OF_SENSORS = ("sensors", "scan")
 OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce")

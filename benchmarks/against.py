@@ -26,14 +26,14 @@ HERE = Path(__file__).parents[1]
 def serve(kind: str, engine: str) -> None:
     """Write the shards whose numbers come through the standard input, and answer a line of JSON for
     each: processor seconds, samples, bytes, and the samples' digests."""
-    import scenegen.workers
+    import scenegen.run.workers
     from scenegen.dataset.build import plan_dataset
     from scenegen.dataset.shard import write_shard
     from scenegen.recipe import preset
     from scenegen.source import DrawnWorlds
 
     if keep_memory := getattr(
-        scenegen.workers, "keep_memory", None
+        scenegen.run.workers, "keep_memory", None
     ):  # as the command does, in checkouts that have it
         keep_memory()
     recipe = preset(kind)

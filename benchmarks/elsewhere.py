@@ -22,7 +22,6 @@ import mujoco
 import numpy as np
 
 from lidarsim.sensors import RASTER, SENSORS
-from scenegen.checkout import commit
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
@@ -39,6 +38,7 @@ from scenegen.model.evaluation.statistics import figure
 from scenegen.model.evaluation.tables import head, interval, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
+from scenegen.run.checkout import commit
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, read_scenes
 

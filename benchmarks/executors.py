@@ -2,7 +2,7 @@
 every executor.
 
 python benchmarks/executors.py --samples 20000 --workers 2 python -m
-tests.scenegen.executors.slurm_here python benchmarks/executors.py        begins a Slurm for it, as
+tests.scenegen.run.slurm_here python benchmarks/executors.py        begins a Slurm for it, as
 root
 
 Ray is measured where it is installed, Slurm where one answers. Processor time is that of all
@@ -28,7 +28,7 @@ from pathlib import Path
 import measuring
 
 from scenegen.recipes import kind_names
-from scenegen.workers import cores
+from scenegen.run.workers import cores
 
 MARK = "SCENEGEN_BENCHMARK"
 LOOK_S = 0.1

@@ -30,15 +30,15 @@ from scipy import ndimage
 import scenegen.dataset.shard as shard_module
 import scenegen.draw as draw_module
 import scenegen.source as source_module
-import scenegen.world as world_module
+import scenegen.worlds.world as world_module
 from scenegen.dataset.build import plan_dataset
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
+from scenegen.run.workers import cores
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
-from scenegen.workers import cores
 
 STAGES: dict[str, tuple[Any, str]] = {
     "draw world, write MJCF, compile": (source_module, "write_world"),

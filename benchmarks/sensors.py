@@ -19,11 +19,11 @@ from lidarsim.noise.chain import Noise
 from lidarsim.sensors import SENSORS
 from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.shard import write_shard
-from scenegen.labels import labels_by
-from scenegen.mapping import Mapper
 from scenegen.recipe import Recipe, preset
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
+from scenegen.worlds.labels import labels_by
+from scenegen.worlds.mapping import Mapper
 
 SENSOR_NAMES = ("velodyne-vlp-16", "ouster-os1-64", "livox-mid-360", "livox-avia", "realsense-d435")
 MAPPINGS = {

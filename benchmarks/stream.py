@@ -19,7 +19,7 @@ from scenegen.dataset.shard import write_shard
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
-from scenegen.streaming.stream import Stream
+from scenegen.streams.stream import Stream
 
 BATCH = 8
 NETWORKS_MS = (1.0, 15.0, 80.0, 100.0)

@@ -21,7 +21,7 @@ import measuring
 
 def measure(folder: Path, *, quick: bool, workers: int) -> dict[str, Any]:
     """One verification in this process, and what it took."""
-    from scenegen.verify import verify
+    from scenegen.verification import verify
 
     begin = time.perf_counter()
     report = verify(folder, quick=quick, workers=workers)

@@ -5,7 +5,7 @@
 
 A page asks for a table by two comments, between which it goes:
 
-    <!-- parameters of scenegen.flight:Flight -->
+    <!-- parameters of scenegen.worlds.flight:Flight -->
     <!-- end -->
 
 `<!-- sensors -->` asks for the catalogue of sensors in the same way, and `<!-- stages -->` for the

@@ -23,7 +23,7 @@ from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Output
-from scenegen.workers import guarded
+from scenegen.run.workers import guarded
 
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
 """Outputs of an ONNX file, by task."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from scenegen.dataset.read import Split
-    from scenegen.streaming.stream import Stream
+    from scenegen.streams.stream import Stream
 
 __version__ = "0.1.0"
 
@@ -64,7 +64,7 @@ def stream(
     names what casts the rays. No torch is needed. Raises RecipeError, SceneError and DatasetError,
     and when a sample is asked for GenerationError, IndexError and TypeError; all in one line.
     """
-    from scenegen.streaming.stream import stream_of
+    from scenegen.streams.stream import stream_of
 
     return stream_of(
         worlds, seed=seed, split=split, samples=samples, workers=workers, cache=cache, engine=engine

@@ -10,9 +10,9 @@ import numpy as np
 from lidarsim.jit import cache_folder, cache_trouble
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
-from scenegen.software import installed, software
+from scenegen.run.software import installed, software
+from scenegen.run.workers import cores
 from scenegen.source import DrawnWorlds
-from scenegen.workers import cores
 
 SELF_TEST_S = 2.0
 

@@ -12,14 +12,14 @@ from lidarsim import AnalyticEngine, Engine, Pose, Scan, cast, fuse
 from lidarsim.engines import EngineFactory
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
-from scenegen.flight import Viewpoints, plan, viewpoints
-from scenegen.labels import labelled
-from scenegen.noise import with_noise
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample, earlier_fields, whole
 from scenegen.source import Source
 from scenegen.truth import distance_field, rasterize
-from scenegen.world import World
+from scenegen.worlds.flight import Viewpoints, plan, viewpoints
+from scenegen.worlds.labels import labelled
+from scenegen.worlds.noise import with_noise
+from scenegen.worlds.world import World
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from scenegen.errors import DatasetError
-from scenegen.places import PlacePath, note_file
-from scenegen.stopping import undone_if_stopped
+from scenegen.run.stopping import undone_if_stopped
+from scenegen.stores import PlacePath, note_file
 
 STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
@@ -44,7 +44,7 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     if isinstance(path, PlacePath):
         return path.open_bounded(most_bytes)
     if note_file(path.parent).is_file():
-        from scenegen.places.cache import fetch
+        from scenegen.stores.cache import fetch
 
         fetch(path)
     try:

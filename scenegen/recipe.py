@@ -15,8 +15,6 @@ from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.parameters import check, number
 from scenegen.errors import RecipeError, printable, short
-from scenegen.flight import Flight
-from scenegen.labels import Labels
 from scenegen.lidar import beam_table, named_noise, sensor_of
 from scenegen.limits import (
     MOST_CANDIDATES,
@@ -26,10 +24,12 @@ from scenegen.limits import (
     MOST_VOXELS,
     MOST_VOXELS_IN_FLIGHT,
 )
-from scenegen.mapping import Mapper
 from scenegen.recipes import find_kind
 from scenegen.recipes.kind import WorldKind
 from scenegen.tables import check_name, field_names, from_table, read_toml
+from scenegen.worlds.flight import Flight
+from scenegen.worlds.labels import Labels
+from scenegen.worlds.mapping import Mapper
 
 
 @dataclass(frozen=True, kw_only=True)

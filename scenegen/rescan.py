@@ -9,11 +9,11 @@ from lidarsim import Pose
 from lidarsim.engines import EngineFactory
 from scenegen.draw import Rejections, Unit, engine_of, flight_rng, sample_of, scans_from
 from scenegen.errors import GenerationError
-from scenegen.flight import plan, viewpoints
-from scenegen.noise import with_noise
 from scenegen.recipe import Recipe
 from scenegen.truth import rasterize
-from scenegen.world import World
+from scenegen.worlds.flight import plan, viewpoints
+from scenegen.worlds.noise import with_noise
+from scenegen.worlds.world import World
 
 
 def fly_again(

@@ -17,9 +17,9 @@ from lidarsim.engines import EngineFactory
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
 from scenegen.errors import GenerationError, SceneError
-from scenegen.flight import Flight, Viewpoints, plan, viewpoints
 from scenegen.source import read_scenes
-from scenegen.world import World
+from scenegen.worlds.flight import Flight, Viewpoints, plan, viewpoints
+from scenegen.worlds.world import World
 
 TRIES = 50
 """Flights tried before a world counts as too narrow."""

@@ -15,12 +15,12 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable
-from scenegen.labels import By, class_names
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
-from scenegen.scene import Reading, Scene, named, read_file
-from scenegen.workers import Limited, run
-from scenegen.world import World, compile_world, write_world
+from scenegen.run.workers import Limited, run
+from scenegen.worlds.labels import By, class_names
+from scenegen.worlds.scene import Reading, Scene, named, read_file
+from scenegen.worlds.world import World, compile_world, write_world
 
 SHARES = {"train": 10, "val": 1, "test": 2}
 """How a folder of worlds is dealt out."""

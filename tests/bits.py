@@ -19,9 +19,9 @@ from lidarsim import Lidar
 from lidarsim.solids.model import solids_of
 from scenegen.chance import attitudes, log_uniform, normal
 from scenegen.draw import draw_unit
-from scenegen.flight import viewpoints
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds, Source, read_scenes
+from scenegen.worlds.flight import viewpoints
 
 SCENES = Path(__file__).parent.parent / "scenes"
 UNITS = 2

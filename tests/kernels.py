@@ -65,7 +65,7 @@ def _meshes() -> None:
 
 
 def _clearance() -> None:
-    from scenegen.clearance import Clearance
+    from scenegen.worlds.clearance import Clearance
 
     clearance = Clearance(_nothing(), np.array([[0.0, 0, 0], [1, 1, 1]]))
     clearance.motion_is_free((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.1)
@@ -106,7 +106,7 @@ def _chance() -> None:
 
 
 def _twins() -> None:
-    from scenegen.verify import twins
+    from scenegen.verification import twins
 
     maps = np.ones((2, 16, 16, 10), np.bool_)
     signatures, folds = (

@@ -23,15 +23,12 @@ from pathlib import Path
 from typing import NoReturn
 
 COMMON = (
-    *(
-        f"scenegen.commands.{name}"
-        for name in ("generate", "inspect", "publish", "verify", "world")
-    ),
+    *(f"scenegen.cli.{name}" for name in ("generate", "inspect", "publish", "verify", "world")),
     *(
         "scenegen.model.commands.bench",
         "scenegen.model.evaluation.run",
         "scenegen.draw",
-        "scenegen.verify.folder",
+        "scenegen.verification.folder",
     ),
     *(
         "h5py",

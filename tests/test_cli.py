@@ -14,7 +14,7 @@ import pytest
 
 from scenegen import __version__
 from scenegen.__main__ import PLACES, app
-from scenegen.commands.generate import NETWORK_EDGE
+from scenegen.cli.generate import NETWORK_EDGE
 from scenegen.model.config import STRIDE
 from scenegen.model.evaluation.config import BenchConfig
 from tests.command_line import ROOT, run
@@ -54,9 +54,7 @@ def test_help_imports_no_command() -> None:
     found = loaded("--help")
     assert not found & set(HEAVY)
     assert not [
-        name
-        for name in found
-        if name.startswith(("scenegen.commands.", "scenegen.model.commands."))
+        name for name in found if name.startswith(("scenegen.cli.", "scenegen.model.commands."))
     ]
 
 

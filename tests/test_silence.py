@@ -314,7 +314,7 @@ def main() -> None:
 
     from scenegen import __main__ as cli
     from scenegen import doctor
-    from scenegen.view import landscape, still
+    from scenegen.display import landscape, still
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for
     landscape.PIXELS, still.DPI = 200, 50  # pictures have their own tests

@@ -1,2 +1,2 @@
 """The commands that train networks, complete maps and score completions, one a file; see
-`scenegen.commands`."""
+`scenegen.cli`."""

@@ -12,12 +12,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from lidarsim.registry import Registry
-from scenegen.commands.datasets import find_datasets
-from scenegen.errors import DatasetError, ScenegenError, needs
-from scenegen.executors import LOCAL, executor
-from scenegen.model.commands.weights import Weights
-from scenegen.model.evaluation.config import BenchConfig
-from scenegen.terminal.options import (
+from scenegen.cli.datasets import find_datasets
+from scenegen.cli.options import (
     datasets_argument,
     json_option,
     on_option,
@@ -26,9 +22,13 @@ from scenegen.terminal.options import (
     quiet_option,
     workers_option,
 )
-from scenegen.terminal.progress import Progress, announce_compilation, note
-from scenegen.terminal.show import say, show_figures
-from scenegen.terminal.types import Named
+from scenegen.cli.progress import Progress, announce_compilation, note
+from scenegen.cli.show import say, show_figures
+from scenegen.cli.types import Named
+from scenegen.errors import DatasetError, ScenegenError, needs
+from scenegen.model.commands.weights import Weights
+from scenegen.model.evaluation.config import BenchConfig
+from scenegen.run import LOCAL, executor
 
 if TYPE_CHECKING:
     from scenegen.model.evaluation.methods import Method
@@ -143,13 +143,13 @@ def run_bench(
     Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown
     method.
     """
-    from scenegen.checkout import commit
     from scenegen.dataset.read import Dataset
     from scenegen.files import check_ours, write_result
     from scenegen.model.evaluation.page import to_html
     from scenegen.model.evaluation.predicted import Predicted
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
+    from scenegen.run.checkout import commit
 
     for name in REPORTS:
         check_ours(out / name)

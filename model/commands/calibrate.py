@@ -5,10 +5,8 @@ from pathlib import Path
 
 import rich_click as click
 
-from scenegen.commands.datasets import find_datasets
-from scenegen.limits import MOST_SAMPLES
-from scenegen.model.commands.weights import Weights
-from scenegen.terminal.options import (
+from scenegen.cli.datasets import find_datasets
+from scenegen.cli.options import (
     datasets_argument,
     json_option,
     out_option,
@@ -17,8 +15,10 @@ from scenegen.terminal.options import (
     split_option,
     workers_option,
 )
-from scenegen.terminal.progress import Progress, announce_compilation
-from scenegen.terminal.show import say
+from scenegen.cli.progress import Progress, announce_compilation
+from scenegen.cli.show import say
+from scenegen.limits import MOST_SAMPLES
+from scenegen.model.commands.weights import Weights
 
 
 @click.command()

@@ -6,10 +6,7 @@ from typing import TYPE_CHECKING
 
 import rich_click as click
 
-from scenegen.limits import MOST_BATCH
-from scenegen.model.commands.weights import Weights
-from scenegen.model.config import DEFAULT_NETWORK, POINTS_NETWORK
-from scenegen.terminal.options import (
+from scenegen.cli.options import (
     device_option,
     on_option,
     quiet_option,
@@ -17,9 +14,12 @@ from scenegen.terminal.options import (
     was_given,
     workers_option,
 )
-from scenegen.terminal.progress import Progress, note
-from scenegen.terminal.show import say
-from scenegen.terminal.types import DatasetPath, Number, OutputFile
+from scenegen.cli.progress import Progress, note
+from scenegen.cli.show import say
+from scenegen.cli.types import DatasetPath, Number, OutputFile
+from scenegen.limits import MOST_BATCH
+from scenegen.model.commands.weights import Weights
+from scenegen.model.config import DEFAULT_NETWORK, POINTS_NETWORK
 
 if TYPE_CHECKING:
     from scenegen.model.completion.completer import Completer
@@ -80,13 +80,13 @@ def complete(
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
-    from scenegen.executors import executor
     from scenegen.files import check_target, make_parent, remove_drafts
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.points import scans_in
     from scenegen.model.completion.predictions import predict_scan, predict_split
     from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device
+    from scenegen.run import executor
 
     elsewhere = was_given("on") or was_given("workers")
     chosen = choose_device("cpu" if elsewhere and device == "auto" else device)

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import rich_click as click
 
+from scenegen.cli.options import out_option
+from scenegen.cli.show import say
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
-from scenegen.terminal.options import out_option
-from scenegen.terminal.show import say
 
 
 @click.command()

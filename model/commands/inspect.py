@@ -5,7 +5,7 @@ from typing import Any
 
 import rich_click as click
 
-from scenegen.commands.inspect import inspect_options, show
+from scenegen.cli.inspect import inspect_options, show
 
 
 @click.command()

@@ -4,8 +4,8 @@ import json
 
 import rich_click as click
 
-from scenegen.terminal.options import json_option
-from scenegen.terminal.show import say
+from scenegen.cli.options import json_option
+from scenegen.cli.show import say
 
 
 @click.command()

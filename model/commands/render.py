@@ -5,7 +5,7 @@ from typing import Any
 
 import rich_click as click
 
-from scenegen.commands.render import draw, render_options
+from scenegen.cli.render import draw, render_options
 from scenegen.model.commands.shown import chosen, shown_options
 
 
@@ -29,16 +29,16 @@ def render(
 
 def _others(path: Path) -> Any:
     """The figure of a scan, a completion of one, or a run; None for anything else."""
+    from scenegen.display.still import plain
     from scenegen.model.completion.points import READERS, read_points
-    from scenegen.view.still import plain
 
     if path.suffix in READERS:
-        from scenegen.view.cloud import draw_cloud
+        from scenegen.display.cloud import draw_cloud
 
         return draw_cloud(read_points(path), title=plain(path.name))
     if path.suffix == ".h5":
+        from scenegen.display.cloud import draw_completion
         from scenegen.model.completion.predictions import read_completion
-        from scenegen.view.cloud import draw_completion
 
         return draw_completion(read_completion(path), title=plain(path.name))
     if (path / "metrics.csv").is_file():

@@ -7,8 +7,7 @@ from typing import Any
 
 import rich_click as click
 
-from scenegen.model.reproduce.config import ReproduceConfig
-from scenegen.terminal.options import (
+from scenegen.cli.options import (
     device_option,
     json_option,
     options_of,
@@ -17,8 +16,9 @@ from scenegen.terminal.options import (
     taken,
     workers_option,
 )
-from scenegen.terminal.progress import Progress, announce_compilation
-from scenegen.terminal.show import say, show_table
+from scenegen.cli.progress import Progress, announce_compilation
+from scenegen.cli.show import say, show_table
+from scenegen.model.reproduce.config import ReproduceConfig
 
 
 @click.command()

@@ -11,7 +11,7 @@ from scenegen.model.commands.weights import Weights
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
-    from scenegen.view.look import Guesses
+    from scenegen.display.look import Guesses
 
 MOST_TRIAL = 10_000
 

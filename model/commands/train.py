@@ -12,7 +12,20 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen import stream
-from scenegen.commands.datasets import find_datasets
+from scenegen.cli import stops
+from scenegen.cli.datasets import find_datasets
+from scenegen.cli.options import (
+    device_option,
+    json_option,
+    options_of,
+    out_option,
+    quiet_option,
+    taken,
+    was_given,
+)
+from scenegen.cli.progress import Progress
+from scenegen.cli.show import curve, say
+from scenegen.cli.types import Choice, DatasetPath, Named
 from scenegen.limits import MOST_SAMPLES, MOST_SEED
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import (
@@ -25,19 +38,6 @@ from scenegen.model.config import (
     TrainConfig,
     split_own,
 )
-from scenegen.terminal import stops
-from scenegen.terminal.options import (
-    device_option,
-    json_option,
-    options_of,
-    out_option,
-    quiet_option,
-    taken,
-    was_given,
-)
-from scenegen.terminal.progress import Progress
-from scenegen.terminal.show import curve, say
-from scenegen.terminal.types import Choice, DatasetPath, Named
 
 if TYPE_CHECKING:
     from scenegen.model.training.data import Samples
@@ -201,7 +201,7 @@ def train(
     from scenegen.model.training.loop import Watcher
     from scenegen.model.training.loop import train as run
     from scenegen.model.training.run_folder import kept
-    from scenegen.workers import cores
+    from scenegen.run.workers import cores
 
     first = int(os.environ.get("RANK", "0")) == 0
     talk = first and not (quiet or as_json)

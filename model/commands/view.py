@@ -5,7 +5,7 @@ from typing import Any
 
 import rich_click as click
 
-from scenegen.commands.view import show, view_options
+from scenegen.cli.view import show, view_options
 from scenegen.model.commands.shown import chosen, shown_options
 
 

@@ -22,7 +22,6 @@ from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import described, differences
 from scenegen.dataset.sensor import entry_of
 from scenegen.errors import needs, printable
-from scenegen.mapping import Mapper
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own
@@ -31,6 +30,7 @@ from scenegen.model.network import Output, placed
 from scenegen.model.runtime import load_onnx
 from scenegen.model.uncertainty.calibration import Calibration
 from scenegen.sample import Sample
+from scenegen.worlds.mapping import Mapper
 
 HUB = "hf://"
 MOST_SAID = 300

@@ -16,8 +16,8 @@ from lidarsim.limits import MOST_LENGTH_M
 from scenegen.dataset.foreign import read_guarded
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
+from scenegen.display.look import Look
 from scenegen.errors import DatasetError, GuardError, empty_split
-from scenegen.executors import Executor
 from scenegen.files import make_parent, open_bounded, remove_drafts, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.model.completion.completer import Completer, opened_once
@@ -27,8 +27,8 @@ from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_pr
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, channels, input_called
 from scenegen.model.uncertainty.calibration import RISK
-from scenegen.view.look import Look
-from scenegen.workers import guarded
+from scenegen.run import Executor
+from scenegen.run.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
 """How the point clouds begin that are written here."""

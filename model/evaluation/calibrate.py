@@ -25,8 +25,8 @@ from scenegen.model.evaluation.tuning import spread
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_layers
 from scenegen.model.uncertainty import fit
 from scenegen.model.uncertainty.calibration import KEY, Calibration, corrected
+from scenegen.run.workers import run as run_workers
 from scenegen.sample import Sample
-from scenegen.workers import run as run_workers
 
 LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""

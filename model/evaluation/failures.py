@@ -5,10 +5,10 @@ import io
 from collections.abc import Sequence
 
 from scenegen.dataset.read import Dataset
+from scenegen.display.look import look_into
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.shown import guesses_of
-from scenegen.view.look import look_into
 
 MOST = 3
 WIDE = 900
@@ -39,8 +39,8 @@ def draw_failures(
     installed."""
     from PIL import Image
 
-    from scenegen.view.figures import draw_paths
-    from scenegen.view.still import to_bytes
+    from scenegen.display.figures import draw_paths
+    from scenegen.display.still import to_bytes
 
     shown = [
         method

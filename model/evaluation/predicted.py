@@ -22,8 +22,8 @@ from scenegen.model.completion.protocol import (
     check_prediction,
 )
 from scenegen.model.uncertainty.calibration import RISK, Given
+from scenegen.run.workers import guarded
 from scenegen.sample import Sample
-from scenegen.workers import guarded
 
 WHO = ("world", "viewpoint")
 """Names of the columns that say which sample a row predicts."""

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.errors import DatasetError, empty_split
-from scenegen.executors import Executor
-from scenegen.executors.local import Local
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.difficulty import describe
@@ -27,6 +25,8 @@ from scenegen.model.evaluation.reconstruction import measure
 from scenegen.model.evaluation.study.maps import Study, stack, study_map
 from scenegen.model.evaluation.tuning import spread, tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify, scored_layers
+from scenegen.run import Executor
+from scenegen.run.local import Local
 from scenegen.sample import Sample
 
 CHUNK = 10

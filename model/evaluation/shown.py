@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Split
+from scenegen.display.look import Guess, Guesses, Route
 from scenegen.errors import DatasetError
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
@@ -16,7 +17,6 @@ from scenegen.model.evaluation.planning.measure import judge
 from scenegen.model.evaluation.planning.refine import refine
 from scenegen.model.evaluation.run import trials_of
 from scenegen.sample import Sample
-from scenegen.view.look import Guess, Guesses, Route
 
 CAUSES = {
     "start_blocked": "none: the start is occupied",

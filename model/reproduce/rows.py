@@ -19,10 +19,10 @@ from scenegen.model.evaluation.seen import Seen
 from scenegen.model.reproduce.config import ReproduceConfig
 from scenegen.model.reproduce.runs import Run
 from scenegen.model.training.run_folder import BEST
-from scenegen.workers import run as run_workers
+from scenegen.run.workers import run as run_workers
 
 if TYPE_CHECKING:
-    from scenegen.terminal.progress import Progress
+    from scenegen.cli.progress import Progress
 
 TRIALS = 2000
 """Planning trials a kind at scale 1 (the paper's)."""

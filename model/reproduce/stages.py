@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from scenegen.checkout import commit
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.manifest import differences
@@ -34,11 +33,12 @@ from scenegen.model.training.device import choose_device
 from scenegen.model.training.loop import Watcher, train
 from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder
 from scenegen.recipe import make_recipe
+from scenegen.run.checkout import commit
+from scenegen.run.workers import run as run_workers
 from scenegen.source import DrawnWorlds
-from scenegen.workers import run as run_workers
 
 if TYPE_CHECKING:
-    from scenegen.terminal.progress import Progress
+    from scenegen.cli.progress import Progress
 
 SETTINGS, RECORDS, STUDY, TEXT, FIGURES = (
     "settings.json",

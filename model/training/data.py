@@ -15,16 +15,16 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import GridSpec, Sensor
+from scenegen.dataset.gather.survey import check_disjoint
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
-from scenegen.gather.survey import check_disjoint
-from scenegen.mapping import Mapper
 from scenegen.model.inputs import SYMMETRIES, channels, turned
 from scenegen.sample import Sample
-from scenegen.streaming.batches import Batches
-from scenegen.streaming.mixture import fraction, parts_of
-from scenegen.streaming.stream import Stream
+from scenegen.streams.batches import Batches
+from scenegen.streams.mixture import fraction, parts_of
+from scenegen.streams.stream import Stream
 from scenegen.truth import distance_field
+from scenegen.worlds.mapping import Mapper
 
 LOADERS = 8
 """Loader processes, and any number that divides this, among which a stream's batches are dealt so

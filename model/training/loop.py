@@ -17,11 +17,9 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
-from scenegen.checkout import commit
 from scenegen.dataset.manifest import differences, mapping_entry
 from scenegen.dataset.sensor import entry_of
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
-from scenegen.mapping import Mapper
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
@@ -48,7 +46,9 @@ from scenegen.model.training.device import (
 )
 from scenegen.model.training.run_folder import LEVEL, Progress, RunFolder
 from scenegen.model.training.validation import validate
-from scenegen.software import installed, software
+from scenegen.run.checkout import commit
+from scenegen.run.software import installed, software
+from scenegen.worlds.mapping import Mapper
 
 PACKAGES = ("torch", "safetensors")
 """What a trained network depends on, besides what a dataset does."""

@@ -3,8 +3,8 @@
 from scenegen.dataset.extract import DOCUMENT
 from scenegen.dataset.read import Dataset
 from scenegen.errors import BrokenError, DatasetError, SceneError
-from scenegen.screen import screen
-from scenegen.world import World, compile_world
+from scenegen.worlds.screen import screen
+from scenegen.worlds.world import World, compile_world
 
 
 def compile_archived(dataset: Dataset, split: str, number: int) -> World:

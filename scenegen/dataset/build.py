@@ -22,8 +22,6 @@ from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError, short
-from scenegen.executors import Executor
-from scenegen.executors.local import Local
 from scenegen.files import remove_drafts
 from scenegen.limits import (
     MOST_SAMPLES,
@@ -32,10 +30,12 @@ from scenegen.limits import (
     MOST_SHARDS,
     USUAL_IN_SHARD,
 )
-from scenegen.places import PlacePath
 from scenegen.recipe import Recipe
+from scenegen.run import Executor
+from scenegen.run.local import Local
+from scenegen.run.stopping import undone_if_stopped
 from scenegen.source import Source
-from scenegen.stopping import undone_if_stopped
+from scenegen.stores import PlacePath
 
 NOTE_S = 30.0
 """Seconds after which a run writes down what is finished."""

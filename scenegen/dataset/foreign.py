@@ -40,7 +40,9 @@ def read_index(handle: int, path: Path, most_chunks: int) -> Index:
         return walk(handle, most_chunks)
     except ForeignError as error:
         reason = str(error)
-    from scenegen.workers import guarded  # for such files alone: what it needs takes time to import
+    from scenegen.run.workers import (
+        guarded,  # for such files alone: what it needs takes time to import
+    )
 
     try:
         with _children_allowed():
@@ -55,7 +57,7 @@ def read_index(handle: int, path: Path, most_chunks: int) -> Index:
 def read_guarded(read: Callable[[Path], Any], path: Path, most_bytes: int) -> Any:
     """What `read` makes of the HDF5 file at `path`, of at most `most_bytes` bytes, in a process
     with limits: anybody may have written it. Raises DatasetError."""
-    from scenegen.workers import guarded
+    from scenegen.run.workers import guarded
 
     try:
         with open_bounded(path, most_bytes):

@@ -14,7 +14,7 @@ from scenegen.dataset import manifest, trust
 from scenegen.errors import DatasetError, PlaceError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
-from scenegen.places import LOCATED, folder_of, is_remote
+from scenegen.stores import LOCATED, folder_of, is_remote
 
 os.environ.setdefault(
     "HF_HUB_DISABLE_TELEMETRY", "1"
@@ -54,7 +54,7 @@ def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Pat
     scheme is looked for.
 
     ``hf://…`` is downloaded: see `download`. Of any other place the manifest is, into a folder of
-    copies (see `scenegen.places.cache`), where every other file comes to lie when it is first
+    copies (see `scenegen.stores.cache`), where every other file comes to lie when it is first
     opened, or all of them now, with `whole`. Raises DatasetError and PlaceError.
     """
     if not is_remote(name):
@@ -64,7 +64,7 @@ def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Pat
         commit = f"{SCHEME}{parse(str(name))[0]}@{found.name}"
         LOCATED[found] = locate_again, commit, found.name
         return found
-    from scenegen.places.cache import fetch_all, keep, note
+    from scenegen.stores.cache import fetch_all, keep, note
 
     place = folder_of(str(name))
     try:

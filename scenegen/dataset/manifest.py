@@ -17,10 +17,10 @@ from scenegen.dataset.sensor import entry_of
 from scenegen.errors import MOST_TOLD, DatasetError, PlaceError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
-from scenegen.mapping import Mapper
-from scenegen.places import TRIES, ConflictError
+from scenegen.run.software import software
 from scenegen.sample import stored_fields
-from scenegen.software import software
+from scenegen.stores import TRIES, ConflictError
+from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:  # these draw worlds, and import what that takes
     from scenegen.dataset.shard import ShardReport

@@ -14,7 +14,7 @@ from scenegen.draw import Rejections
 from scenegen.errors import DatasetError
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_SAMPLES_IN_SHARD
-from scenegen.places import Object, PlacePath
+from scenegen.stores import Object, PlacePath
 
 SUFFIX = ".report.json"
 AT_A_TIME = 16

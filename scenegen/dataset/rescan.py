@@ -23,10 +23,10 @@ from scenegen.draw import Unit
 from scenegen.errors import DatasetError, printable, short
 from scenegen.recipe import Recipe
 from scenegen.rescan import fly_again, scan_again
+from scenegen.run.software import software
 from scenegen.sample import stored_fields
-from scenegen.screen import screen
-from scenegen.software import software
-from scenegen.world import World, compile_world
+from scenegen.worlds.screen import screen
+from scenegen.worlds.world import World, compile_world
 
 MOST_WORLDS = 8
 """Worlds that a process keeps compiled: those from MJCF files come again and again."""

@@ -20,8 +20,8 @@ from scenegen.dataset.sensor import RAYS, write_rays
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, names_in, open_bounded, remove_drafts
-from scenegen.places import PlacePath
-from scenegen.workers import run
+from scenegen.run.workers import run
+from scenegen.stores import PlacePath
 
 SHARD = re.compile(rf"({'|'.join(SPLITS)})-[0-9]{{5}}(\.h5|\.worlds\.zip)", re.ASCII)
 """What the files of a shard are called."""

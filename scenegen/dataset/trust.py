@@ -45,8 +45,8 @@ from scenegen.limits import (
     MOST_VIEWPOINTS,
     MOST_VOXELS,
 )
-from scenegen.mapping import Mapper
 from scenegen.sample import EARLIER, FIELDS, LABELS, stored_fields
+from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
@@ -265,8 +265,8 @@ class Manifest:
         """What the tables spell out; without its world where the kind is not `drawn`, and without
         noise that is not ours: no module is imported because a manifest names it. Raises
         BrokenError."""
-        from scenegen.labels import Labels
         from scenegen.recipe import make_recipe
+        from scenegen.worlds.labels import Labels
 
         tables = {
             name: table for name, table in self.tables.items() if name not in ("version", "scenes")

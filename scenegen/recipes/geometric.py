@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from lidarsim.parameters import number
 from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE
 from scenegen.chance import attitudes, log_uniform, normal
-from scenegen.drawing import Drawing
 from scenegen.limits import MOST_DRAWN_SOLIDS
 from scenegen.recipes.kind import Range, WorldKind, yaw_quaternion
+from scenegen.worlds.drawing import Drawing
 
 SHAPES = np.array([SPHERE, BOX, CYLINDER])
 COLOURS = np.array([(0.80, 0.45, 0.35, 1.0), (0.40, 0.60, 0.75, 1.0), (0.75, 0.68, 0.40, 1.0)])

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import Bounds, check, shown
-from scenegen.drawing import Drawing
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
+from scenegen.worlds.drawing import Drawing
 
 Range = tuple[float, float]
 """A lower and an upper bound, both included; worlds or solids draw from between."""
@@ -31,7 +31,7 @@ class WorldKind(ABC):
     """The parameters to lower when worlds are too crowded to fly through, or to raise when they are
     too empty."""
     flight_defaults: ClassVar[dict[str, object]] = {}
-    """Fields of `scenegen.flight.Flight` in which this kind's preset differs from the general
+    """Fields of `scenegen.worlds.flight.Flight` in which this kind's preset differs from the general
     default."""
     accept_defaults: ClassVar[dict[str, object]] = {}
     """The same for `scenegen.recipe.Acceptance`."""

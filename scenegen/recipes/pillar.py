@@ -8,8 +8,8 @@ import numpy as np
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
 from lidarsim.solids.shapes import BOX, CYLINDER
-from scenegen.drawing import UPRIGHT, Drawing
 from scenegen.recipes.kind import Range, WorldKind, yaw_quaternion
+from scenegen.worlds.drawing import UPRIGHT, Drawing
 
 
 @dataclass(frozen=True, kw_only=True)

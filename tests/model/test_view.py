@@ -9,17 +9,17 @@ import pytest
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
+from scenegen.display.points import write_points
 from scenegen.model.completion.unlearned import Extrude
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import guesses_of
-from scenegen.points import write_points
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
 from tests.command_line import run
 from tests.conftest import small_recipe
-from tests.scenegen.view.test_page import Seen, unpacked
+from tests.scenegen.display.test_page import Seen, unpacked
 
 COUNTS = {"train": 3, "val": 0, "test": 3}
 
@@ -104,7 +104,7 @@ def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder: Path
 def test_scans_completions_of_them_and_runs_are_drawn(
     tmp_path: Path, capsys: Any, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr("scenegen.view.still.DPI", 40)
+    monkeypatch.setattr("scenegen.display.still.DPI", 40)
     points = np.random.default_rng(0).uniform(-5, 5, (500, 3))
     for suffix in (".pcd", ".bin"):
         write_points(tmp_path / f"scan{suffix}", points, None, {})

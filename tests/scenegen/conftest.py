@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.publish.stage import Request
+from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
 from tests.conftest import Once, small_recipe
 from tests.scenegen.hub import TOKEN, Hub
@@ -63,9 +63,9 @@ def verified(monkeypatch: pytest.MonkeyPatch) -> list[Check]:
     def verify(folder: Path, **options: Any) -> Any:
         return types.SimpleNamespace(ok=all(check.ok for check in checks), checks=tuple(checks))
 
-    stand_in = types.ModuleType("scenegen.verify")
+    stand_in = types.ModuleType("scenegen.verification")
     stand_in.verify = verify  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "scenegen.verify", stand_in)
+    monkeypatch.setitem(sys.modules, "scenegen.verification", stand_in)
     return checks
 
 
@@ -74,7 +74,7 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     """The stand-in, with the client's addresses, cache and token turned to it."""
     from huggingface_hub import constants
 
-    monkeypatch.setattr("scenegen.publish.stage.SHOWN", 1)  # pictures have their own tests
+    monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)  # pictures have their own tests
     server = Hub()
     monkeypatch.setattr(constants, "ENDPOINT", server.url)
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)

@@ -12,8 +12,8 @@ import pytest
 
 from scenegen import doctor
 from scenegen.draw import Unit, draw_unit
+from scenegen.run.software import installed
 from scenegen.sample import Sample
-from scenegen.software import installed
 from tests.command_line import run
 
 

@@ -14,7 +14,7 @@ from scenegen.recipe import Recipe, preset
 from scenegen.sample import SCHEMA, derive_free, derive_tudf
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
-from scenegen.world import compile_world
+from scenegen.worlds.world import compile_world
 from tests.conftest import picky_recipe, small_recipe
 
 Drawn = tuple[Recipe, DrawnWorlds]

@@ -18,8 +18,8 @@ from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHA
 from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
-from scenegen.verify.contract import read_contract
-from scenegen.verify.report import Ledger
+from scenegen.verification.contract import read_contract
+from scenegen.verification.report import Ledger
 
 NASTY = (
     *(

@@ -13,9 +13,9 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, SceneError
 from scenegen.recipe import make_recipe, preset
-from scenegen.scene import load_scene
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
-from scenegen.world import compile_world, write_world
+from scenegen.worlds.scene import load_scene
+from scenegen.worlds.world import compile_world, write_world
 from tests.conftest import SMALL
 
 SCENES = Path(__file__).parents[2] / "scenes"

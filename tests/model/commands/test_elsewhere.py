@@ -7,11 +7,11 @@ import pytest
 
 from tests.command_line import run
 from tests.conftest import Once
-from tests.scenegen.executors import everywhere
-from tests.scenegen.executors.backwards import die_of_one
-from tests.scenegen.executors.everywhere import SAMPLES, checks, contents
+from tests.scenegen.run import everywhere
+from tests.scenegen.run.backwards import die_of_one
+from tests.scenegen.run.everywhere import SAMPLES, checks, contents
 
-AWAY = ("--on", "tests.scenegen.executors.backwards:Backwards")
+AWAY = ("--on", "tests.scenegen.run.backwards:Backwards")
 CUT_OFF = (*AWAY[:1], f"{AWAY[1]}://1")
 """The second task is lost."""
 RANKS = 3
@@ -77,7 +77,7 @@ def test_verify_names_the_file_that_crashes_its_process(
 ) -> None:
     """Also where an executor calls the function in a process of its own: that lives on, and so does
     the next task."""
-    monkeypatch.setattr("scenegen.verify.folder.examine", die_of_one)
+    monkeypatch.setattr("scenegen.verification.folder.examine", die_of_one)
     code, said, _ = run(capsys, "verify", "d", "--json", "--quick", *AWAY)
     examined = checks(said)["examined"]
     assert (code, examined["faults"], examined["counts"]) == (1, 1, {"shards": 7})

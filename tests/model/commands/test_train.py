@@ -13,11 +13,11 @@ import torch
 
 import scenegen.model.training.run_folder
 from scenegen import __main__ as cli
+from scenegen.cli import stops
+from scenegen.display.points import write_points
 from scenegen.model.checkpoint import load_network, save_network
 from scenegen.model.config import VARIANTS, LossConfig
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.points import write_points
-from scenegen.terminal import stops
 from tests.command_line import run
 from tests.model.commands.test_bench import here
 from tests.model.training.runs import elsewhere

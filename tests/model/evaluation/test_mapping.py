@@ -10,12 +10,12 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
-from scenegen.mapping import Mapper
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.seen import seen_occupancy
 from scenegen.model.evaluation.visibility import CLASSES, classify
 from scenegen.source import DrawnWorlds
+from scenegen.worlds.mapping import Mapper
 from tests.conftest import small_recipe
 
 

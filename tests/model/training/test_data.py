@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from scenegen.dataset.build import build
+from scenegen.dataset.gather.choose import Choice
+from scenegen.dataset.gather.plan import plan_take
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.gather.choose import Choice
-from scenegen.gather.plan import plan_take
 from scenegen.model.training.data import LoaderError, Maps, TudfOf, epoch_batches, load, opened
 from tests.model.conftest import COUNTS, make_dataset
 

@@ -15,8 +15,8 @@ import pytest
 
 from scenegen.model.checkpoint import load_tensors
 from tests.command_line import ROOT
-from tests.scenegen.executors import slurm_here
-from tests.scenegen.executors.slurm_here import free_port
+from tests.scenegen.run import slurm_here
+from tests.scenegen.run.slurm_here import free_port
 
 pytestmark = pytest.mark.slow
 TORCHRUN = (sys.executable, "-m", "torch.distributed.run")

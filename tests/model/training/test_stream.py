@@ -16,12 +16,12 @@ from scenegen.errors import DatasetError, GenerationError, StoppedError
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import Watcher
-from scenegen.streaming.component import Component
-from scenegen.streaming.stream import Stream
+from scenegen.streams.component import Component
+from scenegen.streams.stream import Stream
 from tests.conftest import small_recipe
 from tests.model.training.runs import SMALL
 from tests.model.training.test_loop import same as same_run
-from tests.scenegen.streaming.test_stream import same
+from tests.scenegen.streams.test_stream import same
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 CONFIG = dataclasses.replace(SMALL, maps=24, interval=8)

@@ -29,8 +29,8 @@ from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError, GenerationError
-from scenegen.executors.local import Local
 from scenegen.recipe import Recipe
+from scenegen.run.local import Local
 from scenegen.sample import SCHEMA
 from scenegen.source import DrawnWorlds
 from tests.conftest import Once, picky_recipe, small_recipe

@@ -10,7 +10,7 @@ import trimesh
 
 from scenegen.dataset.extract import DOCUMENT, write_extracted
 from scenegen.errors import DatasetError
-from scenegen.scene import load_scene
+from scenegen.worlds.scene import load_scene
 
 SCENE = """
 <mujoco>
@@ -26,7 +26,7 @@ SCENE = """
 @pytest.fixture
 def files(tmp_path: Path) -> dict[str, bytes]:
     """A world with a mesh and a height field, as `Dataset.world` gives it."""
-    from scenegen.publish.pictures import to_png
+    from scenegen.display.blocks import to_png
 
     (tmp_path / "scene" / "meshes").mkdir(parents=True)
     (tmp_path / "scene" / "scene.xml").write_text(SCENE)

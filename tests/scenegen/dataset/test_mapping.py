@@ -19,25 +19,25 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
+from scenegen.display.inspect import inspect
+from scenegen.display.look import look_at
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, RecipeError
-from scenegen.flight import Route
-from scenegen.inspect import inspect
-from scenegen.labels import labels_by
 from scenegen.limits import MOST_SCANS
-from scenegen.mapping import Mapper
-from scenegen.publish.regenerate import check_source, source_file
 from scenegen.recipe import Recipe, make_recipe, read_recipe
 from scenegen.rescan import scan_again
 from scenegen.sample import EARLIER, SCHEMA
+from scenegen.share.regenerate import check_source, source_file
 from scenegen.source import DrawnWorlds
 from scenegen.truth import rasterize
-from scenegen.verify import verify
-from scenegen.view.look import look_at
+from scenegen.verification import verify
+from scenegen.worlds.flight import Route
+from scenegen.worlds.labels import labels_by
+from scenegen.worlds.mapping import Mapper
 from tests.command_line import run
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
-from tests.scenegen.verify import forge
+from tests.scenegen.verification import forge
 
 SEVERAL = {"scans": 4, "scan_spacing_m": 0.7}
 FEW = {"train": 3, "val": 1, "test": 3}

@@ -13,7 +13,8 @@ import pytest
 from lidarsim import BeamTable, Lidar
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR
-from scenegen.commands.rescan import rescan
+from scenegen.cli.options import mapping_given
+from scenegen.cli.rescan import rescan
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
@@ -21,12 +22,11 @@ from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, PublishError, RecipeError
 from scenegen.lidar import named_lidar, named_noise
-from scenegen.publish.regenerate import check_source, source_file
-from scenegen.publish.stage import Request, examine, stage
 from scenegen.recipe import preset, read_recipe
+from scenegen.share.regenerate import check_source, source_file
+from scenegen.share.stage import Request, examine, stage
 from scenegen.source import DrawnWorlds
-from scenegen.terminal.options import mapping_given
-from scenegen.verify import verify
+from scenegen.verification import verify
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
 

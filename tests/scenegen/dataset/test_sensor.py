@@ -19,9 +19,9 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.sensor import RAYS, entry_of, sensor_of, write_rays
 from scenegen.draw import draw_unit
 from scenegen.errors import BrokenError, DatasetError, PublishError
-from scenegen.publish.regenerate import check_source, source_file
+from scenegen.share.regenerate import check_source, source_file
 from scenegen.source import DrawnWorlds
-from scenegen.verify import verify
+from scenegen.verification import verify
 from tests.conftest import small_recipe
 
 COUNTS = {"train": 3, "val": 0, "test": 0}

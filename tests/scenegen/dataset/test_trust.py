@@ -24,11 +24,11 @@ import scenegen
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
+from scenegen.display.inspect import inspect
 from scenegen.errors import DatasetError
-from scenegen.inspect import inspect
 from scenegen.sample import SCHEMA, Sample, stored_fields
 from scenegen.source import DrawnWorlds
-from scenegen.verify import verify
+from scenegen.verification import verify
 from tests.conftest import small_recipe
 
 BAD = (None, 3, -1, 1e308, 10**12, "x", "../x", [], [[1]], {}, {"a": 1}, True)

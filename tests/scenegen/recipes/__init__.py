@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from scenegen.drawing import Drawing
 from scenegen.recipes.kind import WorldKind
+from scenegen.worlds.drawing import Drawing
 
 Geom = mujoco.mjtGeom
 

@@ -15,14 +15,14 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
-from scenegen.labels import SHAPES, Labels, class_names, labels_by
-from scenegen.publish.stage import Request, stage
 from scenegen.sample import LABELS, LabelledSample
+from scenegen.share.stage import Request, stage
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.truth import rasterize
 from scenegen.truth.labels import NONE, owners
-from scenegen.verify import verify
-from scenegen.world import compile_world
+from scenegen.verification import verify
+from scenegen.worlds.labels import SHAPES, Labels, class_names, labels_by
+from scenegen.worlds.world import compile_world
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
 

@@ -21,11 +21,11 @@ from scenegen.dataset.rescan import plan_rescan
 from scenegen.dataset.state import Plan
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
-from scenegen.publish.regenerate import recipe_text
 from scenegen.recipe import preset
+from scenegen.share.regenerate import recipe_text
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
-from scenegen.verify import verify
+from scenegen.verification import verify
 from tests.conftest import small_recipe
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import Floats, Shape

@@ -1,0 +1,152 @@
+"""Commands by name, and their end: what goes wrong ends in one line on standard error, and in an
+exit code."""
+
+import ast
+import importlib.util
+import os
+import sys
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NoReturn
+
+import rich_click as click
+
+from lidarsim.registry import Registry
+from scenegen.cli import stops
+from scenegen.cli.streams import lost_output, open_streams
+from scenegen.errors import ScenegenError, StoppedError, is_out_of_memory, needs, printable, told
+
+EXTRAS = {
+    "torch": "train",
+    "safetensors": "train",
+    "matplotlib": "view",
+    "mcap": "mcap",
+    "rerun": "rerun",
+}
+"""Packages that commands need beyond the core, and the extra that brings each."""
+MOST_REPEATED = 1000
+"""Characters of a line about words that a user gave: it repeats them."""
+
+
+class Commands(click.RichGroup):
+    """A group of commands that are imported when they are given, a user's own as ``module:command``
+    among them."""
+
+    def __init__(self, *, places: Mapping[str, str], **more: Any):
+        """`places` says where each of the known commands stands: name to ``module:command``."""
+        super().__init__(context_settings={"help_option_names": ["-h", "--help"]}, **more)
+        self.registry = Registry(
+            "command",
+            places,
+            needs={"make_context": "as click's commands have it: write @click.command() above it"},
+        )
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The known ones."""
+        return sorted(self.registry.known)
+
+    def get_command(self, ctx: Any, name: str) -> Any:
+        """A stand-in that has the help of the command `name`, so that a list of all imports none;
+        see `find`."""
+        place = self.registry.known.get(name)
+        return None if place is None else click.RichCommand(name=name, help=_first_paragraph(place))
+
+    def find(self, name: str) -> Any:
+        """The command itself. Raises UsageError where there is none."""
+        try:
+            return self.registry.find(name)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """The command that `args` begins with, and the rest; none while a shell completes a name
+        that is not one."""
+        try:
+            return args[0], self.find(args[0]), args[1:]
+        except click.UsageError:
+            if ctx.resilient_parsing:
+                return None, None, []
+            raise
+
+    def invoke(self, ctx: Any) -> None:
+        """Run the command. What it returns is of no use here, so that `main` returns exit codes
+        alone."""
+        super().invoke(ctx)
+
+
+def _first_paragraph(place: str) -> str:
+    """How the docstring of the function ``module:function`` begins, read from its source, which is
+    not imported."""
+    module, _, function = place.partition(":")
+    spec = importlib.util.find_spec(module)
+    assert spec is not None
+    assert spec.origin is not None
+    tree = ast.parse(Path(spec.origin).read_bytes())
+    (found,) = (
+        item for item in tree.body if isinstance(item, ast.FunctionDef) and item.name == function
+    )
+    return (ast.get_docstring(found) or "").partition("\n\n")[0]
+
+
+def run_command(app: Any) -> NoReturn:
+    """Run the click group `app` on this process's arguments, and end."""
+    stops.answer()
+    stops.answer_hanging()
+    # no window is ever opened; else importing mujoco starts a process of its own, which a stop
+    # would not reach
+    os.environ.setdefault("MUJOCO_GL", "disable")
+    # torch's threads, which read it when torch is loaded: those that wait for others sleep, and
+    # leave the core to who has work; by themselves they spin, which on a busy machine costs twice
+    # the processor time, and time by the clock
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ["PYTHONSAFEPATH"] = (
+        "1"  # no Python that a library starts imports what lies in the working folder
+    )
+    open_streams()
+    if not sys.warnoptions:
+        warnings.simplefilter(
+            "ignore"
+        )  # those of libraries, about their own code and to its authors
+    code, line = _outcome(app)
+    lost = lost_output()
+    if lost is not None and not code:
+        code, line = 1, f"standard output: {lost.strerror}; what was to be printed is lost"
+    if line:
+        print(f"scenegen: {printable(line)}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _outcome(app: Any) -> tuple[int, str]:
+    """Exit code and line of a run."""
+    try:
+        return app.main(prog_name="scenegen", standalone_mode=False) or 0, ""
+    except (Exception, KeyboardInterrupt) as error:
+        return _end(error)
+
+
+def _end(error: BaseException) -> tuple[int, str]:
+    """Exit code and line of what ended a run. Raises it again where nobody but its authors can act
+    on it."""
+    match error:
+        case click.UsageError():
+            name = error.ctx.command_path if error.ctx else "scenegen"
+            return 2, f"{error.format_message()[:MOST_REPEATED]} (see {name} --help)"
+        case click.ClickException():
+            return 1, error.format_message()
+        case click.Abort() | KeyboardInterrupt() | StoppedError():
+            return stops.CODE, str(error) if isinstance(error, StoppedError) else stops.STOPPED
+        case ModuleNotFoundError(name=str(name)) if name in EXTRAS:
+            return 1, f"this command {needs(name, EXTRAS[name])}"
+        case MemoryError() | RuntimeError() if is_out_of_memory(error):
+            return 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
+        case Exception() if isinstance(error := told(error), ScenegenError):
+            return 1, str(error)
+        case OSError():
+            name = (
+                os.fsdecode(error.filename)
+                if isinstance(error.filename, str | bytes)
+                else "the system"
+            )
+            return 1, f"{name}: {error.strerror or error}; nothing finished is lost"
+    raise error

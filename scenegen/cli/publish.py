@@ -1,0 +1,144 @@
+"""`scenegen publish`: a verified dataset, and its folder for the Hugging Face Hub."""
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from scenegen.cli.options import (
+    dataset_argument,
+    json_option,
+    kind_option,
+    out_option,
+    quiet_option,
+    workers_option,
+)
+from scenegen.cli.progress import Progress, announce_compilation, note
+from scenegen.cli.show import show_table
+from scenegen.share.licence import USUAL
+
+if TYPE_CHECKING:
+    from scenegen.share.run import Published
+
+
+@click.command()
+@dataset_argument
+@click.option(
+    "--repo", required=True, metavar="USER/NAME", help="Dataset repository on the Hugging Face Hub."
+)
+@click.option("--tag", help="Revision to give it, last of all.  [default: named by the content]")
+@click.option(
+    "--licence",
+    "--license",
+    default=USUAL,
+    show_default=True,
+    help="SPDX name of the data's licence.",
+)
+@out_option("Where the folder goes.  [default: publish/<name>]")
+@click.option("--private", is_flag=True, help="Make the repository a private one.")
+@click.option(
+    "--dry-run", is_flag=True, help="Make the folder, list what would go, and contact nobody."
+)
+@click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
+@kind_option
+@workers_option
+@json_option
+@quiet_option
+def publish(
+    dataset: Path | str,
+    repo: str,
+    out: Path | None,
+    dry_run: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Verify a dataset, make a folder of it for the Hugging Face Hub, and send that.
+
+    Given again after a stop, it goes on where it was. The token is the one that `hf auth login`
+    keeps, or HF_TOKEN.
+    """
+    begin = time.perf_counter()
+    talk = not (quiet or as_json)
+    if talk:
+        announce_compilation()
+    from scenegen.dataset.locate import locate
+    from scenegen.run.checkout import commit
+    from scenegen.share.run import publish as run_publish
+    from scenegen.share.stage import Request
+
+    request = Request(
+        dataset=locate(dataset, shown=talk, whole=True),
+        repository=repo,
+        out=out or Path("publish") / repo.rpartition("/")[2],
+        tag=options["tag"],
+        licence=options["licence"],
+        kind=options["kind"],
+        commit=commit(),
+    )
+    with Progress("verify", shown=talk) as progress:
+
+        def staged(found: Any) -> None:
+            progress.stop()
+            if talk:
+                note(f"{found.folder} stands; {'nothing is sent' if dry_run else 'sending …'}")
+
+        done = run_publish(
+            request,
+            dry_run=dry_run,
+            private=options["private"],
+            quick=options["quick"],
+            workers=options["workers"],
+            shown=talk,
+            on_start=progress.start,
+            on_done=progress.count,
+            on_staged=staged,
+        )
+    if not quiet:
+        _show(done, time.perf_counter() - begin, as_json)
+
+
+def _show(done: "Published", seconds: float, as_json: bool) -> None:
+    """What was made, and sent."""
+    staged = done.staged
+    url = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+    size = sum(staged.files.values())
+    if as_json:
+        rows = {
+            "folder": str(staged.folder),
+            "repository": staged.repository,
+            "tag": staged.tag,
+            "commit": done.commit,
+        }
+        print(
+            json.dumps(
+                {
+                    **rows,
+                    "digest": staged.digest,
+                    "files": staged.files,
+                    "bytes": size,
+                    "seconds": seconds,
+                }
+            )
+        )
+        return
+    if done.commit is None:
+        show_table(
+            {name: f"{size:>12,}" for name, size in staged.files.items()}, "would send, in bytes"
+        )
+    show_table(
+        {
+            "folder": staged.folder,
+            "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
+            "revision": f"hf://{staged.repository}@{staged.tag}",
+            "time": f"{seconds:.1f} s",
+            **(
+                {"next": "the same command without --dry-run"}
+                if done.commit is None
+                else {"page": url}
+            ),
+        },
+        "published" if done.commit else "ready",
+    )

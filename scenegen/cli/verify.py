@@ -1,0 +1,92 @@
+"""`scenegen verify`: a dataset held against the format."""
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import rich_click as click
+
+from scenegen.cli.options import (
+    dataset_argument,
+    json_option,
+    kind_option,
+    on_option,
+    quiet_option,
+    seed_option,
+    workers_option,
+)
+from scenegen.cli.progress import Progress, announce_compilation
+from scenegen.cli.show import say, show_table
+from scenegen.errors import ScenegenError
+
+if TYPE_CHECKING:
+    from scenegen.verification import Report
+
+
+@click.command()
+@dataset_argument
+@click.option(
+    "--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits."
+)
+@seed_option("Chooses what is audited at random.")
+@kind_option
+@workers_option
+@on_option
+@json_option
+@quiet_option
+def verify(
+    dataset: Path | str,
+    quick: bool,
+    seed: int,
+    kind: str | None,
+    workers: int,
+    on: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
+    check fails."""
+    talk = not (quiet or as_json)
+    if talk:
+        announce_compilation()
+    from scenegen.dataset.locate import locate
+    from scenegen.run import executor
+    from scenegen.verification import verify as prove
+
+    folder = locate(dataset, shown=talk, whole=True)
+    begin = time.perf_counter()
+    with Progress("verify", shown=talk) as progress:
+        report = prove(
+            folder,
+            quick=quick,
+            seed=seed,
+            kind=kind,
+            execute=executor(on, workers),
+            on_start=progress.start,
+            on_done=progress.count,
+        )
+    if as_json:
+        print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
+    elif talk:
+        _show(report, time.perf_counter() - begin)
+    if not report.ok:
+        raise ScenegenError(
+            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: "
+            f"{', '.join(report.failed)}"
+        )
+
+
+def _show(report: "Report", seconds: float) -> None:
+    rows, marks = {}, {}
+    for check in report.checks:
+        verdict = "FAILED " if not check.ok else "skipped" if check.skipped else "ok     "
+        marks[check.name] = (
+            verdict,
+            "red" if not check.ok else "yellow" if check.skipped else "green",
+        )
+        rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
+    show_table(rows, marks=marks)
+    say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
+    if report.ok:
+        say(f"all {len(report.checks)} checks passed")

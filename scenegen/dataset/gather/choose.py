@@ -1,0 +1,165 @@
+"""Which samples of a dataset are taken: by split, world, number, and by what is measured of
+them."""
+
+import operator
+import re
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen import SPLITS
+from scenegen.dataset.figures import FIGURES
+from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.trust import Entry
+from scenegen.errors import short
+from scenegen.limits import MOST_SAMPLES
+from scenegen.run.workers import run
+
+NUMBERS = ("sample", "world", "viewpoint")
+"""What can be asked of a sample without reading it: its number in the split, and who it is."""
+SIGNS = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "<": operator.lt,
+    ">": operator.gt,
+    "=": operator.eq,
+}
+AT_ONCE = 16
+"""Shards that a worker is given before it is seen whether enough was found."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A bound of one figure. A figure that a sample does not have fulfils none."""
+
+    name: str
+    sign: str
+    value: float
+
+    @classmethod
+    def of(cls, text: str) -> "Condition":
+        """The condition that is written like ``occupied>=0.05``. Raises ValueError."""
+        match = re.fullmatch(r"\s*(\w+)\s*(<=|>=|<|>|=)\s*([-+.0-9eE]+)\s*", text)
+        known = (*NUMBERS, *FIGURES)
+        try:
+            if match and match[1] in known:
+                return cls(match[1], match[2], float(match[3]))
+        except ValueError:
+            pass
+        raise ValueError(
+            f"{short(text)}: expected a name, a sign and a number, such as occupied>=0.05; names "
+            f"are "
+            f"{', '.join(known)}, signs {' '.join(SIGNS)}"
+        )
+
+    def __str__(self) -> str:
+        return f"{self.name}{self.sign}{self.value:g}"
+
+    def holds(self, values: Any) -> Any:
+        """Whether a number, or each of an array, fulfils it."""
+        return SIGNS[self.sign](values, self.value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Samples to take: all that fulfil every condition, or the first of them."""
+
+    splits: tuple[str, ...] = SPLITS
+    most: int | None = None
+    """So many of each split at most; None for no bound."""
+    worlds: tuple[tuple[int, int], ...] = ()
+    """Numbers of worlds, (first, one past last) each; empty for all."""
+    where: tuple[Condition, ...] = ()
+
+    def __str__(self) -> str:
+        """As the command's options say it; what a manifest tells of it."""
+        words = [f"--split {split}" for split in self.splits if self.splits != SPLITS]
+        words += [] if self.most is None else [f"--n {self.most}"]
+        words += [f"--worlds {','.join(f'{a}:{b}' for a, b in self.worlds)}"] if self.worlds else []
+        return " ".join([*words, *(f"--where {condition}" for condition in self.where)])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Chosen:
+    """What is taken of one shard."""
+
+    entry: Entry
+    rows: NDArray[np.int64]
+    """Its samples that are taken, in order."""
+    places: NDArray[np.int64]
+    """Where these stand in the split of the dataset that they were made for."""
+
+    def but(self, kept: Any) -> "Chosen":
+        """The same without the samples that are not `kept`, a mask or a slice."""
+        return replace(self, rows=self.rows[kept], places=self.places[kept])
+
+
+def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Chosen]:
+    """The samples of `dataset` that are taken, shard by shard in its order, and none of a shard
+    without any.
+
+    Samples are read only where something measured is asked for, by `workers` processes. Raises
+    DatasetError.
+    """
+    measured = tuple(condition for condition in choice.where if condition.name in FIGURES)
+    step = workers * AT_ONCE if measured else 1
+    for name in (name for name in SPLITS if name in choice.splits):
+        split = dataset.split(name)
+        left = MOST_SAMPLES if choice.most is None else choice.most
+        for begin in range(0, len(split.shards), step):
+            found = {
+                n: _named(split, n, choice)
+                for n in range(begin, min(begin + step, len(split.shards)))
+            }
+            if measured:
+                tasks = [(n, one.rows) for n, one in found.items()]
+                with closing(run(partial(_measured, split, measured), tasks, workers)) as results:
+                    kept = dict(results)
+                found = {n: one.but(kept[n]) for n, one in found.items()}
+            for one in found.values():
+                one = one.but(slice(left))
+                left -= len(one.rows)
+                if len(one.rows):
+                    yield one
+            if not left:
+                break
+
+
+def _named(split: Split, number: int, choice: Choice) -> Chosen:
+    """What of a shard its samples' numbers alone let through."""
+    entry, places = split.shards[number], split.places(number)
+    world, viewpoint = split.dataset.manifest.home(entry).numbering(split.name).name(places)
+    values = {
+        "sample": split.first(number) + np.arange(len(places)),
+        "world": world + split.first_worlds[number],
+        "viewpoint": viewpoint,
+    }
+    kept = np.ones(len(places), dtype=np.bool_)
+    if choice.worlds:
+        kept &= np.any(
+            [
+                (values["world"] >= least) & (values["world"] < stop)
+                for least, stop in choice.worlds
+            ],
+            axis=0,
+        )
+    for condition in choice.where:
+        if condition.name in values:
+            kept &= condition.holds(values[condition.name])
+    return Chosen(entry=entry, rows=np.arange(len(places)), places=places).but(kept)
+
+
+def _measured(
+    split: Split, conditions: tuple[Condition, ...], task: tuple[int, NDArray[np.int64]]
+) -> tuple[int, NDArray[np.bool_]]:
+    """Which of the rows of a shard fulfil the conditions on what is measured."""
+    number, rows = task
+    samples = (split[split.first(number) + row] for row in rows.tolist())
+    return number, np.array(
+        [all(c.holds(FIGURES[c.name](one)) for c in conditions) for one in samples], np.bool_
+    )

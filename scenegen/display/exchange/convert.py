@@ -1,0 +1,180 @@
+"""A dataset's samples, one after another, into a folder in another format; a stopped run goes on
+where it was."""
+
+import contextlib
+import dataclasses
+import json
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from scenegen.dataset.read import Dataset, Rows, Split
+from scenegen.display.exchange.choices import Choices
+from scenegen.errors import DatasetError, printable
+from scenegen.files import disk_error, draft_of, make_parent, remove_drafts, write_whole
+from scenegen.run import Executor
+from scenegen.run.local import Local
+from scenegen.run.stopping import undone_if_stopped
+from scenegen.sample import Sample
+
+STATE = "convert.json"
+"""What a folder was converted from, and how."""
+CHUNK = 100
+"""Samples a task of a worker, unless a format says how many share a file."""
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What a run did, or a part of it."""
+
+    written: int
+    there: int
+    """Samples that an earlier run had written."""
+    others: int
+    """Samples that are left to other ranks."""
+    broken: tuple[str, ...]
+    """A line for each sample that could not be read."""
+
+
+def convert(
+    dataset: Dataset,
+    out: Path,
+    *,
+    to: str,
+    form: Any,
+    choices: Choices,
+    splits: Sequence[str],
+    workers: int = 1,
+    execute: Executor | None = None,
+    on_start: Callable[[int], None] = lambda total: None,
+    on_sample: Callable[[int], None] = lambda count: None,
+) -> Converted:
+    """Write every sample of `splits` as the format `form`, called `to`, has it.
+
+    `workers` processes of this machine write some samples each, or whatever `execute` has do it.
+    What is there already is passed over. Each file appears whole or not at all; the disk is trusted
+    to keep it, unlike a dataset's. Raises DatasetError where `out` holds another conversion, or the
+    disk refuses.
+    """
+    execute = execute or Local("", workers)
+    _claim(dataset, out, to, choices)
+    each = getattr(form, "together", None) or CHUNK
+    whole = [
+        Rows(split, range(first, min(first + each, count)))
+        for split, count in ((split, len(dataset.split(split))) for split in splits)
+        for first in range(0, count, each)
+    ]
+    tasks = execute.mine(whole)
+    total = sum(len(rows.numbers) for rows in tasks)
+    folders = {out} | {
+        (out / name).parent for rows in tasks for name in form.names(rows.split, rows.numbers[0])
+    }
+    parts: dict[Rows, Converted] = {}
+    with undone_if_stopped(lambda: _clear(folders)):
+        try:
+            with closing(
+                execute(partial(_write, dataset, out, form), tasks, lambda: on_start(total))
+            ) as results:
+                for rows, done in results:
+                    parts[rows] = done
+                    on_sample(len(rows.numbers))
+        finally:
+            _clear(folders)
+    found = [parts[rows] for rows in tasks]
+    return Converted(
+        written=sum(part.written for part in found),
+        there=sum(part.there for part in found),
+        others=sum(len(rows.numbers) for rows in whole) - total,
+        broken=tuple(line for part in found for line in part.broken),
+    )
+
+
+def _clear(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        remove_drafts(folder)
+
+
+def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, Converted]:
+    """Write the samples `rows`; those of a format that takes several `together` become one file."""
+    samples, together = dataset.split(rows.split), bool(getattr(form, "together", None))
+    written, there, broken = 0, 0, list[str]()
+    made: set[Path] = set()
+    for numbers in [rows.numbers] if together else ([number] for number in rows.numbers):
+        paths = [out / name for name in form.names(rows.split, numbers[0])]
+        if all(path.exists() for path in paths):
+            there += len(numbers)
+            continue
+        found, lines = _sound(samples, numbers, checked=together)
+        broken += lines
+        try:
+            given: Any = list(found.items()) if together else found.get(numbers[0])
+            contents = form.encode(given, dataset.grid, dataset.lidar) if found else ()
+        except (DatasetError, ValueError) as error:
+            broken += [f"{rows.split} {number} is left out: {printable(error)}" for number in found]
+            continue
+        for path, content in zip(paths, contents, strict=bool(found)):
+            if path.parent not in made:
+                make_parent(path)
+                made.add(path.parent)
+            _put(path, content)
+        written += len(found)
+    return rows, Converted(written, there, 0, tuple(broken))
+
+
+def _sound(
+    samples: Split, numbers: Sequence[int], *, checked: bool
+) -> tuple[dict[int, Sample], list[str]]:
+    """Samples by number, and a line for each that cannot be read or has not its digest; with
+    `checked`, every field of them is read here."""
+    found, lines = dict[int, Sample](), list[str]()
+    for number in numbers:
+        try:
+            sample = samples[number]
+            samples.check(number)
+            for name in sample.names if checked else ():
+                getattr(sample, name)
+            found[number] = sample
+        except (DatasetError, ValueError) as error:
+            lines.append(f"{samples.name} {number} is left out: {printable(error)}")
+    return found, lines
+
+
+def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
+    """Say in `out` what it holds. Raises DatasetError where it holds something else."""
+    manifest = dataset.manifest
+    about = {
+        "format": to,
+        "choices": dataclasses.asdict(choices),
+        "dataset": manifest.fingerprint,
+        "digest": manifest.digest,
+        "grid": manifest.parameters["grid"],
+    }
+    content = json.dumps(about, indent=1).encode()
+    state = out / STATE
+    # listed first: what another rank begins meanwhile, it begins with the state
+    there = list(out.iterdir()) if out.is_dir() else [out] if out.exists() else []
+    if state.exists():
+        if state.read_bytes() != content:
+            raise DatasetError(
+                f"{out}: holds another dataset or another conversion; choose another folder"
+            )
+        return
+    if any(path.suffix != ".tmp" for path in there):
+        raise DatasetError(f"{out}: is there, and no conversion of ours; choose another folder")
+    make_parent(state)
+    write_whole(state, content)
+
+
+def _put(path: Path, content: bytes) -> None:
+    """Put `content` at `path`, whole or not at all, without waiting for the disk."""
+    draft = draft_of(path)  # of this process alone: a task that counts as lost may still be at work
+    try:
+        draft.write_bytes(content)
+        draft.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+        raise disk_error(path, error) from None

@@ -1,0 +1,193 @@
+"""The page of whole datasets, served on this machine: samples are read as one steps through them.
+
+``GET /`` is the page; ``GET /sample/<dataset>/<split>/<index>`` a sample, JSON as
+`scenegen.display.page.packed` has it, of the dataset of that number; ``GET /world/…`` the world that
+it is of, where its shard's archive holds it. There is nothing else, and nothing can be changed.
+"""
+
+import ipaddress
+import json
+import re
+import socket
+import socketserver
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import urlsplit
+
+from scenegen import SPLITS
+from scenegen.dataset.read import Dataset
+from scenegen.display.look import Guesses, incomplete, look_into
+from scenegen.display.page import check_grid, live_page, packed, packed_world
+from scenegen.errors import DatasetError, ScenegenError, printable
+
+ASKED = re.compile(r"/(sample|world)/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
+LOCAL = "localhost"
+IDLE_S = 30.0
+"""How long a connection may say nothing, seconds."""
+SAFE = {
+    **{"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY"},
+    **{"Referrer-Policy": "no-referrer", "Cross-Origin-Resource-Policy": "same-origin"},
+}
+"""Headers of every answer: no other site frames or reads it."""
+
+
+class Live(ThreadingHTTPServer):
+    """The server of some datasets.
+
+    `host` is an IP address or `localhost`; port 0 is any that is free. `guesses` predicts samples
+    as they are shown, by the methods called `methods`. The page begins with sample `index` of a
+    `split` of the first dataset. Raises ScenegenError where the address cannot be had, DatasetError
+    for a grid that no browser takes.
+    """
+
+    daemon_threads = True
+    request_queue_size = 64
+
+    def __init__(
+        self,
+        datasets: Sequence[Dataset],
+        *,
+        split: str,
+        index: int = 0,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        guesses: Guesses | None = None,
+        methods: tuple[str, ...] = (),
+    ):
+        for dataset in datasets:
+            check_grid(dataset.grid)
+        self.splits = [{name: dataset.split(name) for name in SPLITS} for dataset in datasets]
+        self.guesses, self._reading = guesses, threading.Lock()
+        counts: list[tuple[str, dict[str, int]]] = []
+        for dataset, splits in zip(datasets, self.splits, strict=True):
+            title = printable(f"{dataset.folder.name}: {dataset.manifest.kind}")
+            counts.append(
+                (title, {name: len(samples) for name, samples in splits.items() if len(samples)})
+            )
+        self.page = live_page(counts, split=split, index=index, methods=methods).encode()
+        place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
+        self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
+        self.on_loopback = place.is_loopback
+        """Whether other machines cannot reach it."""
+        try:
+            super().__init__((str(place), port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise ScenegenError(
+                f"{host}, port {port}: cannot be served on "
+                f"({getattr(error, 'strerror', None) or error}); give another "
+                "--port, or 0 for any"
+            ) from None
+        shown = (
+            socket.gethostname()
+            if place.is_unspecified
+            else f"[{place}]"
+            if place.version == 6
+            else str(place)
+        )
+        self.address = f"http://{shown}:{self.server_address[1]}/"
+        """What to open in a browser."""
+
+    def server_bind(self) -> None:
+        """Bind; the base class would look this machine's name up in the network."""
+        socketserver.TCPServer.server_bind(self)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that went away is no error; any other is ours, and is told in one line."""
+        if not isinstance(error := sys.exc_info()[1], OSError):
+            print(printable(f"scenegen view: {type(error).__name__}: {error}"), file=sys.stderr)
+
+    def allows(self, host: str) -> bool:
+        """Whether a request may call this server `host`: by an address, or by its own name.
+
+        A stranger's page can have its own name lead here (DNS rebinding), and then read what is
+        served; the browser still says by which name it came.
+        """
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        with suppress(ValueError):
+            return bool(ipaddress.ip_address(name))
+        return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
+
+    def sample(self, number: int, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
+        """A sample of dataset `number` for the page; or, under `error`, a line that says why there
+        is none."""
+        if number >= len(self.splits):
+            return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
+        samples = self.splits[number][split]
+        notes = incomplete(samples.dataset, split)
+        with self._reading:  # one at a time: files and networks are shared
+            try:
+                look = look_into(samples, index, self.guesses)
+            except DatasetError as error:
+                return HTTPStatus.NOT_FOUND, {"error": printable(error), "notes": notes}
+        return HTTPStatus.OK, {**packed(look), "notes": notes}
+
+    def world(self, number: int, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
+        """The surfaces of the world of a sample of dataset `number`, as
+        `scenegen.display.page.packed_world` has them; or, under `error`, a line that says why there
+        are none."""
+        from scenegen.dataset.archived import (
+            compile_archived,
+        )  # MuJoCo and trimesh are needed for worlds alone
+        from scenegen.display.exchange.glb import surfaces
+
+        if number >= len(self.splits):
+            return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
+        samples = self.splits[number][split]
+        with self._reading:
+            try:
+                sample = samples[index]
+                world = compile_archived(samples.dataset, split, int(sample.world))
+                return HTTPStatus.OK, packed_world(surfaces(world), sample.origin)
+            except (DatasetError, IndexError, ValueError) as error:
+                return HTTPStatus.NOT_FOUND, {
+                    "error": f"the world is not shown: {printable(error)}"
+                }
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers one connection."""
+
+    server: Live
+    server_version, sys_version = "scenegen", ""
+    protocol_version = "HTTP/1.1"
+    timeout = IDLE_S
+
+    def do_GET(self) -> None:
+        """Give the page, or a sample."""
+        hosts = self.headers.get_all("Host") or []
+        if len(hosts) != 1 or not self.server.allows(hosts[0]):
+            self._answer(
+                HTTPStatus.FORBIDDEN,
+                "text/plain",
+                b"this name is not the viewer's; open its address\n",
+            )
+        elif self.path == "/":
+            self._answer(HTTPStatus.OK, "text/html", self.server.page)
+        elif found := ASKED.fullmatch(self.path):
+            find = self.server.sample if found[1] == "sample" else self.server.world
+            status, answer = find(int(found[2]), found[3], int(found[4]))
+            self._answer(status, "application/json", json.dumps(answer).encode())
+        else:
+            self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page\n")
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Requests are not told."""
+
+    def _answer(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        for name, value in {
+            **SAFE,
+            "Content-Type": f"{kind}; charset=utf-8",
+            "Content-Length": len(content),
+        }.items():
+            self.send_header(name, str(value))
+        self.end_headers()
+        self.wfile.write(content)

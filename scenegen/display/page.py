@@ -1,0 +1,192 @@
+"""The page to look at samples with: a file that holds all that it shows, or what shows a server's
+samples."""
+
+import base64
+import gzip
+import hashlib
+import html
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from scenegen.display.colours import (
+    DISTANCES,
+    GOAL,
+    HEIGHTS,
+    INVENTED,
+    MISSED,
+    SENSOR,
+    START,
+    path_colours,
+)
+from scenegen.display.look import MASKS, Guess, Look
+from scenegen.errors import DatasetError
+
+MOST_VOXELS = 1 << 22
+"""The most voxels of a grid on a page: a browser turns this many into cubes in seconds."""
+MOST_BYTES = 48 << 20
+"""The most bytes of a page's samples; mail and telephones take no more."""
+COLOURS = {
+    **{
+        "heights": HEIGHTS,
+        "distances": DISTANCES,
+        "sensor": SENSOR,
+        "missed": MISSED,
+        "invented": INVENTED,
+    },
+    **{"start": START, "goal": GOAL},
+}
+"""What the page's script colours by."""
+HERE = files("scenegen.display")
+
+
+def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str:
+    """The page of `looks`, none of whose names and texts is ever taken for HTML or for a script.
+
+    Masks are bits, first voxel highest, in C order; distances are bytes, 255 for the truncation;
+    points are int16 from the sensor, 32767 for the farthest, and the first `own` of them are of the
+    sample's own scan; all of it gzip in base64. Raises DatasetError for grids that no browser
+    takes.
+    """
+    samples: list[dict[str, Any]] = []
+    notes, size = list(notes), 0
+    for look in looks:
+        check_grid(look.grid)
+        sample = packed(look)
+        size += len(json.dumps(sample))
+        if size > MOST_BYTES:
+            notes.append(
+                f"{len(looks) - len(samples)} samples are left out: the page would be too large"
+            )
+            break
+        samples.append(sample)
+    methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
+    masks = list(dict.fromkeys(name for look in looks for name in look.masks))
+    return _filled({"title": title, "notes": notes, "samples": samples, "masks": masks}, methods)
+
+
+def live_page(
+    datasets: Sequence[tuple[str, Mapping[str, int]]],
+    *,
+    split: str,
+    index: int,
+    methods: Sequence[str] = (),
+) -> str:
+    """The page of samples that are fetched from its own server one by one,
+    ``sample/<dataset>/<split>/<index>`` as `packed` has them; datasets are numbered.
+
+    `datasets` says what each is called and how many samples it has of which splits, `split` and
+    `index` which of the first is shown first, `methods` who predicts.
+    """
+    title = datasets[0][0]
+    listed = [{"name": name, "splits": dict(splits)} for name, splits in datasets]
+    live = {"datasets": listed, "split": split, "index": index}
+    about = {"title": title, "notes": [], "samples": [], "masks": MASKS, "live": live}
+    return _filled(about, methods, "; connect-src 'self'")
+
+
+def _filled(about: Mapping[str, Any], methods: Sequence[str], policy: str = "") -> str:
+    """The page with what its script reads, and what its policy allows besides."""
+    colours = list(zip(methods, path_colours(methods), strict=True))
+    data = json.dumps({"colours": COLOURS, "methods": colours, **about})
+    data = data.replace(
+        "<", "\\u003c"
+    )  # JSON all the same, and no tag can end the element that holds it
+    parts = {
+        "TITLE": html.escape(about["title"]),
+        "POLICY": policy,
+        "LICENCE": html.escape(_text("three/LICENSE")).replace("--", "- -"),
+        "NONCE": hashlib.sha256(data.encode()).hexdigest()[:32],
+        "THREE": _gzip64((HERE / "three" / "three.module.min.js").read_bytes()),
+        "ORBIT": _gzip64((HERE / "three" / "OrbitControls.js").read_bytes()),
+        "SCRIPT": _text("page.js"),
+        "DATA": data,
+    }
+    pieces = _text("page.html").split(
+        "%%"
+    )  # text, a part's name, text, … so that no part is looked at for names
+    return "".join(parts[piece] if n % 2 else piece for n, piece in enumerate(pieces))
+
+
+def check_grid(grid: GridSpec) -> None:
+    """Raise DatasetError for a grid that no browser takes."""
+    if (voxels := math.prod(grid.shape)) > MOST_VOXELS:
+        raise DatasetError(
+            f"maps of {voxels} voxels; a page shows {MOST_VOXELS} at most; use scenegen render"
+        )
+
+
+def packed(look: Look) -> dict[str, Any]:
+    """A sample as the page's script reads it; see `page`."""
+    grid, more = look.grid, dict[str, Any]()
+    if look.tudf is not None:
+        more["tudf"] = _distances(look.tudf, grid)
+    if look.points is not None:
+        from_sensor = look.points - look.position
+        reach = float(np.abs(from_sensor).max(initial=1e-6))
+        more |= {
+            "points": _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes()),
+            "reach": reach,
+        }
+        more["own"] = look.own
+    return {
+        "name": look.name,
+        "shape": list(grid.shape),
+        "voxel": grid.voxel_m,
+        "truncation": grid.truncation_m,
+        "origin": look.origin.tolist(),
+        "position": look.position.tolist(),
+        "heading": look.heading_deg(),
+        "figures": look.figures(),
+        "missing": list(look.missing),
+        "masks": {name: _gzip64(np.packbits(mask).tobytes()) for name, mask in look.masks.items()},
+        "guesses": [_packed_guess(guess, look) for guess in look.guesses],
+        **more,
+    }
+
+
+def packed_world(surfaces: Sequence[Any], origin: NDArray[np.float64]) -> dict[str, Any]:
+    """A world's surfaces, meshes with (n, 3, 3) `triangles` in metres, as the page's script reads
+    them: the corners of all triangles, one after the other, in the frame of the map at `origin`
+    (3,)."""
+    corners = (
+        np.concatenate([mesh.triangles for mesh in surfaces] or [np.empty((0, 3, 3))]) - origin
+    )
+    return {"triangles": _gzip64(corners.astype("<f4").tobytes())}
+
+
+def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
+    """What is predicted, as the page's script reads it; positions in the map's frame."""
+    found: dict[str, Any] = {
+        "name": guess.name,
+        "mask": _gzip64(np.packbits(guess.occupied).tobytes()),
+        "tudf": _distances(guess.tudf, look.grid),
+    }
+    if (route := guess.route) is not None:
+        ends = {
+            "start": (route.start - look.origin).tolist(),
+            "goal": (route.goal - look.origin).tolist(),
+        }
+        points = [] if route.points is None else np.round(route.points - look.origin, 4).tolist()
+        hit = None if route.hit is None else (route.hit - look.origin).tolist()
+        found["route"] = {**ends, "points": points, "hit": hit}
+    return found
+
+
+def _distances(tudf: NDArray[np.float32], grid: GridSpec) -> str:
+    shares = np.nan_to_num(tudf / grid.truncation_m, nan=1.0)
+    return _gzip64(np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).tobytes())
+
+
+def _text(name: str) -> str:
+    return HERE.joinpath(name).read_text(encoding="utf-8")
+
+
+def _gzip64(content: bytes) -> str:
+    return base64.b64encode(gzip.compress(content, 6, mtime=0)).decode()

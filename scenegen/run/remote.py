@@ -1,0 +1,128 @@
+"""What executors elsewhere have in common: what is sent to other machines, and what comes back.
+
+Function and tasks are sent as bytes, to a function that is itself sent whole: a node that lacks
+scenegen, or has another one, can call it and say so. Errors come back as values, and tell the node.
+"""
+
+import io
+import os
+import pickle
+import socket
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from scenegen.errors import GenerationError, told
+from scenegen.run.software import identity
+from scenegen.stores import LOCATED
+
+GO_ON = "what is written is kept: give the same command again to go on"
+"""What to do where a task is lost for good."""
+
+
+class Outcome(NamedTuple):
+    """What became of a task on another machine."""
+
+    value: Any
+    """The result, or the exception; of a node that has none of ours, what it lacks."""
+    node: str
+    """The machine that raised it; "" for a result."""
+
+    def taken(self) -> Any:
+        """The result. Raises the exception, which names the node."""
+        if not self.node:
+            return self.value
+        error = GenerationError(self.value) if isinstance(self.value, str) else self.value
+        error.args = (f"{error} (on {self.node})",)
+        raise error
+
+
+def pack(value: Any, pickler: type[pickle.Pickler] = pickle.Pickler) -> bytes:
+    """`value` as bytes for other machines. A dataset's folder that `locate` found by a name goes as
+    that name, for each machine to open: what was copied here is not there."""
+
+    class Packer(pickler):  # type: ignore[misc, valid-type]
+        def persistent_id(self, item: Any) -> Any:
+            return LOCATED.get(item) if isinstance(item, Path) else None
+
+    file = io.BytesIO()
+    Packer(file).dump(value)
+    return file.getvalue()
+
+
+def _unpack(packed: bytes) -> Any:
+    class Unpacker(pickle.Unpickler):
+        def persistent_load(self, pid: Any) -> Path:
+            open_there, *name = pid
+            found: Path = open_there(*name)
+            return found
+
+    return Unpacker(io.BytesIO(packed)).load()
+
+
+def sent(
+    function: Callable[[Any], Any], pickler: type[pickle.Pickler] = pickle.Pickler
+) -> Callable[[bytes], tuple[Any, str]]:
+    """`function` as it is sent, for tasks that are packed. What it returns fills an `Outcome`.
+
+    Pickled by value, as cloudpickle does with functions within functions, it needs no scenegen.
+    """
+    parcel, sender, folder = pack(function, pickler), identity(), str(Path.cwd())
+    importable = folder in sys.path
+
+    def there(task: bytes) -> tuple[Any, str]:
+        try:
+            from scenegen.run.remote import received
+
+            return received(parcel, task, sender, folder, importable)
+        except ImportError as error:
+            from socket import gethostname
+
+            lacks = f"no task can be done: {error}; have the same scenegen, with its extras, on every node"
+            return lacks, gethostname()
+
+    return there
+
+
+def received(
+    parcel: bytes, task: bytes, sender: dict[str, Any], folder: str, importable: bool
+) -> Outcome:
+    """The function in `parcel` of `task`, in the `folder` where the command was given if it is
+    there; whatever comes of it. That folder can be imported from if it is `importable` where the
+    command was given: a user named a module in it. Nothing is done unless this is the scenegen that
+    the `sender` is. Raises ImportError."""
+    try:
+        if (own := identity()) != sender:
+            raise GenerationError(
+                "another scenegen there than here: "
+                + ", ".join(
+                    f"{name} {own.get(name)}, not {it}"
+                    for name, it in sender.items()
+                    if own.get(name) != it
+                )
+                + f"; have the same on every node; {GO_ON}"
+            )
+        with suppress(OSError):
+            os.chdir(folder)
+        if importable and folder not in sys.path:
+            sys.path.append(folder)  # last, as the registry does
+        return Outcome(_function(parcel)(_unpack(task)), "")
+    except ImportError:
+        raise
+    except Exception as error:  # whatever it is, it is raised where the run was begun
+        return Outcome(told(error), socket.gethostname())
+
+
+@lru_cache(maxsize=1)
+def _function(parcel: bytes) -> Callable[[Any], Any]:
+    """The same for all tasks of a process: it may keep something from one to the next."""
+    found: Callable[[Any], Any] = _unpack(parcel)
+    return found
+
+
+def named(task: Any) -> str:
+    """What a task is about: its file, where it has one."""
+    return str(getattr(task, "file", task))[:200]

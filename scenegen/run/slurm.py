@@ -1,0 +1,197 @@
+"""A Slurm cluster: job arrays, submitted by submitit
+(https://github.com/facebookincubator/submitit).
+
+The command stays where it was given, submits, and waits. A job works off several tasks one after
+the other: to begin one takes seconds.
+"""
+
+import math
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl
+
+from scenegen.errors import DatasetError, GenerationError, OwnCodeError, needs, printable
+from scenegen.run import Executor
+from scenegen.run.remote import GO_ON, Outcome, pack, sent
+from scenegen.run.workers import safe_path
+
+MINUTES = 240
+"""How long a job may take unless the address says otherwise."""
+JOBS = 4
+"""Jobs for every one of the workers, so that none waits long for the last."""
+MOST_IN_ARRAY = 1001
+"""Jobs of one array, where the cluster does not tell its own limit: Slurm's own."""
+WAIT_S = 2.0
+"""Seconds between two looks at what has ended."""
+TIMED_OUT = "timed-out"
+"""What submitit says in the error that it raises in a task shortly before the job's time is
+over."""
+LOOKS = 10
+"""After how many a job counts as lost that is no longer queued, and whose result is not there."""
+
+
+class Slurm(Executor):
+    """See `Executor`. `workers` jobs run at a time, one core each. The address,
+    ``slurm://PARTITION?time=60&mem=4G``, may name the partition, and options of sbatch.
+
+    Every node needs this Python, scenegen, the files that a command names and the working folder by
+    the same paths.
+    """
+
+    def __init__(self, address: str, workers: int):
+        try:
+            import submitit
+        except ImportError:
+            raise GenerationError(f"--on slurm: {needs('submitit', 'slurm')}") from None
+        self.submitit = submitit
+        partition, _, options = address.partition("?")
+        try:
+            given = dict(parse_qsl(options, strict_parsing=True)) if options else {}
+        except ValueError:
+            raise DatasetError(
+                f"--on slurm://{printable(address)[:100]}: expected "
+                f"slurm://PARTITION?time=60&mem=4G"
+            ) from None
+        self.minutes = given.pop("time", str(MINUTES))
+        if not re.fullmatch("[1-9][0-9]{0,6}", self.minutes):
+            raise DatasetError(
+                f"--on slurm://…?time={printable(self.minutes)[:100]}: expected whole minutes, as "
+                f"60"
+            )
+        self.options = ({"partition": partition} if partition else {}) | given
+        self.workers = workers
+
+    def __call__(
+        self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
+    ) -> Generator[Any, None, None]:
+        """See `Executor`."""
+        if not tasks:
+            on_start()
+            return
+        each = math.ceil(len(tasks) / (JOBS * self.workers))
+        folder = Path(tempfile.mkdtemp(prefix="scenegen-slurm-", dir=Path.cwd()))
+        with _cancelled(folder.name):
+            jobs = self._submit(
+                folder, function, [tasks[n : n + each] for n in range(0, len(tasks), each)]
+            )
+            on_start()
+            for job in self._ended(jobs, folder):
+                yield from self._results(job, folder)
+            shutil.rmtree(folder)
+
+    def _submit(
+        self, folder: Path, function: Callable[[Any], Any], parts: Sequence[Sequence[Any]]
+    ) -> list[Any]:
+        """One job for each of `parts`, in as many arrays as the cluster's limit makes of them."""
+        from cloudpickle import CloudPickler  # which submitit needs
+
+        there = sent(function, CloudPickler)
+
+        def several(tasks: Sequence[bytes]) -> list[tuple[Any, str]]:  # sent whole, as `there` is
+            """What came of `tasks`, up to the first that failed."""
+            found = []
+            for task in tasks:
+                found.append(there(task))
+                if found[-1][1]:
+                    break
+            return found
+
+        packed = [[pack(task, CloudPickler) for task in part] for part in parts]
+        try:
+            executor = self.submitit.SlurmExecutor(folder=folder)
+            arrays = math.ceil(len(parts) / _most_in_array())
+            executor.update_parameters(
+                job_name=folder.name,
+                cpus_per_task=1,
+                array_parallelism=max(self.workers // arrays, 1),
+                stderr_to_stdout=True,
+                time=int(self.minutes),  # of submitit's own, which counts with it
+                additional_parameters=self.options,
+            )
+            with safe_path():  # the jobs' environment is this one; they are begun by python -m
+                return [
+                    job
+                    for n in range(arrays)
+                    for job in executor.map_array(several, packed[n::arrays])
+                ]
+        except (RuntimeError, OSError) as error:
+            reason = printable(str(error).strip().splitlines()[-1])
+            raise GenerationError(f"--on slurm: nothing could be submitted ({reason})") from None
+
+    def _ended(self, jobs: list[Any], folder: Path) -> Generator[Any, None, None]:
+        """The jobs as their results come. Raises GenerationError for one that left the queue
+        without any.
+
+        Slurm's accounting, which submitit would ask, is not there on every cluster.
+        """
+        looks = dict.fromkeys((job.job_id for job in jobs), 0)
+        while jobs:
+            queued = _queued(folder.name)
+            for job in list(jobs):
+                if job.paths.result_pickle.exists():
+                    jobs.remove(job)
+                    yield job
+                elif queued is not None and job.job_id not in queued:
+                    looks[job.job_id] += 1  # a shared disk may show the result a little later
+                    if looks[job.job_id] > LOOKS:
+                        said = _last_line(job.paths.stdout) or "it was cancelled, or killed"
+                        raise _lost(job.job_id, f"left the queue without a result: {said}", folder)
+            time.sleep(WAIT_S if jobs else 0)
+
+    def _results(self, job: Any, folder: Path) -> Generator[Any, None, None]:
+        try:
+            for outcome in job.result():
+                yield Outcome(*outcome).taken()
+        except (self.submitit.core.utils.UncompletedJobError, OwnCodeError) as error:
+            said = printable(str(error).strip().splitlines()[-1])[:200]
+            if TIMED_OUT in str(error):  # in whatever code the signal met the task
+                said = f"{TIMED_OUT}: its {self.minutes} minutes are too few, give more as slurm://…?time="
+            elif isinstance(error, OwnCodeError):
+                raise
+            raise _lost(job.job_id, said, folder) from None
+
+
+def _lost(job: str, reason: str, folder: Path) -> GenerationError:
+    return GenerationError(f"--on slurm: job {job}: {reason}; see {folder}; {GO_ON}")
+
+
+def _last_line(log: Path) -> str:
+    """What Slurm said last of a job, where it began one: it names the node."""
+    said = log.read_text(errors="replace").splitlines() if log.exists() else []
+    return printable(said[-1])[:200] if said else ""
+
+
+@contextmanager
+def _cancelled(run: str) -> Iterator[None]:
+    """Have all jobs called `run`, and no others, cancelled when the block ends, or this process,
+    even if it is killed: a process of its own waits for the end of a pipe that nobody else
+    holds."""
+    words = ["/bin/sh", "-c", 'read end; exec scancel --name="$0"', run]
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet, start_new_session=True
+    ):
+        yield
+
+
+def _most_in_array() -> int:
+    """The cluster's MaxArraySize."""
+    told = subprocess.run(
+        ["scontrol", "show", "config"], capture_output=True, text=True, check=False
+    ).stdout
+    found = re.search(r"^MaxArraySize\s*=\s*(\d+)", told, re.MULTILINE)
+    return max(int(found[1]), 1) if found else MOST_IN_ARRAY
+
+
+def _queued(run: str) -> set[str] | None:
+    """The jobs of a run that wait or run, by their ids; None where Slurm does not answer now."""
+    words = ["squeue", "--noheader", "--array", "--format=%i", f"--name={run}"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return None if done.returncode else set(done.stdout.split())

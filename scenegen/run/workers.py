@@ -1,0 +1,328 @@
+"""Local processes that work off tasks, and end with their parent whatever ends it.
+
+No threads, queues or locks of the parent's are involved, so that a signal may end it at any point
+without a deadlock.
+"""
+
+import contextlib
+import itertools
+import math
+import multiprocessing
+import multiprocessing.connection
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from scenegen.errors import GenerationError, GuardError, ScenegenError, told
+from scenegen.run.stopping import undone_if_stopped
+
+PR_SET_PDEATHSIG = 1
+"""Linux's name for it."""
+MOST_REPLACED = 5
+"""Workers that may die in a run with limits before the rest is given up."""
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""The C library's names for the most free memory that it keeps, and the least that it takes from
+the system apart."""
+
+SAFE_PATH = "PYTHONSAFEPATH"
+"""Where this is set, Python looks for no modules in the working folder unless it is told to."""
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def keep_memory() -> None:
+    """Have up to 64 MB of freed memory stay with this process and those that it begins, for the
+    next shard takes as much: pages that are given back and taken anew cost the system time
+    (docs/log.md). For programs, not libraries."""
+    import ctypes
+
+    with contextlib.suppress(
+        AttributeError, OSError
+    ):  # elsewhere than with glibc, it stays as it is
+        library = ctypes.CDLL(None)
+        library.mallopt(M_MMAP_THRESHOLD, 32 << 20)
+        library.mallopt(M_TRIM_THRESHOLD, 64 << 20)
+
+
+@dataclass(frozen=True)
+class Limited(Generic[Task, Result]):
+    """A function of tasks whose input nobody vouches for: it never runs in this process, and may
+    crash or hang in its own. `run` sees to that; where it is called, it runs in a process that is
+    kept for the next call."""
+
+    function: Callable[[Task], Result]
+    seconds: Callable[[Task], float]
+    """How long a task may take."""
+    memory_bytes: int
+    """Address space a worker may take beyond what it starts with, where the system can limit it."""
+    given_up: Callable[[Task, str], Result]
+    """The result of a task whose worker died, or was ended for taking too long: made of the task
+    and what happened."""
+
+    def __call__(self, task: Task) -> Result:
+        """The result, for executors that call functions in processes of their own, which may run
+        threads."""
+        worker: Worker | None = vars(self).pop("_kept", None)
+        if worker is None or not worker.process.is_alive():
+            worker = Worker(self, "spawn")
+        worker.give(task)
+        _ready([worker])
+        result: Result = worker.take(1)
+        if worker.alive:
+            vars(self)["_kept"] = worker
+        else:
+            worker.end()
+        return result
+
+
+def run(
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    workers: int,
+    on_start: Callable[[], None] = lambda: None,
+) -> Generator[Result, None, None]:
+    """Results of `function` over `tasks`, as they come; in this process where one worker is enough
+    and `function` is not `Limited`.
+
+    `on_start` is called when all workers have been started: from then on, this process may run
+    threads. Raises GenerationError where a worker is killed, unless `function` is `Limited`, and
+    whatever `function` raises. No process is left behind.
+    """
+    tasks = list(tasks)
+    if not isinstance(function, Limited) and (workers == 1 or len(tasks) <= 1):
+        on_start()
+        yield from map(function, tasks)
+        return
+    # forked workers share the compiled kernels and the imports; elsewhere forking is not safe
+    start = "fork" if sys.platform == "linux" else "spawn"
+    waiting = iter(tasks)
+    busy: list[Worker] = []
+    replaced = 0
+    with undone_if_stopped(lambda: _kill(busy)):
+        try:
+            for task in itertools.islice(waiting, workers):
+                busy.append(Worker(function, start))
+                busy[-1].give(task)
+            on_start()
+            while busy:
+                for worker in _ready(busy):
+                    result = worker.take(workers)
+                    following = (
+                        next(waiting, None) if worker.alive or replaced < MOST_REPLACED else None
+                    )
+                    if following is None or not worker.alive:
+                        busy.remove(worker)
+                        worker.end()
+                    if following is not None:
+                        if (
+                            not worker.alive
+                        ):  # by now there may be threads, so this one is not forked
+                            worker = Worker(function, "spawn")
+                            busy.append(worker)
+                            replaced += 1
+                        worker.give(following)
+                    yield result
+            for task in waiting:
+                assert isinstance(function, Limited)
+                yield function.given_up(task, "was not examined: too many before it failed")
+        finally:
+            for worker in busy:
+                worker.end()
+
+
+def guarded(
+    function: Callable[[Task], Result], task: Task, *, seconds: float, memory_bytes: int
+) -> Result:
+    """`function(task)`, computed in a process of its own that may take `seconds` and `memory_bytes`
+    more than this one.
+
+    For libraries that a stranger's bytes could make hang, crash or take all memory: what they do
+    happens elsewhere, and only the result, which must be picklable, comes back. Costs some 10 ms.
+    Raises the ScenegenError that `function` raises, and GuardError where the process ends in any
+    other way.
+    """
+    alone: Limited[Task, Any] = Limited(
+        _Guarded(function), lambda _: seconds, memory_bytes, lambda _, reason: GuardError(reason)
+    )
+    (outcome,) = run(alone, [task], 1)
+    if isinstance(outcome, ScenegenError):
+        raise outcome
+    return outcome[0]
+
+
+@dataclass(frozen=True)
+class _Guarded(Generic[Task, Result]):
+    """A function whose ScenegenErrors are results, too."""
+
+    function: Callable[[Task], Result]
+
+    def __call__(self, task: Task) -> tuple[Result] | ScenegenError:
+        try:
+            return (self.function(task),)
+        except ScenegenError as error:
+            return error
+
+
+class Worker:
+    """One process, the task that it has, and how long it may still take."""
+
+    def __init__(self, function: Callable[[Any], Any], start: str):
+        context: Any = multiprocessing.get_context(start)
+        self.pipe, theirs = context.Pipe()
+        self._limits = limits = function if isinstance(function, Limited) else None
+        given = (function, None) if limits is None else (limits.function, limits.memory_bytes)
+        self.process = context.Process(
+            target=_serve, args=(*given, theirs, os.getpid()), daemon=True
+        )
+        with contextlib.nullcontext() if start == "fork" else safe_path():
+            self.process.start()
+        theirs.close()
+        self.alive = True
+
+    def give(self, task: Any) -> None:
+        """Have a task worked off; its time begins."""
+        self._task = task
+        self._deadline = time.monotonic() + (
+            self._limits.seconds(task) if self._limits else math.inf
+        )
+        self.pipe.send(task)
+
+    @property
+    def seconds_left(self) -> float:
+        """For the task that was given last."""
+        return max(self._deadline - time.monotonic(), 0.0)
+
+    def take(self, workers: int) -> Any:
+        """The task's result, or its exception raised here; with limits, what stands for one that
+        did not come."""
+        if not self.pipe.poll():
+            return self._give_up("took too long")
+        try:
+            succeeded, value = self.pipe.recv()
+        except (EOFError, ConnectionResetError):
+            if self._limits:
+                return self._give_up("ended its process: it crashed, or took too much memory")
+            raise GenerationError(
+                "a worker process was killed (out of memory?); finished shards are kept: give the "
+                "same command again "
+                f"to go on, with fewer --workers than {workers} if it happens again"
+            ) from None
+        if not succeeded:
+            if self._limits:
+                reason = " ".join(str(value).split())[:200]
+                return self._limits.given_up(
+                    self._task, f"ended in {type(value).__name__}: {reason}"
+                )
+            raise value
+        return value
+
+    def _give_up(self, reason: str) -> Any:
+        assert self._limits is not None
+        self.alive = False
+        return self._limits.given_up(self._task, reason)
+
+    def end(self) -> None:
+        """Whatever it is doing."""
+        self.process.terminate()
+        self.process.join(5)
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+
+
+@contextlib.contextmanager
+def safe_path() -> Iterator[None]:
+    """While the block runs, a Python that this process starts imports nothing from the working
+    folder.
+
+    Multiprocessing starts its processes by ``python -c``, which would look there first, for
+    `multiprocessing` itself (https://docs.python.org/3/using/cmdline.html#envvar-PYTHONSAFEPATH). A
+    spawned process gets this one's `sys.path`.
+    """
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[SAFE_PATH]
+        else:
+            os.environ[SAFE_PATH] = before
+
+
+def _kill(busy: list[Worker]) -> None:
+    """End all at once, for a process that ends itself next."""
+    for worker in busy:
+        worker.process.kill()
+    for worker in busy:
+        worker.process.join(1)
+
+
+def _ready(busy: list[Worker]) -> list[Worker]:
+    """Workers that have a result, have died, or have run out of time."""
+    least = min(worker.seconds_left for worker in busy)
+    pipes = multiprocessing.connection.wait(
+        [worker.pipe for worker in busy], None if least == math.inf else least
+    )
+    return [worker for worker in busy if worker.pipe in pipes or worker.seconds_left == 0.0]
+
+
+def _limit_memory(more_bytes: int) -> None:
+    """Let this process grow by so much and no further, where the system can see to that."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        most = pages * os.sysconf("SC_PAGE_SIZE") + more_bytes
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    except (ImportError, OSError, ValueError):
+        return
+
+
+def _serve(
+    function: Callable[[Any], Any], memory_bytes: int | None, parent: Any, parent_id: int
+) -> None:
+    """Work off the tasks that come through the pipe `parent` until that process ends."""
+    if memory_bytes is not None:
+        _limit_memory(memory_bytes)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+    _die_with_parent()
+    threading.Thread(target=_watch, args=(parent_id,), daemon=True).start()
+    while True:
+        try:
+            answer = True, function(parent.recv())
+        except EOFError:
+            return
+        except Exception as error:
+            answer = False, told(error)  # which alone knows of the traceback
+        parent.send(answer)
+
+
+def _die_with_parent() -> None:
+    """Have the kernel end this process when the thread that began it ends, even if it hangs in a
+    library then."""
+    import ctypes
+
+    with contextlib.suppress(AttributeError, OSError):  # elsewhere than on Linux, `_watch` must do
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+
+
+def _watch(parent_id: int) -> None:
+    while os.getppid() == parent_id:
+        time.sleep(0.2)
+    os._exit(1)

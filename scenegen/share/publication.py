@@ -1,0 +1,94 @@
+"""What is published: all that the card and the Croissant file say of a dataset, gathered once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from scenegen import SPLITS
+from scenegen.dataset.layout import DIGEST
+from scenegen.dataset.trust import Manifest
+from scenegen.sample import describe_fields
+from scenegen.share.licence import Licence
+
+PAPER = (
+    "Yu, Zhao, Xu: Planning-Oriented 3D Scene Completion via Coupled TUDF–Occupancy "
+    "Representation Learning from "
+    "Partial Observations"
+)
+KINDS = {
+    "pillar": "random forests of round, square and oblong pillars",
+    "geometric": "random spheres, boxes, cylinders and walls, standing and floating",
+    "scene": "worlds from MJCF files",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Publication:
+    """A dataset on its way to the Hub."""
+
+    repository: str
+    """user/name on the Hub."""
+    tag: str
+    """The revision of the repository that will name this content."""
+    licence: Licence
+    date: str
+    """The day of publication, YYYY-MM-DD."""
+    manifest: Manifest
+    statistics: Mapping[str, Any]
+    """What `scenegen.display.inspect.inspect` says of the dataset."""
+    command: str
+    """The command that makes the dataset again in a folder that holds ``recipe.toml``."""
+    lock: str
+    """Contents of the environment lock."""
+    checks: tuple[tuple[str, str], ...]
+    """Name and detail of every check that the dataset passed."""
+    pictures: tuple[tuple[str, str], ...]
+    """Name and caption of every picture."""
+    page: str = ""
+    """The name of the page to look at samples with; "" for none."""
+
+    @property
+    def name(self) -> str:
+        """The name of the repository without its owner."""
+        return self.repository.partition("/")[2]
+
+    @property
+    def url(self) -> str:
+        """The address of the dataset's page on the Hub."""
+        return f"https://huggingface.co/datasets/{self.repository}"
+
+    @property
+    def sentence(self) -> str:
+        """What the dataset is, in one sentence."""
+        kind = self.manifest.kind
+        x, y, z = self.manifest.grid.shape
+        voxel, mapping = self.manifest.grid.voxel_m, self.manifest.mapping
+        made = "" if mapping.plain else f", each {mapping}"
+        return (
+            f"{self.statistics['samples']} pairs of a simulated LiDAR scan and the exact truth "
+            f"around it, in "
+            f"{KINDS.get(kind, f'worlds of kind {kind}')}, as {x} × {y} × {z} voxel maps of "
+            f"{voxel:g} m{made}"
+        )
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the splits that hold samples."""
+        return tuple(name for name in SPLITS if name in self.statistics["splits"])
+
+    @property
+    def fields(self) -> dict[str, dict[str, Any]]:
+        """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
+        it = self.manifest
+        known = describe_fields(
+            it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans
+        )
+        stored = {name: known[name] for name in self.manifest.fields}
+        return stored | {
+            DIGEST: {
+                "dtype": "uint8",
+                "shape": (32,),
+                "unit": "",
+                "meaning": "the sample's own SHA-256 digest",
+            }
+        }

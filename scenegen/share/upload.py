@@ -1,0 +1,131 @@
+"""Send a staged folder to the Hugging Face Hub: all files, then a look at what arrived, and the tag
+last."""
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any
+
+from scenegen import __version__
+from scenegen.dataset.locate import client_output, reason
+from scenegen.errors import PublishError, ScenegenError, needs
+from scenegen.share.folder import SUMS
+from scenegen.share.stage import Staged
+
+OURS = re.compile(
+    r"(train|val|test)-\d{5}(\.h5|\.worlds\.zip)|pictures/(train|val|test)-\d+\.png|look\.html",
+    re.ASCII,
+)
+"""Files that another dataset of ours may have left in the repository; others there are let be."""
+TOKEN = "no token for the Hub: run `hf auth login`, or set HF_TOKEN, with one that may write; it is never an argument"
+
+
+def check_token() -> None:
+    """Raise PublishError where the Hub's client finds no token in its usual places, or is not
+    installed."""
+    try:
+        from huggingface_hub import get_token
+    except ImportError:
+        raise PublishError(f"publishing {needs('huggingface_hub', 'publish')}") from None
+    if not get_token():
+        raise PublishError(TOKEN)
+
+
+def upload(staged: Staged, *, private: bool = False, shown: bool = False) -> str:
+    """Send the folder and return the commit that the tag names.
+
+    Given again after an interruption it goes on: the client sends no content that the Hub has. A
+    tag that is there already is left alone, and is in order where it names the same files. `shown`:
+    the client shows its progress. Raises PublishError.
+    """
+    check_token()
+    from huggingface_hub import HfApi
+
+    api = HfApi(library_name="scenegen", library_version=__version__)
+    try:
+        with client_output(shown):
+            return _send(api, staged, private)
+    except ScenegenError:
+        raise
+    except Exception as error:  # whatever the Hub's client or the network beneath it raises
+        raise PublishError(_explain(staged, error)) from None
+
+
+def _send(api: Any, staged: Staged, private: bool) -> str:
+    repository, target = staged.repository, f"hf://{staged.repository}"
+    where = {"repo_id": repository, "repo_type": "dataset"}
+    api.create_repo(
+        repository, repo_type="dataset", private=True if private else None, exist_ok=True
+    )
+    if private and not api.dataset_info(repository).private:
+        raise PublishError(
+            f"{target}: is there and public; leave --private out, or choose another --repo"
+        )
+    tags = {ref.name: ref.target_commit for ref in api.list_repo_refs(**where).tags}
+    if staged.tag in tags:
+        wrong = differences(api, staged, tags[staged.tag])
+        if wrong:
+            raise PublishError(
+                f"{target}: tag {staged.tag} is there with other content ({wrong[0]}); give "
+                f"another --tag"
+            )
+        return str(tags[staged.tag])
+    there = [
+        path
+        for path in api.list_repo_files(**where)
+        if OURS.fullmatch(path) and path not in staged.files
+    ]
+    sent = api.upload_folder(
+        folder_path=staged.folder,
+        allow_patterns=list(staged.files),
+        delete_patterns=there or None,
+        commit_message=f"{staged.tag}: {staged.digest}",
+        **where,
+    )
+    wrong = differences(api, staged, sent.oid)
+    if wrong:
+        raise PublishError(
+            f"{target}: not everything arrived ({wrong[0]}); give the same command again to go on"
+        )
+    api.create_tag(repository, tag=staged.tag, revision=sent.oid, repo_type="dataset")
+    return str(sent.oid)
+
+
+def differences(api: Any, staged: Staged, revision: str) -> list[str]:
+    """Files of the folder that the repository does not have, or has otherwise, at a revision."""
+    tree = api.list_repo_tree(
+        staged.repository, repo_type="dataset", recursive=True, revision=revision
+    )
+    there = {entry.path: entry for entry in tree if hasattr(entry, "blob_id")}
+    sums = {}
+    for line in (staged.folder / SUMS).read_text(encoding="utf-8").splitlines():
+        digest, _, name = line.partition("  ")
+        sums[name] = digest
+    found = []
+    for name in staged.files:
+        entry = there.get(name)
+        if entry is None:
+            found.append(f"{name} is missing")
+        elif entry.lfs is not None:
+            if name in sums and entry.lfs.sha256 != sums[name]:
+                found.append(f"{name} differs")
+        elif entry.blob_id != git_blob(staged.folder / name):
+            found.append(f"{name} differs")
+    return found
+
+
+def git_blob(path: Path) -> str:
+    """The name that git gives a file's content: SHA-1 over a short head and the bytes."""
+    content = path.read_bytes()
+    return hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()
+
+
+def _explain(staged: Staged, error: Exception) -> str:
+    """One line on what went wrong, and what to do."""
+    target = f"hf://{staged.repository}"
+    status = getattr(getattr(error, "response", None), "status_code", None)
+    if status in (401, 403):
+        return f"{target}: the Hub refuses the token ({status}); use one that may write there: `hf auth login`"
+    return (
+        f"{target}: {reason(error)}; what arrived is kept, and the same command goes on from there"
+    )

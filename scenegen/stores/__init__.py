@@ -1,0 +1,270 @@
+"""Places: where a dataset lies that lies in no folder, by a name with a scheme. One file a place;
+each fills `Place`.
+
+A store has no rename and no locks. What it promises instead: an object is complete or absent, and
+it can be put on the condition that nobody else put one meanwhile. `PlacePath` is how the code of
+datasets sees it.
+"""
+
+import io
+import os
+import re
+import tempfile
+from collections.abc import Generator, Iterator
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from lidarsim.registry import Registry
+from scenegen.errors import DatasetError, PlaceError, printable
+
+LOCATED: dict[Path, tuple[Any, ...]] = {}
+"""Folders of this machine that were found by a name with a scheme: for each, a function that finds
+it on another machine, and what that takes."""
+Version = str | None
+"""What tells two contents of an object apart; None where there is no object."""
+REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
+ONE_SLASH = re.compile(r"(hf|s3|gs|az|https?):/(?!/)")
+"""What was meant for a place, and would be a folder of an odd name."""
+TRIES = 5
+"""How often an object is put that comes and goes meanwhile."""
+
+
+def note_file(folder: Path) -> Path:
+    """Where the note lies that makes a folder one of copies; see `scenegen.stores.cache`."""
+    return Path(f"{folder}.place")
+
+
+class ConflictError(PlaceError):
+    """An object is no longer, or not yet, what it was taken for: somebody else put one."""
+
+
+class Object(NamedTuple):
+    """An object of a place, as a listing has it."""
+
+    name: str
+    bytes: int
+    version: Version
+
+
+class Place(Protocol):
+    """A flat folder of objects, made of its whole name. Raises DatasetError for a name that cannot
+    be.
+
+    Every method raises PlaceError, in one line that tells no credential, where the store refuses,
+    is full, or does not answer in good time; a first failure is tried again. A place for reading
+    alone raises it in the last three.
+    """
+
+    def __init__(self, name: str) -> None: ...
+
+    def list(self) -> Iterator[Object]:
+        """The objects directly in it, in any order, as they come."""
+        ...
+
+    def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
+        """Copy an object into `file`. Raises FileNotFoundError where there is none, DatasetError
+        where it is larger."""
+        ...
+
+    def put_whole(self, name: str, content: bytes) -> Version:
+        """Put an object, complete or not at all, in the place of whatever is there."""
+        ...
+
+    def put_if(self, name: str, content: bytes, version: Version) -> Version:
+        """The same if the object is `version` still. Raises ConflictError otherwise."""
+        ...
+
+    def remove(self, name: str) -> None:
+        """Remove an object, if it is there."""
+        ...
+
+
+PLACES = Registry(
+    "place",
+    {"s3": "scenegen.stores.bucket:Bucket"},
+    needs={
+        "list": "a method: () -> objects",
+        "read": "a method: (name, file, most_bytes) -> version",
+        "put_whole": "a method: (name, content) -> version",
+        "put_if": "a method: (name, content, version) -> version",
+        "remove": "a method: name -> None",
+    },
+)
+"""Places by the scheme of their names. Others are fsspec's, for reading alone."""
+
+
+def is_remote(name: object) -> bool:
+    """Whether `name` stands for a place. A Path never does, whatever it looks like, unless it is a
+    `PlacePath`."""
+    return isinstance(name, PlacePath) or (isinstance(name, str) and REMOTE.match(name) is not None)
+
+
+def folder_of(name: str) -> Path:
+    """What a name stands for that a user gave for a dataset's folder: a place where it begins with
+    a scheme, a path otherwise. Raises DatasetError for a name that cannot be."""
+    if not is_remote(name):
+        if ONE_SLASH.match(name):
+            raise DatasetError(
+                f"{printable(name)}: expected two slashes, {printable(name.replace('/', '//', 1))}"
+            )
+        return Path(name)
+    place_of(name)
+    return PlacePath(name)
+
+
+def place_of(name: str) -> Place:
+    """The place called `name`, opened once a process. Raises DatasetError for a name that cannot
+    be."""
+    return _opened(name, os.getpid())  # connections do not survive a fork
+
+
+@lru_cache(maxsize=64)
+def _opened(name: str, process: int) -> Place:
+    match = REMOTE.fullmatch(name)
+    assert match is not None
+    scheme, rest = match["scheme"], match["rest"]
+    if "@" in rest.partition("/")[0]:
+        raise DatasetError(
+            f"{scheme}://…@…: a name holds no credentials; give them as docs/places.md says"
+        )
+    parts = rest.rstrip("/").split("/")
+    if (
+        not rest.isprintable()
+        or not all(parts[:1])
+        or {"", ".", ".."} & set(parts[1:])
+        or len(name) > 1000
+    ):
+        raise DatasetError(f"{printable(name)[:200]}: expected a name such as s3://bucket/folder")
+    if scheme not in PLACES.known:
+        from scenegen.stores.foreign import Foreign
+
+        return Foreign(name)
+    made: Place = PLACES.find(scheme)(name)
+    return made
+
+
+_seen: dict[str, Version] = {}
+"""Versions of objects that this process has read or put, by their whole names: it replaces no
+others."""
+
+if TYPE_CHECKING:
+    _Path = Path
+else:
+    _Path = PurePosixPath  # so that what is not written below fails, and never reaches for a file
+
+
+class PlacePath(_Path):
+    """A place, or an object in it, in the stead of a Path: it has those methods of Path that
+    datasets are written by.
+
+    What is put replaces only what this process has read before; see `Place.put_if`.
+    """
+
+    def __str__(self) -> str:
+        return PurePosixPath.__str__(self).replace(":/", "://", 1)
+
+    @property
+    def place(self) -> Place:
+        """The place that it is."""
+        return place_of(str(self))
+
+    def _home(self) -> Place:
+        return place_of(str(self.parent))
+
+    def iterdir(self) -> Generator["PlacePath", None, None]:
+        """The objects in it."""
+        return (self / item.name for item in self.place.list())
+
+    def glob(self, pattern: str) -> Generator["PlacePath", None, None]:
+        """The objects in it whose names are like `pattern`."""
+        return (item for item in self.iterdir() if fnmatchcase(item.name, pattern))
+
+    def is_dir(self) -> bool:
+        """Whether there is an object in it."""
+        return next(self.place.list(), None) is not None
+
+    def is_file(self) -> bool:
+        """Whether it is an object."""
+        try:
+            self._home().read(self.name, io.BytesIO(), 0)
+        except FileNotFoundError:
+            return False
+        except DatasetError:  # larger than nothing
+            pass
+        return True
+
+    def exists(self) -> bool:
+        """Whether it is an object, or a place that holds any."""
+        return (len(self.parts) > 2 and self.is_file()) or self.is_dir()
+
+    def mkdir(self, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
+        """Nothing: there are no folders."""
+
+    def resolve(self, strict: bool = False) -> "PlacePath":
+        """Itself."""
+        return self
+
+    def open_bounded(self, most_bytes: int) -> io.BufferedReader:
+        """A copy of the object on this disk, that nobody else sees. Raises as `Place.read`."""
+        try:
+            copy = tempfile.TemporaryFile()  # noqa: SIM115 (closed below)
+        except OSError as error:  # FileNotFoundError, too, where a full disk takes none
+            raise self._no_room(error) from None
+        with copy:
+            try:
+                _seen[str(self)] = self._home().read(self.name, copy, most_bytes)
+                copy.flush()
+            except FileNotFoundError:
+                raise
+            except OSError as error:
+                raise self._no_room(error) from None
+            copy.seek(0)
+            return open(os.dup(copy.fileno()), "rb")
+
+    def _no_room(self, error: OSError) -> PlaceError:
+        """What to say of this machine's disk, which says nothing of the object."""
+        told = error.strerror or type(error).__name__
+        return PlaceError(
+            f"{self}: cannot be copied to this machine's temporary folder ({told}); free some "
+            f"space there"
+        )
+
+    def read_bytes(self) -> bytes:
+        """Its content."""
+        with self.open_bounded(1 << 62) as file:
+            return file.read()
+
+    def put(self, content: bytes) -> None:
+        """Put `content` there, unless somebody else put something else: that raises
+        ConflictError."""
+        for _ in range(TRIES):
+            try:
+                _seen[str(self)] = self._home().put_if(self.name, content, _seen.get(str(self)))
+                return
+            except ConflictError:
+                mine = _seen.pop(str(self), None)
+                try:
+                    there = self.read_bytes()
+                except FileNotFoundError:
+                    continue
+                if there == content:
+                    return
+                _seen[str(self)] = mine
+                break
+        raise ConflictError(
+            f"{self}: somebody else has put other bytes there; end other runs that write there, "
+            f"remove the object if "
+            "there are none, and give the same command again to go on"
+        )
+
+    @property
+    def version(self) -> Version:
+        """What this process last read or put there."""
+        return _seen.get(str(self))
+
+    def unlink(self, missing_ok: bool = False) -> None:
+        """Remove the object, if it is there."""
+        self._home().remove(self.name)
+        _seen.pop(str(self), None)

@@ -1,0 +1,232 @@
+"""Copies of what was read from places, in a folder of this machine: fetched when first opened, and
+held against the digest that the manifest has of each, once and whenever one has changed.
+
+A folder of copies is of one place and one manifest, and beside it lies a note of both. Like the
+kernels', it serves only where nobody but this user may write.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import stat
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import IO
+
+from lidarsim.jit import cache_root, folder_trouble, is_ours
+from scenegen.errors import PlaceError, printable
+from scenegen.stores import note_file, place_of
+
+AT_A_TIME = 8
+"""Files that are fetched at the same time, where all are needed."""
+STALE_S = 24 * 3600.0
+"""Age after which a copy that was never finished counts as left behind, seconds."""
+
+
+@dataclass(frozen=True)
+class Note:
+    """What a folder of copies is of."""
+
+    place: str
+    files: Mapping[str, str]
+    """Every file that the manifest lists, with its SHA-256."""
+
+
+def keep(place: str, name: str, manifest: bytes) -> Path:
+    """The folder of copies of what a manifest of this name and content lists at `place`, with the
+    manifest in it.
+
+    Raises PlaceError, also where others may write to the folder.
+    """
+    folder = _root() / _digest(place.encode())[:16] / _digest(manifest)[:16]
+    _check(folder)
+    with _told(place):
+        _put(folder / name, manifest)
+        for draft in folder.glob(".*.tmp"):
+            with contextlib.suppress(FileNotFoundError):
+                if time.time() - draft.lstat().st_mtime > STALE_S:
+                    draft.unlink()
+    return folder
+
+
+def note(folder: Path, place: str, files: Mapping[str, str]) -> None:
+    """Note what a folder of copies is of: from now on its `files`, names with their SHA-256, can be
+    fetched.
+
+    What another manifest of the same place lists by the same name and digest is shared. Raises
+    PlaceError.
+    """
+    path = note_file(folder)
+    with _told(place):
+        if not path.is_file():
+            for other in sorted(folder.parent.glob("*.place")):
+                _share(other, folder, files)
+        _put(path, json.dumps(asdict(Note(place, dict(files)))).encode())
+
+
+@contextlib.contextmanager
+def _told(place: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise PlaceError(
+            f"{printable(error)}: copies of {place} go there; free some space, or name another "
+            f"folder by SCENEGEN_CACHE"
+        ) from None
+
+
+def fetch(path: Path) -> bool:
+    """Have `path` be there and whole, if it is in a folder of copies and a file of the place;
+    whether it now is.
+
+    Raises PlaceError where the place does not give it, or other bytes than the manifest lists.
+    """
+    about = note_of(path.parent)
+    if about is None or path.name not in about.files:
+        return False
+    if _is_whole(path, about.files[path.name]):
+        return True
+    with _told(about.place):
+        handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
+        try:
+            with open(handle, "r+b") as file:
+                try:
+                    place_of(about.place).read(path.name, file, 1 << 62)
+                except FileNotFoundError:
+                    return False
+                file.flush()
+                file.seek(0)
+                if _sum(file) != about.files[path.name]:
+                    raise PlaceError(
+                        f"{about.place}/{path.name}: is not the file that the manifest lists; if "
+                        f"a run goes on there, "
+                        "wait for its end and give the same command again; else generate the "
+                        "dataset again"
+                    )
+                _stamp(file.fileno())
+                os.fsync(file.fileno())
+            Path(draft).replace(path)
+        finally:
+            Path(draft).unlink(missing_ok=True)
+    return True
+
+
+def _is_whole(path: Path, digest: str) -> bool:
+    """Whether `path` is a file of ours with this SHA-256. It is read only if it changed since that
+    was last seen."""
+    try:
+        found = path.lstat()
+        if not stat.S_ISREG(found.st_mode) or not is_ours(found) or found.st_mode & 0o022:
+            return False
+        if found.st_mtime_ns == found.st_size:
+            return True
+        with open(path, "rb") as file:
+            if _sum(file) != digest:
+                return False
+            _stamp(file.fileno())
+    except OSError:
+        return False
+    return True
+
+
+def _stamp(handle: int) -> None:
+    """Note that a file is the one listed: its time of change becomes its size, in nanoseconds,
+    until it changes."""
+    with contextlib.suppress(OSError):  # a root's copy, that this user may only read
+        os.utime(handle, ns=(time.time_ns(), os.fstat(handle).st_size))
+
+
+def _sum(file: IO[bytes]) -> str:
+    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+
+
+def fetch_all(folder: Path, names: Iterable[str]) -> None:
+    """Have all of these be in a folder of copies. Raises PlaceError, also for one that is not
+    there."""
+
+    def one(name: str) -> None:
+        if not fetch(folder / name):
+            about = note_of(folder)
+            raise PlaceError(
+                f"{about.place if about else folder}/{name}: is missing, though the manifest "
+                f"lists it"
+            )
+
+    from concurrent.futures import ThreadPoolExecutor  # importing it takes time
+
+    with ThreadPoolExecutor(AT_A_TIME) as pool:
+        list(pool.map(one, names))
+
+
+def note_of(folder: Path) -> Note | None:
+    """What a folder of copies is of; None for any other, whatever lies beside it: a stranger's has
+    no say in what is asked of the network."""
+    folder = folder.resolve()
+    if folder.parent.parent != _root() or not note_file(folder).is_file():
+        return None
+    try:
+        return _noted(folder)
+    except (ValueError, TypeError):  # damaged: `note` writes it again
+        return None
+
+
+def bytes_in(folder: Path) -> int:
+    """Bytes of the files in a folder, or of those that a folder of copies is of, fetched or not.
+    Raises PlaceError."""
+    there = {path.name: path.stat().st_size for path in folder.iterdir() if path.is_file()}
+    if (about := note_of(folder)) is not None:
+        there |= {
+            item.name: item.bytes
+            for item in place_of(about.place).list()
+            if item.name in about.files
+        }
+    return sum(there.values())
+
+
+def _root() -> Path:
+    return cache_root() / "scenegen" / "places"
+
+
+@lru_cache(maxsize=8)
+def _noted(folder: Path) -> Note:
+    _check(folder)
+    return Note(**json.loads(note_file(folder).read_bytes()))
+
+
+def _check(folder: Path) -> None:
+    if trouble := folder_trouble(folder):
+        raise PlaceError(
+            f"{trouble}: copies of datasets go there; see to it, or name another folder by "
+            f"SCENEGEN_CACHE"
+        )
+
+
+def _share(other: Path, folder: Path, files: Mapping[str, str]) -> None:
+    """Put into `folder` those of `files` that the folder of the note `other` holds, as links to the
+    same bytes."""
+    with contextlib.suppress(ValueError, TypeError):
+        for name, digest in Note(**json.loads(other.read_bytes())).files.items():
+            if files.get(name) == digest:
+                with contextlib.suppress(OSError):
+                    (folder / name).hardlink_to(other.with_suffix("") / name)
+
+
+def _put(path: Path, content: bytes) -> None:
+    """Have `content` be at `path`, which is written only where it is not."""
+    if path.is_file() and path.read_bytes() == content:
+        return
+    handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
+    with open(handle, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    Path(draft).replace(path)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

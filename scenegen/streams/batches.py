@@ -1,0 +1,112 @@
+"""The order in which a network reads a stream: batches of different worlds, dealt so that no unit
+is drawn twice."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from scenegen.errors import DatasetError, short
+from scenegen.limits import MOST_BATCH, MOST_WORKERS
+from scenegen.streams.place import Place
+
+if TYPE_CHECKING:
+    from scenegen.streams.stream import Stream
+
+
+class Batches(Iterator[list[int]]):
+    """Numbers of the samples in every batch of `size`; a torch batch sampler. `batches[n]` depends
+    on the stream's seed, `size`, `loaders` and n alone.
+
+    A *row* is the V samples, one after the other, of one world (see `Mixture.row`). The stream is
+    cut into blocks of `size` rows, in order; a block gives V batches, the v-th of the v-th sample
+    of each of its rows, which have an order that is drawn from the seed and the block's number. So
+    no batch holds two samples of a row, each sample comes once, and the same place in the V batches
+    of a block is always the same row: rank r of `ranks` takes every `ranks`-th place from r on, and
+    draws units that no other rank draws.
+
+    With `loaders` blocks at a time, batch n is of block n mod `loaders` among these. Torch deals
+    batches to its loader processes in just this way, so as many of them draw units that no other
+    draws; `loaders` may also be a multiple of their number.
+    """
+
+    def __init__(
+        self, stream: "Stream", size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1
+    ):
+        for name, value, least, most in (
+            ("size", size, 1, MOST_BATCH),
+            ("ranks", ranks, 1, MOST_WORKERS),
+            ("rank", rank, 0, ranks - 1 if isinstance(ranks, int) else 0),
+            ("loaders", loaders, 1, MOST_WORKERS),
+        ):
+            if type(value) is not int or not least <= value <= most:
+                raise DatasetError(
+                    f"batches of a stream: {name} = {short(value)}: expected a whole number from "
+                    f"{least} to {most}"
+                )
+        if size % ranks:
+            raise DatasetError(
+                f"batches of a stream: size = {size} does not divide among {ranks} ranks; use a "
+                f"multiple"
+            )
+        self._stream, self._size, self._rank, self._ranks, self._loaders = (
+            stream,
+            size,
+            rank,
+            ranks,
+            loaders,
+        )
+        self._row = stream.mixture.row
+        self._count = len(stream) // (self._row * size * loaders) * self._row * loaders
+        if not self._count:
+            raise DatasetError(
+                f"batches of a stream: {len(stream)} samples are fewer than one round of "
+                f"{self._row * size * loaders}; "
+                "give the stream more samples, or a smaller size"
+            )
+        place = {"stream": stream.digest[:16], "size": size, "loaders": loaders}
+        self._place = Place(place, "batches", self._count)
+
+    def __len__(self) -> int:
+        """Batches of whole rounds of `loaders` blocks; samples beyond them come in none."""
+        return self._count
+
+    def __getitem__(self, number: int) -> list[int]:
+        """Batch `number`, or this rank's part of it. Raises IndexError."""
+        if not 0 <= number < self._count:
+            raise IndexError(f"batch {short(number)} of {self._count}")
+        turn, rest = divmod(number, self._row * self._loaders)
+        view, within = divmod(rest, self._loaders)
+        block = turn * self._loaders + within
+        rng = np.random.default_rng(np.random.SeedSequence(self._stream.seed, spawn_key=(block,)))
+        rows = block * self._size + rng.permutation(self._size)[self._rank :: self._ranks]
+        return (rows * self._row + view).tolist()
+
+    def __iter__(self) -> "Batches":
+        if self._place.done == self._count:  # a pass that ended: the next begins anew
+            self._place.done = 0
+        self._stream.expect(self._from(self._place.done))
+        return self
+
+    def __next__(self) -> list[int]:
+        if self._place.done >= self._count:
+            raise StopIteration
+        batch = self[self._place.done]
+        self._place.done += 1
+        return batch
+
+    def state_dict(self) -> dict[str, Any]:
+        """How many batches came, in a few bytes that JSON takes; the same for all ranks.
+
+        Torch's loader asks for batches ahead of what it hands out: count those yourself where you
+        use one.
+        """
+        return self._place.state()
+
+    def load_state_dict(self, state: Any) -> None:
+        """Go on from there. Raises DatasetError for the state of another order."""
+        self._place.load(state)
+
+    def _from(self, number: int) -> Iterator[int]:
+        """The samples of batch `number` and all that follow."""
+        return (index for n in range(number, self._count) for index in self[n])

@@ -1,0 +1,295 @@
+"""A dataset without a disk and without an end: sample i is drawn when it is asked for, or ahead of
+that."""
+
+import hashlib
+import json
+import multiprocessing
+import operator
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from scenegen.errors import DatasetError, short
+from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
+from scenegen.sample import Sample, describe_fields
+from scenegen.streams.ahead import Ahead
+from scenegen.streams.batches import Batches
+from scenegen.streams.cache import Cache
+from scenegen.streams.component import Component, component_of
+from scenegen.streams.mixture import Mixture, parts_of
+from scenegen.streams.place import Place
+from scenegen.streams.record import pack, record_type, unpack
+
+KEPT_BYTES = 256 << 20
+"""Packed units that a process keeps in memory, those asked for last; with default maps, these are
+some 2500."""
+AHEAD = 4
+"""Units for each worker process that are made before they are asked for."""
+
+Unit = tuple[bytes, ...]
+"""The records of a unit's samples."""
+
+
+class Stream(Sequence[Sample]):
+    """Samples by number. `stream[i]` depends on what is drawn, the seed, the split and i alone.
+
+    The first n samples of a stream of one part are those of the dataset with its seed and split,
+    bit for bit; those of a mixture's part are, by themselves, those of that part's dataset.
+    Distances (`tudf`) are derived when accessed.
+
+    Plain `torch.utils.data` conventions hold: `len`, `[i]`, `__getitems__`, and any process, forked
+    or spawned, that it is handed to draws for itself. In one process, one thread at a time may use
+    it.
+    """
+
+    def __init__(
+        self,
+        mixture: Mixture,
+        *,
+        seed: int,
+        split: str,
+        samples: int,
+        workers: int,
+        cache: Path | str | None,
+    ):
+        self.seed, self.split = _whole("seed", seed, 0, MOST_SEED), split
+        self.workers = _whole("workers", workers, 0, MOST_WORKERS)
+        self.mixture = mixture
+        self._samples = _whole("samples", samples, 1, MOST_SAMPLES)
+        parts = [
+            {"drawn": part.described(software=False), "units": units}
+            for part, units in zip(mixture.components, mixture.units, strict=True)
+        ]
+        self.digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+        """What tells this stream from all others that give other samples, or in another order."""
+        self.grid, self.lidar = (
+            mixture.components[0].recipe.grid,
+            mixture.components[0].recipe.lidar,
+        )
+        self.kind = "+".join(part.recipe.kind for part in mixture.components)
+        self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
+        self.mapping = mixture.components[0].recipe.mapping
+        self.noises = tuple(
+            dict.fromkeys(part.recipe.noise.spelled() for part in mixture.components)
+        )
+        """That of every part, as manifests spell it."""
+        self._record = record_type(self.grid, self.lidar, self.mapping.scans)
+        caches = (
+            ()
+            if cache is None
+            else tuple(self._cache(Path(cache), part) for part in mixture.components)
+        )
+        self._make = Maker(mixture, caches, self._record)
+        self._units: dict[int, Unit] = {}
+        self._coming: Iterator[int] | None = None
+        self._ahead: Ahead[int, Unit] | None = None
+        self._forget()
+
+    def __len__(self) -> int:
+        return self._samples
+
+    @overload
+    def __getitem__(self, index: int) -> Sample: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Sample]: ...
+    def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
+        if isinstance(index, slice):
+            return self.__getitems__(range(*index.indices(len(self))))
+        return self.__getitems__([index])[0]
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
+        """Several samples, as torch asks for a batch: their units are made by all workers at
+        once."""
+        places = [self.mixture.place(self._checked(index)) for index in indices]
+        self._prepare(dict.fromkeys(slot for slot, _ in places))
+        return [
+            unpack(self._unit(slot)[view], self._record, self.grid, self.lidar)
+            for slot, view in places
+        ]
+
+    def __iter__(self) -> "Reader":
+        return Reader(self)
+
+    def batches(self, size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1) -> Batches:
+        """Which samples each of many batches takes: see `Batches`. Raises DatasetError."""
+        return Batches(self, size, rank=rank, ranks=ranks, loaders=loaders)
+
+    def part(self, index: int) -> tuple[int, int]:
+        """(which part of the mixture sample `index` is of, from 0; its number in that part's
+        dataset)."""
+        slot, view = self.mixture.place(self._checked(index))
+        part, unit = self.mixture.unit(slot)
+        return part, unit * self.mixture.components[part].viewpoints + view
+
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
+        return describe_fields(self.grid, self.lidar, scans=self.mapping.scans)
+
+    def expect(self, indices: Iterable[int]) -> None:
+        """Say which samples will be asked for next, in this order: workers then make these ahead of
+        need."""
+        self._coming = (self.mixture.place(index)[0] for index in indices)
+
+    def close(self) -> None:
+        """End the worker processes; what is asked for later begins new ones."""
+        if self._ahead is not None:
+            self._ahead.close()
+        self._ahead = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_units": {}, "_ahead": None, "_coming": None}
+
+    def _cache(self, folder: Path, part: Component) -> Cache:
+        """Where a part's units are kept. Raises DatasetError where that cannot be."""
+        if folder.exists() and not folder.is_dir():
+            raise DatasetError(
+                f"{folder}: is a file, expected a folder for the cache; choose another one"
+            )
+        most = part.viewpoints * (2 * self._record.itemsize + 1024)
+        return Cache(folder, part.fingerprint(software=True), part.split, most)
+
+    def _checked(self, index: int) -> int:
+        """A number of a sample. Raises TypeError and IndexError."""
+        try:
+            number = operator.index(index)
+        except TypeError:
+            raise TypeError(
+                f"{self.name}: sample {short(index)}: expected a whole number"
+            ) from None
+        if not 0 <= number < len(self):
+            raise IndexError(f"{self.name}: sample {short(number)}: expected 0 to {len(self) - 1}")
+        return number
+
+    def _forget(self) -> None:
+        """Begin anew, as a process of its own."""
+        self._units, self._coming, self._ahead = {}, None, None
+        self._bytes, self._last = 0, -1
+        self._process = os.getpid()
+
+    def _prepare(self, slots: Iterable[int]) -> None:
+        """Have workers make the units of `slots` that are not there, and then those that come
+        next."""
+        if (
+            self._process != os.getpid()
+        ):  # a fork, which has neither the workers nor a claim to them
+            self._forget()
+        if (
+            not self.workers or multiprocessing.current_process().daemon
+        ):  # which may have no processes of its own
+            return
+        if self._ahead is None:
+            self._ahead = Ahead(self._make, self.workers)
+        self._ahead.collect()
+        asked = list(slots)
+        missing = [slot for slot in asked if slot not in self._units]
+        for slot in missing:
+            self._ahead.give(slot)
+        room = AHEAD * self.workers + 2 * len(missing) - self._ahead.under_way
+        coming = self._following(asked)
+        while room > 0 and (later := next(coming, None)) is not None:
+            if later not in self._units and later not in self._ahead:
+                self._ahead.give(later)
+                room -= 1
+
+    def _following(self, asked: Sequence[int]) -> Iterator[int]:
+        """Slots that will be asked for after `asked`: those said to come, else, where all are in
+        order, the next."""
+        in_order = 0 <= min(asked, default=0) - self._last <= 1
+        self._last = max(asked, default=self._last)
+        if self._coming is not None:
+            return self._coming
+        return iter(
+            range(self._last + 1, self.mixture.place(len(self) - 1)[0] + 1) if in_order else ()
+        )
+
+    def _unit(self, slot: int) -> Unit:
+        """A unit's records, which are then those asked for last."""
+        unit = self._units.pop(slot, None)
+        if unit is None:
+            unit = self._make(slot) if self._ahead is None else self._ahead.take(slot)
+            self._bytes += sum(map(len, unit))
+        self._units[slot] = unit
+        while self._bytes > KEPT_BYTES and len(self._units) > 1:
+            self._bytes -= sum(map(len, self._units.pop(next(iter(self._units)))))
+        return unit
+
+
+@dataclass(frozen=True)
+class Maker:
+    """Makes a unit, in whatever process: from the cache, where there is one, or drawn."""
+
+    mixture: Mixture
+    caches: tuple[Cache, ...]
+    """That of each part, or none."""
+    record: np.dtype
+
+    def __call__(self, slot: int) -> Unit:
+        """The unit of a slot. Raises GenerationError, and DatasetError where the cache's disk
+        refuses."""
+        part, unit = self.mixture.unit(slot)
+
+        def drawn() -> Unit:
+            return tuple(
+                pack(sample, self.record)
+                for sample in self.mixture.components[part].draw(unit).samples
+            )
+
+        return self.caches[part].unit(unit, drawn) if self.caches else drawn()
+
+
+class Reader(Iterator[Sample]):
+    """A stream's samples in order, from 0 or from where a state says."""
+
+    def __init__(self, stream: Stream):
+        self._stream = stream
+        self._place = Place({"stream": stream.digest[:16]}, "samples", len(stream))
+
+    def __next__(self) -> Sample:
+        if self._place.done >= len(self._stream):
+            raise StopIteration
+        sample = self._stream[self._place.done]
+        self._place.done += 1
+        return sample
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where it is, in a few bytes that JSON takes."""
+        return self._place.state()
+
+    def load_state_dict(self, state: Any) -> None:
+        """Go on from there. Raises DatasetError for the state of another stream."""
+        self._place.load(state)
+
+
+def stream_of(
+    worlds: Any,
+    *,
+    seed: int,
+    split: str,
+    samples: int,
+    workers: int,
+    cache: Path | str | None,
+    engine: str,
+) -> Stream:
+    """See `scenegen.stream`."""
+    seed = _whole("seed", seed, 0, MOST_SEED)
+    parts = parts_of(worlds)
+    components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
+    mixture = Mixture(components, [weight for _, weight in parts])
+    return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers, cache=cache)
+
+
+def _whole(name: str, value: Any, least: int, most: int) -> int:
+    """`value` as a number of Python's. Raises DatasetError."""
+    if (
+        not isinstance(value, int | np.integer)
+        or isinstance(value, bool)
+        or not least <= value <= most
+    ):
+        raise DatasetError(
+            f"stream: {name} = {short(value)}: expected a whole number from {least} to {most}"
+        )
+    return int(value)

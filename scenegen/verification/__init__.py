@@ -1,0 +1,7 @@
+"""Check a dataset folder against docs/format.md: docs/verify.md says what each check proves, and
+what it cannot see."""
+
+from scenegen.verification.folder import verify
+from scenegen.verification.report import Outcome, Report
+
+__all__ = ["Outcome", "Report", "verify"]

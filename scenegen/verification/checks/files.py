@@ -1,0 +1,151 @@
+"""Checks of the manifest, and of files as a whole: can they be read, and are they what the manifest
+lists?"""
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+
+from scenegen.dataset import manifest
+from scenegen.verification.check import Check
+from scenegen.verification.contract import Contract
+from scenegen.verification.report import Page
+from scenegen.verification.stages import Shard, SignedFile, Worlds
+
+
+def _written_for_these_parameters(shard: Shard, page: Page) -> None:
+    page.kept.append(shard.rejected)
+    page.expect(
+        shard.file.attributes["parameters"] == shard.task.contract.fingerprint,
+        f"{shard.task.entry.file}: was written for other parameters than the manifest's: one of "
+        f"the two was edited, or "
+        "the shard is another dataset's",
+    )
+
+
+def _rejections_add_up(contract: Contract, page: Page) -> None:
+    if len(page.kept) < len(contract.shards):
+        return  # a shard could not be read: a fault of another check
+    for what in ("worlds", "viewpoints"):
+        total: Counter[str] = Counter()
+        for rejected in page.kept:
+            total.update(rejected[what])
+        page.expect(
+            dict(total) == contract.rejected[what],
+            f"{manifest.NAME}: rejected.{what} = {contract.rejected[what]}, the shards count "
+            f"{dict(total)}",
+        )
+
+
+MANIFEST = Check(
+    name="manifest",
+    proves="Every value in `dataset.json` has the type and bounds of the format; its shards have "
+    "plain names, follow "
+    "in order, hold what `counts` asks for, were written for its parameters and reject what it "
+    "says; no other `.h5` "
+    "or `.zip` file lies in the folder.",
+    quick=True,
+    shard=_written_for_these_parameters,
+    folder=_rejections_add_up,
+)
+"""`read_contract` examines the manifest itself, before all else."""
+
+
+EXAMINED = Check(
+    name="examined",
+    proves="Every shard could be examined to the end, within its limits of time and memory.",
+    quick=True,
+)
+"""`verify` counts, and writes the faults: it sees the processes end."""
+
+
+def _same_sum(signed: SignedFile, page: Page) -> None:
+    signed.file.seek(0)
+    found = hashlib.file_digest(signed.file, "sha256").hexdigest()
+    page.count(files=1)
+    page.expect(
+        found == signed.sha256,
+        f"{signed.name}: SHA-256 {found[:16]}…, the manifest lists {signed.sha256[:16]}…",
+    )
+
+
+CHECKSUMS = Check(
+    name="checksums",
+    proves="Every shard and every archive has the SHA-256 that the manifest lists.",
+    quick=True,
+    file=_same_sum,
+)
+
+
+LAYOUT = Check(
+    name="layout",
+    proves="A shard holds the fields of the format and nothing else, in their types and shapes: "
+    "hard links alone, no "
+    "data in other files, no filter but gzip, shuffle and fletcher32, one chunk a sample, no byte "
+    "between; every "
+    "chunk unpacks to just its size (with `--quick`, every chunk but those of `tudf` and `free`).",
+    quick=True,
+)
+"""The walk over a shard writes the faults: opening the file and unpacking its samples is the
+examination."""
+
+
+def _expected_worlds(worlds: Worlds, page: Page) -> None:
+    task, there = worlds.task, sorted(worlds.archive.documents)
+    expected = list(
+        task.contract.numbering(task.entry.split).worlds(task.start, task.stop - task.start)
+    )
+    if task.cut:  # the shard's samples say which, see below
+        expected = [number for number in there if number in set(expected)] or expected
+    page.expect(
+        there == expected,
+        f"{task.entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}",
+    )
+    page.expect(
+        task.entry.first_world == expected[0],
+        f"{task.entry.file}: first_world = {task.entry.first_world}, its samples begin with "
+        f"{expected[0]}",
+    )
+    if task.contract.scenes is None:
+        return
+    listed = task.contract.scenes[task.entry.split]
+    for number in worlds.archive.documents:
+        document, assets = worlds.archive.world(number)
+        digest = hashlib.sha256(document)
+        for name, content in sorted(assets.items()):
+            digest.update(name.encode() + hashlib.sha256(content).digest())
+        page.expect(
+            digest.hexdigest() == (listed[number].get("sha256") if number < len(listed) else None),
+            f"{task.entry.worlds}: {number:06d}.xml is not the world that the manifest's "
+            f"recipe.scenes names",
+        )
+
+
+def _worlds_of_samples(shard: Shard, page: Page) -> None:
+    if not shard.task.cut or shard.worlds is None:
+        return
+    there, found = (
+        sorted(shard.worlds.archive.documents),
+        sorted(set(shard.file.column("world").tolist())),
+    )
+    name = shard.task.entry.worlds
+    page.expect(
+        there == found, f"{name}: holds worlds {_spans(there)}, its samples are of {_spans(found)}"
+    )
+
+
+def _spans(numbers: Sequence[int]) -> str:
+    return f"{numbers[0]} to {numbers[-1]} ({len(numbers)})" if numbers else "none"
+
+
+ARCHIVES = Check(
+    name="archives",
+    proves="An archive has plain member names, bounded sizes and self-contained MJCF, and holds "
+    "just the worlds of "
+    "its shard's samples; worlds from your own MJCF are those that the recipe names.",
+    quick=True,
+    archive=_expected_worlds,
+    shard=_worlds_of_samples,
+)
+"""The walk over a shard adds the faults of an archive that cannot be read."""
+
+CHECKS = (MANIFEST, EXAMINED, CHECKSUMS, LAYOUT, ARCHIVES)

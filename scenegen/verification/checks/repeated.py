@@ -1,0 +1,190 @@
+"""Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way
+from the seed."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from lidarsim import Pose, Scan
+from lidarsim.engines import ENGINES
+from scenegen.draw import scans_from
+from scenegen.errors import GenerationError
+from scenegen.sample import FIELDS
+from scenegen.verification.check import Check
+from scenegen.verification.rays import audit, disagrees
+from scenegen.verification.regenerate import regenerate
+from scenegen.verification.report import BrokenError, Page
+from scenegen.verification.stages import Sample, Shard, Worlds
+from scenegen.worlds.noise import with_noise
+
+
+def _cast_again(sample: Sample, page: Page) -> None:
+    solids, worlds = sample.solids, sample.shard.worlds
+    if solids is None or worlds is None or sample.row not in sample.shard.audited:
+        return
+    lidar, scans = sample.contract.lidar, sample.scans
+    if sample.contract.noise is not None:
+        if sample.shard.task.not_scanned:
+            page.skipped = f"the noise cannot be made again, {sample.shard.task.not_scanned}"
+            return
+        scans = _scanned_again(sample, worlds, page)
+    page.count(samples=1)
+    for number, scan in enumerate(scans):
+        rays, found, gap = audit(
+            scan.ranges,
+            scan.pose.position,
+            scan.pose.quaternion,
+            worlds.auditor(sample.world),
+            lidar,
+            solids=len(solids.shape) + len(solids.triangles),
+            rng=sample.shard.rng,
+        )
+        wrong = disagrees(gap, found, lidar.max_range_m)
+        page.count(rays=len(rays))
+        page.note_greatest("greatest difference in m", float(gap[~wrong].max(initial=0.0)))
+        if wrong.any():
+            n = int(np.flatnonzero(wrong)[np.argmax(gap[wrong])])
+            ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
+            which = f", earlier scan {number}" if number else ""
+            page.fault(
+                f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; "
+                f"ray {ray} has "
+                f"{scan.ranges[ray]} m, the solids of world {sample.world} are {found[n]:.7g} m "
+                f"away"
+            )
+
+
+def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
+    """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
+    stored ones. Raises BrokenError."""
+    task, contract = sample.shard.task, sample.contract
+    world, engine = worlds.made(sample.world)
+    unit, view = divmod(sample.shard.places[sample.row], contract.viewpoints)
+    try:
+        clean = scans_from([scan.pose for scan in sample.scans], engine, contract.recipe)
+        seen = with_noise(
+            clean,
+            contract.recipe.noise,
+            world,
+            engine,
+            seed=contract.seed,
+            split=task.entry.split,
+            unit=unit,
+            view=view,
+        )
+    except (GenerationError, ValueError) as error:
+        raise BrokenError(f"{sample.where}: cannot be scanned again: {error}") from None
+    wrong = sum(
+        np.count_nonzero(again.ranges.view("<u4") != stored.ranges.view("<u4"))
+        for again, stored in zip(seen, sample.scans, strict=True)
+    )
+    page.expect(
+        not wrong,
+        f"{sample.where}: {wrong} ranges are not what its noise {contract.recipe.noise} gives",
+    )
+    return clean
+
+
+def _fly_again(shard: Shard, page: Page) -> None:
+    task = shard.task
+    if shard.worlds is None:
+        return
+    contract = task.contract
+    foreign = contract.engine not in ENGINES.known or not contract.noise_is_ours
+    if foreign or not (
+        contract.drawn or contract.scenes is not None or contract.rescan is not None
+    ):
+        page.skipped = task.not_comparable
+        return
+    rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number, 1)))
+    try:
+        flights = _flights(shard)
+        if not flights:
+            page.skipped = "no flight of the samples that were taken is whole from its beginning"
+            return
+        _compare_flight(shard, *flights[int(rng.permutation(len(flights))[0])], page)
+    except BrokenError as error:
+        page.fault(str(error))
+    if task.not_comparable:
+        page.excuse(
+            f"not comparable, {task.not_comparable}: what comes out otherwise here is no fault"
+        )
+
+
+def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
+    """Units of which the shard has samples, and (row, view) of these; where the dataset was scanned
+    again, those alone of which it has the first views in a row, for the noise of a view depends on
+    its number. Raises BrokenError."""
+    task = shard.task
+    found: dict[int, list[tuple[int, int]]] = {}
+    for row, place in enumerate(shard.places):
+        unit, view = divmod(place, task.contract.viewpoints)
+        found.setdefault(unit, []).append((row, view))
+    again = task.contract.rescan is not None
+    return [
+        (unit, views)
+        for unit, views in found.items()
+        if not again or all(view == n for n, (_, view) in enumerate(views))
+    ]
+
+
+def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], page: Page) -> None:
+    """Fly a unit again, and compare its world and those of its samples that are there, (row, view),
+    bit for bit."""
+    task = shard.task
+    assert shard.worlds is not None
+    archive = shard.worlds.archive
+
+    def poses() -> list[list[Pose]]:
+        try:
+            return [
+                [
+                    Pose(*pose)
+                    for pose in task.contract.of_scans(
+                        partial(shard.file.value, row=row), "position", "quaternion"
+                    )
+                ]
+                for row, _ in views
+            ]
+        except ValueError as error:
+            raise BrokenError(f"{task.entry.file}: {error}") from None
+
+    again = regenerate(task.contract, archive, task.entry.split, unit, poses)
+    page.count(worlds=1)
+    page.expect(
+        archive.documents.get(again.number) == again.world.mjcf,
+        f"{task.entry.worlds}: {again.number:06d}.xml is not the world that the seed gives",
+    )
+    for row, view in views:
+        page.count(samples=1)
+        for name in task.contract.fields:
+            expected = np.asarray(getattr(again.samples[view], name), dtype=FIELDS[name]["dtype"])
+            if not page.expect(
+                shard.file.value(name, row).tobytes() == expected.tobytes(),
+                f"{task.entry.file}: sample {row}: {name} is not what the seed gives",
+            ):
+                break
+
+
+CHECKS = (
+    Check(
+        name="rays",
+        proves="The ranges of 5 % of the samples (of 8 a shard at least), of all their scans, are "
+        "those that another "
+        "engine finds: for MuJoCo's the analytic one, with closed forms for primitives and the "
+        "triangles of meshes and "
+        "height fields, for all others MuJoCo's; with noise, those of the clean scan are, of "
+        "which the same noise "
+        "makes the stored ones; the directions of a raster are computed anew from "
+        "[sensor.md](sensor.md).",
+        sample=_cast_again,
+    ),
+    Check(
+        name="regenerated",
+        proves="One flight a shard, flown again from recipe and seed (or, in a dataset scanned "
+        "again, scanned from its "
+        "stored poses), gives the same world and the same samples, bit for bit.",
+        shard=_fly_again,
+    ),
+)

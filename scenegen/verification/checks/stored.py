@@ -1,0 +1,245 @@
+"""Checks of what is stored in each sample, which need next to no computing."""
+
+import hashlib
+import math
+
+import numpy as np
+
+from lidarsim.engines import DEFAULT
+from scenegen import SPLITS
+from scenegen.dataset import manifest
+from scenegen.dataset.trust import Manifest
+from scenegen.verification.check import Check
+from scenegen.verification.contract import Contract
+from scenegen.verification.report import BrokenError, Page
+from scenegen.verification.stages import Sample
+from scenegen.verification.strays import count_strays
+
+DIGESTED = (
+    "observed",
+    "occupancy",
+    "ranges",
+    "position",
+    "quaternion",
+    "origin",
+    "world",
+    "viewpoint",
+)
+"""What a sample's digest covers, in order: written anew from docs/format.md."""
+EARLIER = ("earlier_ranges", "earlier_position", "earlier_quaternion")
+"""What the digest of one of several scans covers besides, after the digest without."""
+LABELLED = ("return_geom", "return_class", "voxel_geom", "voxel_class")
+"""What the digest of one with labels covers besides, after the digest without them."""
+LEAN = 1e-9
+"""What rounding may add to a body's lean, as a cosine."""
+
+
+def _own_digest(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    content = b"".join(sample.packed.get(name, sample.fields[name]).tobytes() for name in DIGESTED)
+    digest = hashlib.sha256(content).digest()
+    for names in (EARLIER, LABELLED):
+        if names[0] in sample.fields:
+            digest = hashlib.sha256(
+                digest + b"".join(sample.fields[name].tobytes() for name in names)
+            ).digest()
+    if not page.kept:  # once a shard: there may be millions of samples
+        page.kept.append((sample.shard.places, bytearray()))
+    page.kept[0][1].extend(digest)
+    page.expect(
+        digest == sample.own_digest,
+        f"{sample.where}: its content does not have the digest stored beside it",
+    )
+
+
+def _whole_digest(contract: Contract, page: Page) -> None:
+    found = hashlib.sha256(b"".join(digests for _, digests in page.kept)).hexdigest()
+    page.expect(
+        contract.digest in (None, found),
+        f"{manifest.NAME}: digest {str(contract.digest)[:16]}…, the samples' is {found[:16]}…",
+    )
+    if len(page.kept) == len(
+        contract.shards
+    ):  # else one could not be read: a fault of another check
+        for number, source in enumerate(contract.sources):
+            _digest_of_source(contract, page, number, source)
+
+
+def _digest_of_source(contract: Contract, page: Page, number: int, source: Manifest) -> None:
+    """Hold the digest that the manifest names for a source against its samples', if all are
+    there."""
+    total, whole = hashlib.sha256(), True
+    for split in SPLITS:
+        kept = [
+            one
+            for one, entry in zip(page.kept, contract.shards, strict=True)
+            if (entry.split, getattr(entry, "source", 0)) == (split, number)
+        ]
+        places = np.concatenate([np.empty(0, np.int64), *(np.array(places) for places, _ in kept)])
+        digests = np.frombuffer(b"".join(own for _, own in kept), np.uint8).reshape(-1, 32)
+        if len(digests) != len(places):
+            return  # a sample could not be read
+        order = np.argsort(places)
+        total.update(digests[order].tobytes())
+        whole &= np.array_equal(places[order], np.arange(source.counts[split]))
+        twice = len(places) - len(np.unique(places))
+        page.expect(
+            not twice,
+            f"{manifest.NAME}: {twice} samples of sources.{number}, {split}, are there twice",
+        )
+    if whole:
+        page.count(sources=1)
+        page.expect(
+            source.digest == total.hexdigest(),
+            f"{manifest.NAME}: sources.{number}.digest {str(source.digest)[:16]}…, its samples' is "
+            f"{total.hexdigest()[:16]}…",
+        )
+    else:
+        why = "only a part of their samples is there"
+        page.counts[f"sources whose digest cannot be checked, for {why}"] += 1
+
+
+def _numbered(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    task, found = sample.shard.task, (sample.world, int(sample.fields["viewpoint"]))
+    places, row = sample.shard.places, sample.row
+    expected = sample.contract.numbering(task.entry.split).name(places[row])
+    page.expect(
+        found == expected,
+        f"{sample.where}: is world {found[0]}, viewpoint {found[1]}, expected {expected}",
+    )
+    least = places[row - 1] + 1 if row else task.start
+    page.expect(
+        least <= places[row] < task.stop,
+        f"{sample.where}: stood at {places[row]} in its split, expected {least} to {task.stop - 1}",
+    )
+
+
+def _centred(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    mapping, grid, fields = sample.contract.mapping, sample.contract.grid, sample.fields
+    attitudes = np.concatenate(
+        [fields["quaternion"][None], fields.get("earlier_quaternion", np.empty((0, 4)))]
+    )
+    for length in np.sqrt((attitudes**2).sum(axis=1)).tolist():
+        page.expect(
+            abs(length - 1) <= 1e-9, f"{sample.where}: quaternion has length {length:g}, expected 1"
+        )
+    if mapping.tilt_mps:
+        upright = 1 - 2 * (attitudes[:, 1] ** 2 + attitudes[:, 2] ** 2)
+        most = f"mapping.most_tilt_deg = {mapping.most_tilt_deg:g}"
+        lawful = bool((upright >= math.cos(math.radians(mapping.most_tilt_deg)) - LEAN).all())
+        page.expect(lawful, f"{sample.where}: a body leans by more than {most}")
+    try:  # the sensor's own place is enough where the map is about it
+        here = (
+            grid.origin_at(fields["position"])
+            if mapping.centred
+            else mapping.origin(grid, sample.scans[0].pose)
+        )
+    except ValueError as error:
+        raise BrokenError(f"{sample.where}: {error}") from None
+    off = float(np.abs(fields["origin"] - here).max())
+    place = "position" if mapping.centred else "position, moved by mapping.map_ahead_m,"
+    page.expect(
+        off == 0.0, f"{sample.where}: origin is {off:.3g} m from {place} less half the grid"
+    )
+
+
+def _lawful(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    most, wrong = sample.contract.lidar.max_range_m, 0
+    for name in ("ranges", "earlier_ranges"):
+        ranges = sample.fields.get(name, np.empty(0, np.float32))
+        wrong += int(
+            (~((ranges >= 0) & ((ranges <= np.float32(most)) | np.isposinf(ranges)))).sum()
+        )
+    page.expect(not wrong, f"{sample.where}: {wrong} ranges are not from 0 to {most:g} m, or inf")
+    noise = sample.contract.noise
+    if noise is None:
+        stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
+        page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
+    elif noise["bound_m"] is not None:
+        fields, grid, bound = sample.fields, sample.contract.grid, noise["bound_m"]
+        points = np.concatenate([scan.points() for scan in sample.scans])
+        stray = count_strays(points, fields["occupancy"], grid, fields["origin"], bound)
+        page.expect(
+            not stray,
+            f"{sample.where}: {stray} returns lie more than {bound:g} m from what is occupied",
+        )
+    if "free" in sample.fields:
+        both = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
+        page.expect(not both, f"{sample.where}: {both} voxels are both free and observed")
+
+
+def _labelled(sample: Sample, page: Page) -> None:
+    page.count(samples=1)
+    assert sample.contract.labels is not None
+    there = {"voxel": sample.fields["occupancy"], "return": np.isfinite(sample.fields["ranges"])}
+    for what, known in there.items():
+        exact = sample.contract.noise is None and sample.contract.engine == DEFAULT
+        geoms, classes = sample.fields[f"{what}_geom"], sample.fields[f"{what}_class"]
+        if what == "voxel":
+            wrong = np.count_nonzero((geoms >= 0) != known)
+            page.expect(
+                not wrong,
+                f"{sample.where}: {wrong} voxels have a geom and are not occupied, or the reverse",
+            )
+        else:  # noise may tell of a return where the ray itself met nothing
+            wrong = np.count_nonzero((geoms >= 0) > known)
+            wrong += np.count_nonzero((geoms < 0) & known) if exact else 0
+            page.expect(
+                not wrong, f"{sample.where}: {wrong} rays have a geom and no return, or the reverse"
+            )
+        wrong = np.count_nonzero((classes > 0) != (geoms >= 0)) + np.count_nonzero(
+            classes >= len(sample.contract.labels["classes"])
+        )
+        page.expect(
+            not wrong, f"{sample.where}: {wrong} values of {what}_class are no class of a geom"
+        )
+
+
+CHECKS = (
+    Check(
+        name="digest",
+        proves="Each sample has the digest that is stored beside it, and the dataset has the "
+        "digest of all its "
+        "samples; so has every dataset whose samples it gathers, if all of them are here.",
+        quick=True,
+        sample=_own_digest,
+        folder=_whole_digest,
+    ),
+    Check(
+        name="names",
+        proves="World and viewpoint of every sample are numbered as the format says.",
+        quick=True,
+        sample=_numbered,
+    ),
+    Check(
+        name="centred",
+        proves="`origin` is `position` less half the grid (where the map lies ahead, moved so "
+        "first), to the bit; "
+        "quaternions have length 1, and no body leans further than `mapping` allows.",
+        quick=True,
+        sample=_centred,
+    ),
+    Check(
+        name="laws",
+        proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is "
+        "occupied (with "
+        "noise: every return lies within the noise's bound of an occupied voxel, if it has a "
+        "bound), and no voxel is "
+        "both free and observed (this last without `--quick`, where `free` is stored).",
+        quick=True,
+        sample=_lawful,
+    ),
+    Check(
+        name="labels",
+        proves="In a dataset with labels, the voxels that have a geom are those that are "
+        "occupied, and the rays that "
+        "have one those that returned (with noise: no other ray has one); a class is there where "
+        "a geom is.",
+        quick=True,
+        field="voxel_geom",
+        sample=_labelled,
+    ),
+)

@@ -1,0 +1,147 @@
+"""The manifest, taken at its word only after every value in it has been checked."""
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from scenegen import SPLITS
+from scenegen.dataset import manifest, trust
+from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
+from scenegen.errors import DatasetError, printable, short
+from scenegen.recipes import find_kind
+from scenegen.verification.report import BrokenError, Ledger, Page
+
+
+class Contract(Manifest):
+    """What the manifest promises."""
+
+    @property
+    def viewpoints(self) -> int:
+        """Samples of one flight."""
+        return self.recipe.flight.viewpoints
+
+    @property
+    def homes(self) -> list["Contract"]:
+        """What its samples were made for: its `sources`, or this dataset."""
+        return [one for one in self.sources if isinstance(one, Contract)] or [self]
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """Place of every shard's first sample within the split of the dataset that it was made
+        for."""
+        total = dict.fromkeys(SPLITS, 0)
+        found = []
+        for entry in self.shards:
+            found.append(entry.start if isinstance(entry, GatheredEntry) else total[entry.split])
+            total[entry.split] += entry.samples
+        return tuple(found)
+
+    def of_scans(self, stored: Callable[[str], Any], *names: str) -> Iterable[tuple[Any, ...]]:
+        """The fields `names` of each scan of a sample whose fields are `stored`: its own, and those
+        before it."""
+        columns = [[stored(name)] for name in names]
+        if self.mapping.scans > 1:
+            columns = [
+                [*own, *stored(f"earlier_{name}")] for own, name in zip(columns, names, strict=True)
+            ]
+        return zip(*columns, strict=True)
+
+
+def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Contract | None:
+    """The contract of the dataset in `folder`; faults go to the ledger's `manifest`, None where it
+    cannot be read on.
+
+    `kind` names a user's own kind whose module may be imported. Raises DatasetError where the
+    folder holds no dataset at all, or one of another kind than that.
+    """
+    given = manifest.read(folder)
+    if kind is not None:
+        _check_named(kind, given.get("kind"))
+    contract = None
+    with ledger.checking("manifest") as page:
+        page.count(files=1)
+        try:
+            parsed = trust.parse(given, folder, kind)
+            sources = tuple(Contract(**vars(one)) for one in parsed.sources)
+            found = Contract(**{**vars(parsed), "sources": sources})
+            for home in found.homes:
+                if home.kind == "scene" and home.scenes is None:
+                    raise BrokenError("recipe.scenes = None: expected the worlds of each split")
+                home.recipe  # noqa: B018 (spelled out now, so that what is wrong with it is found here)
+        except BrokenError as error:
+            raise BrokenError(f"{manifest.NAME}: {error}") from None
+        _check_shards(found, page)
+        contract = found
+    return contract
+
+
+def _check_named(kind: str, there: Any) -> None:
+    """Raise DatasetError unless the user's own `kind` is the manifest's, and can be imported."""
+    if kind != there:
+        raise DatasetError(
+            f"--kind {kind}: the dataset's kind is {short(there)}; leave --kind out, or give that"
+        )
+    try:
+        find_kind(kind)
+    except ValueError as error:
+        raise DatasetError(f"--kind: {error}") from None
+
+
+def _check_shards(contract: Contract, page: Page) -> None:
+    """Whether the shards listed are those that the counts ask for, in order, and no other lies in
+    the folder."""
+    where = manifest.NAME
+    page.expect(
+        contract.complete, f"{where}: complete is false: give the command that made it again"
+    )
+    page.expect(
+        (contract.digest is not None) == contract.complete,
+        f"{where}: digest = {contract.digest}: expected one exactly where complete is true",
+    )
+    order = [SPLITS.index(entry.split) for entry in contract.shards]
+    page.expect(order == sorted(order), f"{where}: shards are not in the order train, val, test")
+    for split in SPLITS:
+        entries = [entry for entry in contract.shards if entry.split == split]
+        total = sum(entry.samples for entry in entries)
+        asked = contract.counts[split]
+        whole = contract.complete
+        page.expect(
+            total == asked if whole else total <= asked,
+            f"{where}: counts.{split} = {asked}, but its shards hold {total} samples",
+        )
+        for number, entry in enumerate(entries):
+            scenes = contract.home(entry).scenes
+            if scenes is not None and not scenes.get(split):
+                raise BrokenError(
+                    f"{where}: recipe.scenes names no world for {split}, which has samples"
+                )
+            _check_name(entry, number if whole else None, page)
+            full = (
+                bool(contract.sources)
+                or number == len(entries) - 1
+                or entry.samples % contract.viewpoints == 0
+            )
+            page.expect(
+                full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut"
+            )
+    listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
+    files = {path.name for path in contract.folder.iterdir() if path.suffix in (".h5", ".zip")}
+    others = printable(", ".join(sorted(files - listed)[:3]))
+    page.expect(not others, f"{others}: in the folder, but {where} does not list it")
+
+
+def _check_name(entry: Entry, number: int | None, page: Page) -> None:
+    """File names are plain, and number the shards. Raises BrokenError for one that leaves the
+    folder."""
+    match = re.fullmatch(rf"{entry.split}-(\d{{5}})", entry.file.removesuffix(".h5"))
+    if not match or entry.file != f"{match[0]}.h5" or entry.worlds != f"{match[0]}.worlds.zip":
+        raise BrokenError(
+            f"{manifest.NAME}: shard files {short(entry.file)}, {short(entry.worlds)}: expected "
+            f"{entry.split}-00000.h5, {entry.split}-00000.worlds.zip and so on"
+        )
+    if number is not None:
+        page.expect(
+            int(match[1]) == number,
+            f"{manifest.NAME}: {entry.file} stands where {entry.split}-{number:05d}.h5 is expected",
+        )

@@ -1,0 +1,1 @@
+"""Worlds: what an MJCF document holds, where one may fly in it, and what stands where."""

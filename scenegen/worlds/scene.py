@@ -1,0 +1,180 @@
+"""A world from an MJCF file of anybody's, read where it can do no harm, and made self-contained."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from lidarsim.solids.model import solids_of, visible_geoms
+from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
+from scenegen.errors import BrokenError, SceneError, printable
+from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
+from scenegen.worlds.drawing import least_memory
+from scenegen.worlds.flatten import flatten
+from scenegen.worlds.geometry import geometry_digest
+from scenegen.worlds.parts import look_over
+from scenegen.worlds.quiet import quiet_mujoco
+from scenegen.worlds.screen import screen
+from scenegen.worlds.world import compile_world
+
+MOST_MOVED = 1e-6
+"""How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
+as much again: what float32 vertices keep."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One MJCF file, made self-contained."""
+
+    name: str
+    mjcf: bytes
+    assets: Mapping[str, bytes]
+    unseen: tuple[str, ...] = ()
+    """Geoms that rays cannot see."""
+    notes: tuple[str, ...] = field(default=())
+    """What was left out or taken otherwise than one might expect: a sentence each."""
+    geometry: bytes = b""
+    """See `scenegen.worlds.geometry.geometry_digest`."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What became of one file."""
+
+    path: Path
+    outcome: Scene | SceneError | None
+    """None: a part, which only other files include."""
+    includes: frozenset[Path] = frozenset()
+    """Files that it includes, resolved."""
+
+
+def read_file(path: Path, *, materials: bool = False) -> Reading:
+    """Read one file; see `load_scene`. What is wrong with it is an outcome, too."""
+    includes: frozenset[Path] = frozenset()
+    try:
+        is_world, includes = look_over(path)
+        return Reading(path, load_scene(path, materials=materials) if is_world else None, includes)
+    except SceneError as error:
+        return Reading(path, error, includes)
+
+
+def load_scene(path: Path, *, materials: bool = False) -> Scene:
+    """Read an MJCF file and make it self-contained: geoms alone, where MuJoCo puts them, and with
+    `materials` the names of theirs.
+
+    The document is compiled again, and its solids compared with those of the file. Raises
+    SceneError. MuJoCo may read other files, run long and take memory: for files that nobody vouches
+    for, call this in a process with limits.
+    """
+    with quiet_mujoco() as warnings:
+        drawn, skins = _compile(path)
+        if any("NaN" in warning for warning in warnings):
+            raise SceneError(f"{path}: has numbers that are NaN; give them values")
+        data = mujoco.MjData(drawn)
+        mujoco.mj_kinematics(drawn, data)
+        try:
+            expected = solids_of(drawn, data)
+        except ValueError as error:
+            raise SceneError(f"{path}: {printable(error)}") from None
+    mjcf, assets = flatten(drawn, data, materials=materials)
+    _check_kept(path, mjcf, assets)
+    world = compile_world(mjcf, assets, name=str(path))
+    _check_same(path, expected, world.solids)
+    notes = tuple(f"{path.name}: {note}" for note in _notes(drawn, expected, skins))
+    return Scene(path.name, mjcf, assets, world.unseen, notes, geometry_digest(world.solids))
+
+
+def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
+    """The model of a file without what only dresses its geoms, and how many skins were dropped.
+    Raises SceneError."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        skins = len(spec.skins)
+        _undress(spec, path)
+        return spec.compile(), skins
+    except (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError) as error:
+        raise SceneError(f"{path}: not valid MJCF: {printable(error)}") from None
+
+
+def _undress(spec: mujoco.MjSpec, path: Path) -> None:
+    """Drop what only dresses the geoms, with the files that it needs, and refuse what cannot be a
+    world before it is compiled."""
+    if len(spec.geoms) > MOST_GEOMS:
+        raise SceneError(
+            f"{path}: {len(spec.geoms)} geoms, expected {MOST_GEOMS} at most; merge some into "
+            f"meshes"
+        )
+    if spec.flexes:
+        raise SceneError(f"{path}: has flexes, which rays do not see; use geoms instead")
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
+    for item in (*spec.skins, *spec.textures):
+        spec.delete(item)
+    spec.memory = least_memory(len(spec.geoms))
+    spec.nuserdata = spec.nkey = (
+        0  # memory that no geom needs; MuJoCo would fill as much as is asked
+    )
+
+
+def _check_kept(path: Path, mjcf: bytes, assets: Mapping[str, bytes]) -> None:
+    """Raise SceneError for what whoever reads the dataset would refuse."""
+    try:
+        screen(mjcf, assets, str(path))
+    except BrokenError as error:
+        raise SceneError(str(error)) from None
+    largest = max(map(len, assets.values()), default=0)
+    if len(mjcf) > MOST_DOCUMENT_BYTES or largest > MOST_ASSET_BYTES:
+        raise SceneError(
+            f"{path}: made self-contained, {len(mjcf)} bytes and files of up to {largest}, "
+            f"expected "
+            f"{MOST_DOCUMENT_BYTES} and {MOST_ASSET_BYTES} at most; use fewer geoms and coarser "
+            f"meshes"
+        )
+
+
+def _check_same(path: Path, expected: Solids, found: Solids) -> None:
+    """Raise SceneError unless the solids of the document are those that MuJoCo makes of the
+    file."""
+    sized = expected.shape != PLANE
+    same = all(
+        np.array_equal(getattr(expected, name), getattr(found, name))
+        for name in ("shape", "mesh_start", "mesh_filled")
+    )
+    if same:
+        reach = max(
+            np.abs(expected.position).max(initial=0.0), np.abs(expected.triangles).max(initial=0.0)
+        )
+        pairs = [
+            (getattr(expected, name), getattr(found, name))
+            for name in ("position", "rotation", "triangles")
+        ]
+        moved = max(float(np.abs(one - other).max(initial=0.0)) for one, other in pairs)
+        same = moved <= MOST_MOVED * (1 + reach) and np.allclose(
+            expected.size[sized], found.size[sized], 1e-12, 0.0
+        )
+    if not same:
+        raise SceneError(
+            f"{path}: made self-contained, its solids are not those that MuJoCo makes of it; "
+            f"simplify its meshes"
+        )
+
+
+def _notes(model: mujoco.MjModel, solids: Solids, skins: int) -> Iterator[str]:
+    """What a user should know who thinks of all that the file holds."""
+    if skins:
+        yield f"skins ({skins}) are left out: they dress bodies, and rays do not see them"
+    if model.njnt:
+        yield f"joints ({model.njnt}) stay in their reference position: nothing moves"
+    bent = visible_geoms(model) & np.isin(model.geom_type, (MESH, HFIELD))
+    # height fields are closed always
+    geoms = np.flatnonzero(bent)[~solids.mesh_filled]
+    meshes = sorted({model.mesh(int(model.geom_dataid[geom])).name for geom in geoms})
+    if meshes:
+        yield f"mesh {named(meshes)} is not closed, or its triangles disagree on what is outside: its surface is solid"
+
+
+def named(names: Sequence[str]) -> str:
+    """Some names, and how many there are besides."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

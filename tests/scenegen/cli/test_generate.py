@@ -1,0 +1,352 @@
+"""`scenegen generate` as users meet it, with what `inspect` and `world` make of its datasets."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from lidarsim.engines import ENGINES
+from scenegen.cli.types import Named
+from scenegen.dataset.read import Dataset
+from tests.command_line import ROOT, SMALL, run
+
+BOX = '<mujoco><worldbody><geom name="{name}" type="box" size="1 1 1" pos="{x} 0 0" {more}/></worldbody></mujoco>'
+
+
+def test_generate_inspect_and_world_work_together(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "d"
+    code, said, _ = run(
+        capsys, "generate", "--recipe", small, "--n", 12, "--out", out, "--workers", 1
+    )
+    assert code == 0
+    digest = Dataset(out).manifest.digest
+    assert digest in said
+    assert f"scenegen inspect {out}" in said
+    code, said, _ = run(capsys, "inspect", out, "--json")
+    found = json.loads(said)
+    assert {name: split["samples"] for name, split in found["splits"].items()} == {
+        "train": 12,
+        "val": 1,
+        "test": 2,
+    }
+    assert found["digest"] == digest
+    assert 0 < found["splits"]["train"]["statistics"]["occupied"]["mean"] < 0.5
+    code, _, error = run(capsys, "world", out, 3, "-o", tmp_path)
+    assert code == 2
+    assert "is not a regular file" in error
+    code, said, _ = run(capsys, "inspect", out)
+    assert code == 0
+    assert "12 samples of 4 worlds" in said
+    code, _, _ = run(capsys, "world", out, 3, "--split", "train", "-o", tmp_path / "world.xml")
+    assert code == 0
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml")).ngeom > 0
+
+
+def test_json_and_quiet_and_dry_run_print_what_they_say(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("generate", "--recipe", small, "--n", 6, "--workers", 1, "--out", tmp_path / "d")
+    code, said, _ = run(capsys, *words, "--dry-run", "--json")
+    assert code == 0
+    assert json.loads(said)["samples"] == 8
+    assert not (tmp_path / "d").exists()
+    code, said, _error = run(capsys, *words, "--json")
+    assert json.loads(said)["complete"]
+    assert run(capsys, *words, "--quiet") == (0, "", "")
+
+
+def test_an_engine_and_a_sensor_are_taken_by_name(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small.write_text(SMALL.replace("[lidar]\nrows = 8\ncolumns = 24\n", ""))
+    words = (
+        "generate",
+        "--recipe",
+        small,
+        "--n",
+        3,
+        "--val",
+        0,
+        "--test",
+        0,
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "d",
+    )
+    named = (*words, "--quiet", "--engine", "mujoco", "--sensor", "raster")
+    assert run(capsys, *named) == (0, "", "")
+    assert Dataset(tmp_path / "d").manifest.engine == "mujoco"
+    assert run(capsys, "verify", tmp_path / "d", "--quiet", "--workers", 1) == (0, "", "")
+    code, _, error = run(capsys, *words)
+    assert (code, 'engine is "mujoco" there, "analytic" asked for' in error, error.count("\n")) == (
+        1,
+        True,
+        1,
+    )
+    assert [item.value for item in Named(ENGINES).shell_complete(None, None, "a")] == ["analytic"]
+
+
+def test_a_kind_may_stand_without_its_option(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def planned(*words: str) -> dict:
+        return json.loads(
+            run(
+                capsys, "generate", *words, "--n", 4, "--dry-run", "--json", "--out", tmp_path / "d"
+            )[1]
+        )
+
+    assert planned("geometric") == planned("--kind", "geometric") != planned("pillar")
+
+
+def test_a_split_range_makes_its_shards_alone(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (
+        "generate",
+        "--recipe",
+        small,
+        "--n",
+        9,
+        "--shard-samples",
+        3,
+        "--out",
+        tmp_path / "d",
+        "--json",
+    )
+    said = json.loads(run(capsys, *words, "--split-range", "1:3")[1])
+    assert (said["complete"], said["samples_written"], said["shards_missing"]) == (False, 6, 3)
+    said = json.loads(run(capsys, *words)[1])
+    assert (said["complete"], said["samples_written"]) == (True, 5)
+
+
+def test_a_scene_gives_training_samples_of_one_world(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(
+        SMALL.replace('kind = "pillar"', "").split("[world]")[0]
+        + "[flight]"
+        + SMALL.split("[flight]")[1]
+    )
+    room = ROOT / "scenes" / "room_with_gap.xml"
+    code, said, error = run(
+        capsys,
+        "generate",
+        "--scene",
+        room,
+        "--recipe",
+        recipe,
+        "--n",
+        7,
+        "--out",
+        tmp_path / "d",
+        "--json",
+    )
+    assert (code, error) == (0, "")
+    assert json.loads(said)["samples"] == {"train": 7, "val": 0, "test": 0}
+    assert Dataset(tmp_path / "d").split("train").names == [("train", 0, n) for n in range(7)]
+
+
+BAD_USE = {
+    "an unknown kind": (("--kind", "piller"), "did you mean 'pillar'?"),
+    "an unknown kind without --kind": (("piller",), "did you mean 'pillar'?"),
+    "a scene without its option": (
+        ("room.xml",),
+        "room.xml is a file; give it as --scene room.xml",
+    ),
+    "a recipe as a kind": (
+        ("--kind", "a/b.toml"),
+        "a/b.toml is a file; give it as --recipe a/b.toml",
+    ),
+    "a kind given twice": (("pillar", "--kind", "pillar"), "the kind is given twice"),
+    "no kind": ((), "give --kind, --scene or --recipe"),
+    "a negative count": (("--kind", "pillar", "--n", "-5"), "-5"),
+    "a count of zero": (("--kind", "pillar", "--n", "0"), "--n"),
+    "no workers": (("--kind", "pillar", "--workers", "0"), "--workers"),
+    "kind and scene": (("--kind", "pillar", "--scene", "x.xml"), "give one of the two"),
+    "a backward range": (("--kind", "pillar", "--split-range", "5:2"), "FIRST:STOP"),
+    "a range too far": (
+        ("--kind", "pillar", "--n", "10", "--split-range", "0:99"),
+        "there are 3 shards",
+    ),
+    "an unknown option": (("--kin", "pillar"), "--kind"),
+    "no end of workers": (("--kind", "pillar", "--workers", str(10**9)), "--workers"),
+    "no end of shards": (("--kind", "pillar", "--split-range", f"0:{10**30}"), "shards"),
+    "a range of thousands of digits": (
+        ("--kind", "pillar", "--split-range", f"0:{'9' * 5000}"),
+        "FIRST:STOP",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BAD_USE)
+def test_bad_use_ends_in_one_line(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words, named = BAD_USE[what]
+    code, said, error = run(capsys, "generate", *words, "--out", tmp_path / "d", "--quiet")
+    assert code == 2
+    assert named in error
+    assert error.count("\n") == 1
+    assert said == ""
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_grid_that_the_network_cannot_take_is_mentioned(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("generate", "--n", 3, "--out", tmp_path / "d", "--dry-run", "--recipe")
+    (tmp_path / "odd.toml").write_text(SMALL.replace("24, 24, 16", "24, 20, 16"))
+    assert "multiples of 8" not in run(capsys, *words, small)[2]
+    assert (
+        "edges that are multiples of 8, and grid.shape = [24, 20, 16]"
+        in run(capsys, *words, tmp_path / "odd.toml")[2]
+    )
+    for silent in ("--quiet", "--json"):
+        assert run(capsys, *words, tmp_path / "odd.toml", silent)[2] == ""
+
+
+def test_the_recipe_in_the_documentation_makes_maps_that_the_network_takes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "docs" / "recipes.md").read_text().split("```toml\n")[1].split("```")[0]
+    (tmp_path / "r.toml").write_text(text)
+    code, _, error = run(
+        capsys, "generate", "--recipe", tmp_path / "r.toml", "--out", tmp_path / "d", "--dry-run"
+    )
+    assert code == 0
+    assert "multiples" not in error
+
+
+BAD_SCENES = {
+    "not XML": ("<mujoco><worldbody>", "not valid MJCF"),
+    "no geometry": ("<mujoco/>", "no geom that rays can see"),
+    "all invisible": (
+        BOX.format(name="a", x=0, more='rgba="1 1 1 0"'),
+        "no geom that rays can see",
+    ),
+    "one invisible": (
+        BOX.format(name="ghost", x=9, more='rgba="1 1 1 0"').replace("</w", '<geom size="1"/></w'),
+        "cannot see geom ghost",
+    ),
+    "only a plane": (
+        '<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>',
+        "flight_bounds",
+    ),
+    "no room to fly": (
+        BOX.format(name="a", x=0, more=""),
+        "no flight fits between the solids: give the scene other <numeric flight_bounds>",
+    ),
+    "far away": (
+        "<mujoco><worldbody>" + '<geom size="1" pos="5000000 0 0"/>' * 2 + "</worldbody></mujoco>",
+        "'5000000', expected numbers up to 1e+06",
+    ),
+    "missing mesh": (
+        '<mujoco><asset><mesh name="m" file="gone.obj"/></asset></mujoco>',
+        "gone.obj",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BAD_SCENES)
+def test_a_bad_scene_ends_in_one_line(
+    what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    document, named = BAD_SCENES[what]
+    (tmp_path / "s.xml").write_text(document)
+    words = ("--scene", tmp_path / "s.xml", "--n", 5, "--out", tmp_path / "d", "--quiet")
+    code, said, error = run(capfd, "generate", *words)
+    assert code == 1
+    assert named in error
+    assert error.count("\n") == 1
+    assert said == ""
+
+
+def test_what_a_scene_leaves_out_is_said_once(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    body = '<body><joint name="j"/><geom size="1"/></body><geom size="1" pos="9 9 2"/>'
+    (tmp_path / "s.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    words = (
+        "generate",
+        "--scene",
+        tmp_path / "s.xml",
+        "--n",
+        5,
+        "--out",
+        tmp_path / "d",
+        "--dry-run",
+    )
+    assert run(capfd, *words)[2].count("s.xml: joints (1) stay in their reference position") == 1
+    assert run(capfd, *words, "--quiet")[2] == ""
+
+
+def test_a_scene_recipe_needs_its_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "r.toml").write_text('kind = "scene"')
+    code, _, error = run(capsys, "generate", "--recipe", tmp_path / "r.toml")
+    assert code == 2
+    assert "give --scene" in error
+
+
+def test_an_unwritable_folder_ends_in_one_line(
+    small: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, error = run(
+        capsys, "generate", "--recipe", small, "--n", 3, "--out", "/proc/nowhere/d", "--quiet"
+    )
+    assert code == 1
+    assert "choose another place" in error
+    assert error.count("\n") == 1
+
+
+def test_the_first_run_says_why_it_takes_longer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from lidarsim import jit
+
+    for cached, said in ((tmp_path / "empty", True), (jit.cache_folder("scenegen"), False)):
+        monkeypatch.setattr(jit, "cache_folder", lambda package, cached=cached: cached)
+        assert (
+            "compiling kernels" in run(capsys, "generate", "--kind", "pillar", "--dry-run")[2]
+        ) == said
+
+
+def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("generate", "-n", 6, "--out", tmp_path / "d", "--dry-run", "--recipe")
+    code, said, _ = run(capsys, *words, small)
+    assert code == 0
+    (tmp_path / "pasted.toml").write_text(said[said.index("# this") :])
+    wanted, pasted = (
+        json.loads(run(capsys, *words, path, "--json")[1])
+        for path in (small, tmp_path / "pasted.toml")
+    )
+    assert pasted == wanted
+
+
+def test_a_world_of_ones_own_as_the_docs_show_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (ROOT / "docs" / "recipes.md").read_text()
+    (tmp_path / "yard.xml").write_text(page.split("```xml\n")[1].split("```")[0])
+    words = (
+        "generate",
+        "--scene",
+        tmp_path / "yard.xml",
+        "--n",
+        2,
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "d",
+    )
+    assert run(capsys, *words, "--quiet") == (0, "", "")
+    assert len(Dataset(tmp_path / "d").split("train")) == 2
+    code, said, _ = run(capsys, *words)
+    assert (code, "nothing was left to make" in said) == (0, True)

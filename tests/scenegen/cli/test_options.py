@@ -1,0 +1,99 @@
+"""Options are the fields of a configuration: name, type, choices, bounds and default stand there
+alone."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import pytest
+import rich_click as click
+from click.testing import CliRunner
+
+from lidarsim.parameters import check, number
+from scenegen.cli.options import options_of, out_option, taken
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    width: int = number(8, least=1, most=64)
+    reach_m: float = number(1.5, above=0)
+    stride: Literal[1, 2] = 2
+    mode: Literal["plain", "rich"] = "rich"
+    turned: bool = False
+    other: int = 3
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@click.command()
+@options_of(
+    Config, width="Channels.", reach_m="How far.", stride="Step.", mode="Which.", turned="Whether."
+)
+def command(**options: Any) -> None:
+    config = Config(**taken(Config, {**options, "nothing": 1}))
+    click.echo(repr(config))
+
+
+def run(*words: str) -> tuple[int, str]:
+    ended = CliRunner().invoke(command, words)
+    return ended.exit_code, ended.output
+
+
+def test_nothing_given_is_the_configuration_as_it_comes() -> None:
+    assert run() == (0, f"{Config()!r}\n")
+
+
+def test_what_is_given_has_the_fields_type() -> None:
+    code, said = run("--width", "4", "--reach", "2", "--stride", "1", "--mode", "plain", "--turned")
+    assert (code, said) == (
+        0,
+        f"{Config(width=4, reach_m=2.0, stride=1, mode='plain', turned=True)!r}\n",
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(
+            ("--width", "65"),
+            ("--width", "0"),
+            ("--width", "1.5"),
+            ("--stride", "3"),
+            ("--mode", "odd"),
+        ),
+        *(("--reach", "0"), ("--reach", "-1"), ("--reach", "many")),
+    ],
+)
+def test_bounds_and_choices_are_the_fields(words: tuple[str, ...]) -> None:
+    code, said = run(*words)
+    assert (code, words[0] in said) == (2, True)
+
+
+@pytest.mark.parametrize("word", ["nan", "inf", "-inf"])
+def test_numbers_are_finite(word: str) -> None:
+    assert run("--reach", word)[0] == 2
+
+
+def test_help_says_defaults_choices_and_bounds() -> None:
+    said = " ".join(run("--help")[1].split())
+    for told in (
+        "1<=x<=64",
+        "[default: 8]",
+        "1|2",
+        "[default: 2]",
+        "plain|rich",
+        "[default: rich]",
+        "How far.",
+    ):
+        assert told in said
+    assert "--other" not in said
+
+
+@pytest.mark.parametrize("word", ["-o", "--out", "--output"])
+def test_where_the_result_goes_has_three_names(word: str) -> None:
+    @click.command()
+    @out_option("Somewhere.")
+    def place(out: Any) -> None:
+        click.echo(out)
+
+    assert CliRunner().invoke(place, [word, "here"]).output == "here\n"

@@ -1,0 +1,350 @@
+"""`scenegen sensors`, `scenegen scan` and `generate --lidar`: what they tell, write and refuse."""
+
+import io
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from lidarsim import BeamTable
+from lidarsim.sensors import CATALOGUE, SENSORS
+from scenegen.dataset.read import Dataset
+from scenegen.display.pattern import WIDE_PX, draw_pattern, draw_patterns
+from tests.command_line import ROOT, SMALL, run
+
+ROOM = """<mujoco><worldbody>
+<geom type="box" size="1 20 5" pos="11 0 0" rgba="1 1 1 1"/>
+<geom type="box" size="1 20 5" pos="-11 0 0" rgba="1 1 1 1"/>
+<geom type="box" size="20 1 5" pos="0 11 0" rgba="1 1 1 1"/>
+<geom type="box" size="20 1 5" pos="0 -11 0" rgba="1 1 1 1"/>
+</worldbody></mujoco>"""
+LIDAR = """sensor = "spinning"
+name = "mine"
+elevations_deg = [-5.0, 5.0]
+columns = 8
+max_range_m = 30.0
+noise = "range:0.02"
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to stand in, with a room 20 m wide, a recipe and a sensor."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "room.xml").write_text(ROOM)
+    (tmp_path / "mine.toml").write_text(LIDAR)
+    (tmp_path / "small.toml").write_text(SMALL)
+    (tmp_path / "bare.toml").write_text(SMALL.replace("[lidar]\nrows = 8\ncolumns = 24\n", ""))
+    return tmp_path
+
+
+def test_the_list_has_every_sensor_and_a_file_is_told_of(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, said, _ = run(capsys, "sensors")
+    assert code == 0
+    assert {line.split(" ")[0] for line in said.splitlines()} >= {"raster", *CATALOGUE}
+    listed = json.loads(run(capsys, "sensors", "--json")[1])
+    assert all(row["source"] and row["error"] for row in listed.values())
+    assert listed["ouster-os1-128"]["elevation_deg"] == [-21.82, 20.95]
+    assert "metadata" in listed["ouster-os1-128"]["error"]
+    assert all(row["checked"] for name, row in listed.items() if name != "raster")
+    code, said, _ = run(
+        capsys, "sensors", "mine.toml", "realsense-d435", "--json", "--out", "p.png"
+    )
+    told = json.loads(said)["mine.toml"]
+    assert (told["shape"], told["elevation_deg"], told["max_range_m"]) == (
+        [2, 8],
+        [-5.0, 5.0],
+        30.0,
+    )
+    assert matplotlib.image.imread(here / "p.png").shape[1] == WIDE_PX
+
+
+def test_a_pattern_has_a_dot_where_a_ray_points() -> None:
+    up, left = math.radians(20), math.radians(-35)
+    ray = [math.cos(up) * math.cos(left), math.cos(up) * math.sin(left), math.sin(up), 0.0]
+    sensor = BeamTable(rays=np.array([[1.0, 0, 0, 1.0], ray]))
+    panel = draw_pattern(sensor)
+    scale = (WIDE_PX - 1) / (
+        35 + 2 * 3
+    )  # degrees from 3 left of straight ahead to 3 right of the ray
+    row, column = round(3 * scale), round((35 + 3) * scale)
+    blue = (panel[..., 2].astype(int) - panel[..., 0]) > 100
+    assert np.argwhere(blue).tolist() == [[row, column]]  # the first in time
+    red = (panel[..., 0].astype(int) - panel[..., 2]) > 100
+    assert np.argwhere(red).tolist() == [[round((20 + 3) * scale), round(3 * scale)]]
+    both = matplotlib.image.imread(io.BytesIO(draw_patterns([sensor, sensor])))
+    assert both.shape[0] > 2 * panel.shape[0]
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_the_docs_have_the_pattern_of_every_sensor(name: str) -> None:
+    content = (ROOT / "docs" / "pictures" / "sensors" / f"{name}.png").read_bytes()
+    assert len(content) < 40_000
+    assert content == draw_patterns([SENSORS.find(name)])
+
+
+def test_a_dataset_by_a_sensors_name_says_what_made_it(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (
+        "--recipe",
+        "bare.toml",
+        "-n",
+        3,
+        "--val",
+        0,
+        "--test",
+        0,
+        "--quiet",
+        "--workers",
+        1,
+        "--out",
+    )
+    assert run(capsys, "generate", "--lidar", "robosense-helios-16p", *words, "by-name")[0] == 0
+    made = Dataset(here / "by-name").manifest.parameters["lidar"]
+    assert (made["made_by"], made["shape"]) == ("robosense-helios-16p", [16, 1800])
+    lidar = '[lidar]\nsensor = "robosense-helios-16p"\nmax_range_m = 20'
+    (here / "in.toml").write_text((here / "bare.toml").read_text() + lidar)
+    assert run(capsys, "generate", "--recipe", "in.toml", *words[2:], "in-recipe")[0] == 0
+    assert (
+        "robosense-helios-16p(max_range_m=20.0)"
+        in (here / "in-recipe" / "dataset.json").read_text()
+    )
+
+
+def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at = (
+        "scan",
+        "room.xml",
+        "--pose",
+        "1,2,0.5,30",
+        "--lidar",
+        "mine.toml",
+        "--frame",
+        "world",
+        "--json",
+        "-o",
+    )
+    assert json.loads(run(capsys, *at, "clean.npz")[1])["returns"] == 16
+    points = np.load(here / "clean.npz")["points"]
+    np.testing.assert_allclose(np.abs(points[:, :2]).max(axis=1), 10.0, atol=1e-5)
+    assert run(capsys, *at, "noisy.npz", "--noise", "datasheet,intensity")[0] == 0
+    noisy = np.load(here / "noisy.npz")
+    off = np.abs(np.abs(noisy["points"][:, :2]).max(axis=1) - 10.0)
+    assert 0.001 < off.max() < 0.08
+    assert ((noisy["intensity"] > 0.3) & (noisy["intensity"] <= 1)).all()
+    assert run(capsys, *at, "again.npz", "--noise", "datasheet,intensity")[0] == 0
+    assert (here / "again.npz").read_bytes() == (here / "noisy.npz").read_bytes()
+
+
+@pytest.mark.parametrize("noise", [(), ("--noise", "divergence:3:returns=dual,intensity")])
+def test_every_kind_of_file_holds_the_same_points(
+    here: Path, capsys: pytest.CaptureFixture[str], noise: tuple[str, ...]
+) -> None:
+    from scenegen.model.completion.points import read_points
+
+    for name in ("a.ply", "a.pcd", "a.npz", "a.bin"):
+        assert run(capsys, "scan", "room.xml", "--pose", "1,2,0.5,30", *noise, "-o", name)[0] == 0
+    stored = np.load(here / "a.npz")
+    np.testing.assert_allclose(read_points(here / "a.ply"), stored["points"], rtol=1e-6, atol=1e-6)
+    head, _, body = (here / "a.pcd").read_bytes().partition(b"DATA binary\n")
+    lines = dict(line.split(" ", 1) for line in head.decode().splitlines())
+    assert lines["POINTS"] == lines["WIDTH"] == str(len(stored["points"]))
+    table = np.frombuffer(body, "<f4").reshape(-1, len(lines["FIELDS"].split()))
+    np.testing.assert_allclose(table[:, :3], stored["points"], rtol=1e-6, atol=1e-6)
+    rows = np.frombuffer((here / "a.bin").read_bytes(), "<f4").reshape(-1, 4)
+    np.testing.assert_allclose(rows[:, :3], stored["points"], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(rows[:, 3], stored["intensity"] if noise else 0, rtol=1e-6)
+
+
+def test_a_scan_in_flight_is_at_the_seeds_place(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def place(seed: int) -> list[float]:
+        said = run(capsys, "scan", "room.xml", "--flight", "--seed", seed, "--json")[1]
+        return json.loads(said)["position"]
+
+    assert place(1) == place(1) != place(2)
+
+
+def test_a_sequence_follows_one_flight(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = (
+        "scan",
+        "room.xml",
+        "--flight",
+        "--every",
+        0.5,
+        "--seed",
+        2,
+        "--noise",
+        "range",
+        "--json",
+        "-o",
+    )
+    scans = json.loads(run(capsys, *words, "walk.npz")[1])["scans"]
+    assert [scan["file"] for scan in scans] == [f"walk-{n:03d}.npz" for n in range(len(scans))]
+    places = np.array([scan["position"] for scan in scans])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert len(steps) > 3
+    assert steps.max() <= 0.5 + 2e-3
+    assert np.median(steps) > 0.49
+    stored = [np.load(here / scan["file"]) for scan in scans]
+    np.testing.assert_allclose([each["position"] for each in stored], places, atol=1e-3)
+    assert not np.array_equal(stored[0]["ranges"], stored[1]["ranges"])
+
+
+REFUSED = {
+    "a sequence from one place": (
+        ("scan", "room.xml", "--pose", "1,2,0.5,0", "--every", 1),
+        2,
+        "goes with --flight",
+    ),
+    "a sensor beside a recipe's": (
+        ("generate", "--recipe", "small.toml", "--lidar", "mine.toml"),
+        1,
+        "leave one of",
+    ),
+    "a lever arm in a dataset": (("generate", "--recipe", "arm.toml"), 1, "lever_arm_m"),
+    "a name of the catalogue's": (
+        ("sensors", "taken.toml"),
+        1,
+        'take that one with sensor = "livox-avia"',
+    ),
+    "a sensor of no family": (
+        ("sensors", "nameless.toml"),
+        1,
+        'say which sensor it is, sensor = "spinning"',
+    ),
+    "a family's name": (
+        ("sensors", "family.toml"),
+        1,
+        "that of a family; give your sensor a name of its own",
+    ),
+    "noise that nobody knows": (("sensors", "noisy.toml"), 1, "did you mean 'range'"),
+    "noise that stands for itself": (
+        ("sensors", "circle.toml"),
+        1,
+        "comes with none for 'datasheet'",
+    ),
+    "times that are none": (
+        ("sensors", "times.toml"),
+        1,
+        "expected a list, each a finite number from 0 to 1\n",
+    ),
+    "a sensor without beams": (("sensors", "none.toml"), 1, "one beam at least"),
+    "a sensor that lacks its beams": (("sensors", "lacks.toml"), 1, "elevations_deg: is missing"),
+    "rays of no length": (("sensors", "table.toml"), 1, "a ray's direction has length 2"),
+    "a range of 0": (("sensors", "blind.toml"), 1, "max_range_m = 0"),
+    "a table in the file": (("sensors", "small.toml"), 1, "expected its parameters at the top"),
+    "no such file": (("sensors", "absent.toml"), 1, "absent.toml"),
+    "a misspelt name": (("sensors", "velodine-vlp-16"), 2, "did you mean 'velodyne-vlp-16'"),
+    "a part of a name": (("sensors", "VLP-16"), 2, "did you mean 'velodyne-vlp-16'"),
+    "misspelt noise": (
+        ("scan", "room.xml", "--flight", "--noise", "rnage:1"),
+        2,
+        "did you mean 'range'",
+    ),
+    "noise that a sensor lacks": (
+        ("scan", "room.xml", "--flight", "--noise", "datasheet"),
+        1,
+        "comes with none",
+    ),
+    "no pose": (("scan", "room.xml"), 2, "--pose X,Y,Z,YAW and --flight"),
+    "half a pose": (("scan", "room.xml", "--pose", "1,2"), 2, "4 numbers"),
+    "a pose of no numbers": (
+        ("scan", "room.xml", "--pose", "1,2,3,nan"),
+        2,
+        "is not a finite number",
+    ),
+    "an unknown kind of file": (
+        ("scan", "room.xml", "--flight", "-o", "a.las"),
+        2,
+        ".ply, .pcd, .npz, .bin",
+    ),
+    "an engine that knows no surfaces": (
+        ("scan", "room.xml", "--flight", "--engine", "mujoco", "--noise", "faint"),
+        1,
+        "use the engine analytic",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_ends_in_one_line(
+    what: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "arm.toml").write_text(
+        (here / "bare.toml").read_text() + f"[lidar]\n{LIDAR}lever_arm_m = [0, 0, 0.3]"
+    )
+    (here / "taken.toml").write_text(LIDAR.replace('"mine"', '"livox-avia"'))
+    (here / "nameless.toml").write_text(LIDAR.replace('sensor = "spinning"', ""))
+    (here / "family.toml").write_text(LIDAR.replace('"mine"', '"spinning"'))
+    (here / "noisy.toml").write_text(LIDAR.replace("range:0.02", "rnage:0.02"))
+    (here / "circle.toml").write_text(LIDAR.replace("range:0.02", "datasheet"))
+    (here / "times.toml").write_text(LIDAR + "firing_times_s = [nan, 0.0]")
+    (here / "none.toml").write_text(LIDAR.replace("[-5.0, 5.0]", "[]"))
+    (here / "lacks.toml").write_text(LIDAR.replace("elevations_deg = [-5.0, 5.0]", ""))
+    (here / "blind.toml").write_text(LIDAR.replace("30.0", "0"))
+    np.save(here / "long.npy", np.array([[2.0, 0, 0, 0]]))
+    (here / "table.toml").write_text('sensor = "table"\nrays = "long.npy"')
+    words, code, told = REFUSED[what]
+    before = set(here.iterdir())
+    ended, said, error = run(capsys, *words, *(("--quiet",) if words[0] == "generate" else ()))
+    assert (ended, said, error.count("\n")) == (code, "", 1), error
+    assert told in error
+    assert set(here.iterdir()) == before
+
+
+def test_the_documented_sensor_and_flight_are_such(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8")
+    (sensor,) = (
+        text
+        for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+        if "my_lidar.toml" in text
+    )
+    (here / "my_lidar.toml").write_text(sensor)
+    assert json.loads(run(capsys, "sensors", "my_lidar.toml", "--json")[1])["my_lidar.toml"][
+        "shape"
+    ] == [6, 900]
+    at = (
+        "scan",
+        "room.xml",
+        "--pose",
+        "1,2,0.5,30",
+        "--lidar",
+        "my_lidar.toml",
+        "--noise",
+        "datasheet",
+        "--json",
+    )
+    assert json.loads(run(capsys, *at)[1])["returns"] > 1000
+    (flight,) = (
+        text
+        for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+        if "poses_in_flight" in text
+    )
+    monkeypatch.chdir(ROOT)
+    found: dict[str, Any] = {}
+    exec(flight.replace("every_m=0.5", "every_m=3.0"), found)
+    assert len(found["points"]) > 1000
+
+
+def test_a_thousand_beams_may_stand_in_one_line(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    beams = ", ".join(f"{-45 + 0.09 * n:.3f}" for n in range(1000))
+    (here / "fine.toml").write_text(LIDAR.replace("-5.0, 5.0", beams))
+    ended, said, error = run(capsys, "sensors", "fine.toml", "--json")
+    assert (ended, error) == (0, "")
+    assert json.loads(said)["fine.toml"]["shape"] == [1000, 8]

@@ -1,0 +1,71 @@
+"""Nothing that comes from a file prints a line, or a colour, of its own."""
+
+import io
+
+import pytest
+
+from scenegen.cli.show import curve, say, show_figures, show_table
+
+FORGED = "pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07\u202e"
+
+
+def test_names_and_values_are_escaped_and_keep_their_columns(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    show_table({FORGED: FORGED, "short": "   12,345"}, FORGED, {"short": ("ok", "green")})
+    said = capsys.readouterr().out
+    lines = said.split("\n")
+    assert [bool(line) for line in lines] == [False, True, True, True, False]
+    assert all(line.isprintable() for line in lines)
+    assert r"pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07" in lines[2]
+    assert lines[3].endswith("  ok     12,345")
+
+
+def test_lines_are_kept_and_what_is_within_them_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+    say("one\n  two\x1b[31m")
+    assert capsys.readouterr().out == "one\n  two\\x1b[31m\n"
+
+
+def test_paths_that_are_no_text_can_be_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    say("data/\udcff")
+    assert capsys.readouterr().out == "data/\\udcff\n"
+
+
+@pytest.mark.parametrize("wide", [10, 40, 80, 200])
+def test_figures_fit_the_terminal_and_none_is_left_out(
+    wide: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(wide))
+    heads = [f"metric_{n}" for n in range(12)]
+    show_figures({"one": [f"{n}.5" for n in range(12)], "another": ["–"] * 12}, heads, "a title")
+    lines = capsys.readouterr().out.splitlines()
+    narrowest = len("another") + 2 + len("metric_11")
+    assert max(map(len, lines)) <= max(wide, narrowest)
+    assert " ".join(lines).count("–") == 12
+    for n, head in enumerate(heads):
+        at = next(line for line in lines if head in line.split())
+        assert lines[lines.index(at) + 1].split()[1 + at.split().index(head)] == f"{n}.5"
+
+
+def test_in_a_pipe_figures_stand_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    show_figures({"one": ["0.5"] * 50}, ["metric"] * 50)
+    assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("encoding", "least", "greatest"), [("utf-8", "▁", "█"), ("ascii", "_", "#")]
+)
+def test_a_curve_rises_and_falls_with_its_numbers(
+    monkeypatch: pytest.MonkeyPatch, encoding: str, least: str, greatest: str
+) -> None:
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(io.BytesIO(), encoding))
+    assert curve([0.5, 0.1, 0.9]) == f"{curve([0.5, 0.1, 0.9])[0]}{least}{greatest}"
+    assert curve([2.0, 2.0]) == 2 * least
+    long = curve([float(n) for n in range(1000)])
+    assert len(long) == 60
+    assert (long[0], long[-1]) == (least, greatest)
+    ranks = [long.index(bar) for bar in dict.fromkeys(long)]
+    assert ranks == sorted(ranks)

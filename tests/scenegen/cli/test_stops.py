@@ -1,0 +1,136 @@
+"""A stop at any moment is one line; what hangs still dies."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from scenegen.cli.stops import STOPPED
+
+ROOT = Path(__file__).parents[3]
+LINE = f"scenegen: {STOPPED}\n"
+CALLBACK = """
+import ctypes, sys
+from scenegen.cli import stops
+stops.answer()
+kind = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+compare = kind(lambda a, b: sum(range(200)) * 0)  # where nearly all the time is spent
+numbers = (ctypes.c_long * 100_000)()
+print("ready", flush=True)
+while True:
+    ctypes.CDLL(None).qsort(numbers, 100_000, 8, compare)
+"""
+HANGING = """
+import ctypes
+from scenegen.cli import stops
+stops.answer()
+stops.answer_hanging()
+library = ctypes.PyDLL(None)  # keeps Python's lock, as h5py does
+letters = ctypes.create_string_buffer(b"a" * (1 << 22))  # of which any two strings take long to compare
+print("ready", flush=True)
+while True:
+    library.qsort(letters, 1 << 19, 8, ctypes.cast(library.strcmp, ctypes.c_void_p))
+"""
+NOTED = """
+import time
+from scenegen.run.stopping import undone_if_stopped
+from scenegen.cli import stops
+stops.answer()
+with stops.noted() as asked, undone_if_stopped(lambda: print("undone", flush=True)):
+    print("ready", flush=True)
+    while not asked():
+        time.sleep(0.01)
+    print("asked", flush=True)
+    time.sleep(60)
+"""
+
+
+def begin(*command: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def ready(code: str) -> subprocess.Popen[str]:
+    running = begin(sys.executable, "-c", code)
+    assert running.stdout
+    assert running.stdout.readline() == "ready\n"
+    time.sleep(0.05)
+    return running
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_within_a_librarys_callback(number: int) -> None:
+    running = ready(CALLBACK)
+    running.send_signal(number)
+    assert running.communicate(timeout=60) == ("", LINE)
+    assert running.returncode == 130
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks the C library")
+def test_a_second_stop_ends_what_hangs_in_a_library() -> None:
+    running = ready(HANGING)
+    running.send_signal(signal.SIGTERM)
+    time.sleep(0.5)
+    running.send_signal(signal.SIGTERM)
+    assert running.wait(timeout=20) == -signal.SIGTERM
+    running.communicate()
+
+
+def test_a_loop_notes_the_first_stop_and_the_second_ends_all() -> None:
+    running = ready(NOTED)
+    running.send_signal(signal.SIGINT)
+    assert running.stdout
+    assert running.stdout.readline() == "asked\n"
+    running.send_signal(signal.SIGTERM)
+    assert running.communicate(timeout=20) == ("undone\n", LINE)
+    assert running.returncode == 130
+
+
+def answers(process: subprocess.Popen[str]) -> bool:
+    """Whether our handlers stand; before, Python has one for Ctrl-C alone."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(status.partition("SigCgt:\t")[2].split()[0], 16) & 0x4003 == 0x4003
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_while_a_command_begins(tmp_path: Path) -> None:
+    """Imports and the loading of kernels, at moments spread over them: six processes, three at a
+    time."""
+    command = [
+        sys.executable,
+        str(ROOT / "cli.py"),
+        "generate",
+        "--kind",
+        "pillar",
+        "--n",
+        "20000",
+        "--quiet",
+    ]
+    command += ["--workers", "1", "--shard-samples", "1000"]
+    for delays in ((0.0, 0.3, 0.7), (1.1, 1.6, 2.2)):
+        running = [begin(*command, "--out", str(tmp_path / str(delay))) for delay in delays]
+        try:
+            deadline = time.monotonic() + 60
+            while not all(map(answers, running)):
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+            started = time.monotonic()
+            for process, delay in zip(running, delays, strict=True):
+                time.sleep(max(started + delay - time.monotonic(), 0.0))
+                process.send_signal(signal.SIGINT)
+            for process, delay in zip(running, delays, strict=True):
+                assert process.communicate(timeout=60) == ("", LINE), delay
+                assert process.returncode == 130
+        finally:
+            for process in running:
+                process.kill()
+    assert not list(tmp_path.rglob(".*.tmp"))

@@ -1,0 +1,68 @@
+"""`scenegen verify` as users meet it."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import run
+from tests.scenegen.verification import forge
+
+
+def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = forge.make(tmp_path / "d", counts={"train": 3, "val": 0, "test": 0})
+    code, said, complaint = run(capsys, "verify", folder, "--workers", 1)
+    assert code == 0
+    assert [line.split()[1] for line in said.splitlines() if line][:-2] == ["ok"] * 17
+    assert "3 samples in" in said
+    assert "all 17 checks passed" in said
+    assert "scenegen:" not in complaint
+    code, said, _ = run(capsys, "verify", folder, "--quick", "--json")
+    report = json.loads(said)
+    assert (code, report["ok"], report["quick"], len(report["checks"])) == (0, True, True, 10)
+    (folder / "train-00000.h5").write_bytes((folder / "train-00000.h5").read_bytes()[:-1])
+    code, said, complaint = run(capsys, "verify", folder, "--quick", "--quiet")
+    assert (code, said) == (1, "")
+    assert complaint == "scenegen: verify: 3 of 10 checks failed: checksums, layout, digest\n"
+    code, said, complaint = run(capsys, "verify", folder, "--json", "--quick")
+    assert (code, json.loads(said)["failed"]) == (1, ["checksums", "layout", "digest"])
+    left = {
+        check["name"]: check["detail"] for check in json.loads(said)["checks"] if check["skipped"]
+    }
+    assert left == dict.fromkeys(
+        ["names", "centred", "laws"], "nothing that could be examined: see what failed"
+    )
+    code, said, complaint = run(capsys, "verify", tmp_path / "nowhere")
+    assert (code, said) == (1, "")
+    assert "not a dataset, there is no such folder" in complaint
+
+
+def test_a_stop_leaves_no_process_behind(tmp_path: Path) -> None:
+    folder = forge.make(tmp_path / "d", counts={"train": 6, "val": 3, "test": 3})
+    script = (
+        "import time, scenegen.verification.folder as f\nf.examine = lambda task: time.sleep(60)\n"
+    )
+    script += "from scenegen.__main__ import main; main()"
+    running = subprocess.Popen(
+        [sys.executable, "-c", script, "verify", str(folder), "--workers", "2"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 30
+    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
+    while len(children.read_text().split()) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    workers = children.read_text().split()
+    assert len(workers) == 2
+    time.sleep(0.3)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=20)
+    assert running.returncode == 130
+    assert "Traceback" not in said
+    assert not any(Path(f"/proc/{worker}").exists() for worker in workers)

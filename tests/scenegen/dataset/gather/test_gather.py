@@ -1,0 +1,416 @@
+"""Samples that are merged or taken stay what they were, and known by where they are from."""
+
+import json
+import operator
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenegen import SPLITS
+from scenegen.dataset import manifest
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.gather.choose import Choice, Condition
+from scenegen.dataset.gather.plan import plan_merge, plan_take
+from scenegen.dataset.numbering import Numbering
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.errors import DatasetError
+from scenegen.lidar import named_noise
+from scenegen.recipe import make_recipe
+from scenegen.sample import SCHEMA
+from scenegen.share.stage import Request, examine
+from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.verification import verify
+from tests.conftest import SMALL, Once, small_recipe
+from tests.scenegen.verification import forge
+
+COUNTS = {"train": 11, "val": 4, "test": 5}
+WORLD = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos="8 8 0"/>
+<geom type="cylinder" size=".4 2" pos="{x} 6 2"/><geom type="box" size=".5 .5 2" pos="9 {x} 2"/>
+<geom type="box" size="8 8 .1" pos="8 8 -.1"/></worldbody></mujoco>"""
+
+
+def make(folder: Path, seed: int, **tables: dict) -> Path:
+    recipe = small_recipe(**tables)
+    build(
+        plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=seed, counts=COUNTS, shard_samples=3)
+    )
+    return folder
+
+
+@pytest.fixture(scope="session")
+def first(once: Once) -> Path:
+    """A dataset; not to be changed."""
+    return once("gather-first", lambda folder: make(folder, 1))
+
+
+@pytest.fixture(scope="session")
+def second(once: Once) -> Path:
+    """One of other worlds; not to be changed."""
+    return once("gather-second", lambda folder: make(folder, 2))
+
+
+def merged(out: Path, *folders: Path, workers: int = 1) -> Dataset:
+    assert build(
+        plan_merge([Dataset(one) for one in folders], out, workers=workers), workers=workers
+    ).complete
+    return Dataset(out)
+
+
+def taken(out: Path, folder: Path, **choice: Any) -> Dataset:
+    assert build(plan_take(Dataset(folder), out, Choice(**choice))).complete
+    return Dataset(out)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def who(dataset: Dataset) -> dict[tuple[bytes, str], bytes]:
+    """Every sample by what it shows and its split, and the bytes of its world."""
+    return {
+        (sample.ranges.tobytes() + sample.position.tobytes(), split): dataset.world(
+            split, sample.world
+        )["world.xml"]
+        for split in SPLITS
+        for sample in dataset.split(split)
+    }
+
+
+def sound(folder: Path) -> dict[str, Any]:
+    report = verify(folder)
+    assert report.ok, [check for check in report.checks if not check.ok]
+    return {check.name: check for check in report.checks}
+
+
+@pytest.mark.parametrize("scenes", [None, 1, 4])
+def test_a_samples_place_is_known_by_its_name_and_its_name_by_its_place(scenes: int | None) -> None:
+    numbering, places = Numbering(viewpoints=3, scenes=scenes), np.arange(50)
+    world, viewpoint = numbering.name(places)
+    assert (numbering.place(world, viewpoint) == places).all()
+    assert len(set(zip(world.tolist(), viewpoint.tolist(), strict=True))) == 50
+    for start in range(12):
+        assert list(numbering.worlds(start, 7)) == sorted(set(world[start : start + 7].tolist()))
+
+
+def test_a_merged_dataset_holds_all_samples_as_they_were(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
+    found = merged(tmp_path / "m", first, second)
+    assert manifest.read(tmp_path / "m")["version"] == 1.4
+    assert who(found) == who(Dataset(first)) | who(Dataset(second))
+    for split in SPLITS:
+        before = [sample for folder in (first, second) for sample in Dataset(folder).split(split)]
+        samples = found.split(split)
+        assert len(samples) == len(before)
+        for n, (sample, was) in enumerate(zip(samples, before, strict=True)):
+            for name in SCHEMA.keys() - {"world"}:
+                assert np.array_equal(getattr(sample, name), getattr(was, name)), name
+            assert samples.home(n).seed == (1 if n < COUNTS[split] else 2)
+        assert len(set(samples.names)) == len(samples)
+        assert samples.count_worlds() == len({world for _, world, _ in samples.names})
+    checks = sound(tmp_path / "m")
+    assert not any(check.skipped for check in checks.values())
+    assert checks["regenerated"].counts["worlds"] == len(found.manifest.shards)
+
+
+def test_workers_and_interruptions_change_no_byte(
+    first: Path, second: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    merged(tmp_path / "m", first, second)
+    merged(tmp_path / "two", first, second, workers=2)
+    plan = plan_merge([Dataset(first), Dataset(second)], tmp_path / "cut")
+
+    def stop(report: Any, fresh: bool) -> None:
+        if report.file.startswith("val"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build(plan, on_shard=stop)
+    with pytest.raises(DatasetError, match="incomplete"):
+        Dataset(tmp_path / "cut")
+    again = build(plan)
+    assert 0 < again.samples_written < sum(COUNTS.values()) * 2
+    assert content(tmp_path / "m") == content(tmp_path / "two") == content(tmp_path / "cut")
+
+
+def test_what_is_taken_is_what_a_plain_loop_would_take(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
+    whole = merged(tmp_path / "m", first, second)
+    level = float(np.median([sample.occupancy.mean() for sample in whole.split("train")]))
+    where = (Condition("occupied", ">=", level), Condition("sample", "<", 20))
+    found = taken(tmp_path / "t", tmp_path / "m", most=7, worlds=((0, 3), (4, 7)), where=where)
+    for split in SPLITS:
+        asked = [
+            sample
+            for n, sample in enumerate(whole.split(split))
+            if sample.occupancy.mean() >= level and n < 20 and sample.world in (0, 1, 2, 4, 5, 6)
+        ][:7]
+        samples = found.split(split)
+        assert [one.ranges.tobytes() for one in samples] == [one.ranges.tobytes() for one in asked]
+        assert samples.count_worlds() == len({one.world for one in asked})
+    assert who(found).items() <= who(whole).items()
+    assert any(entry.cut for entry in found.manifest.shards)  # type: ignore[attr-defined]
+    said = f"--n 7 --worlds 0:3,4:7 --where occupied>={level:g} --where sample<20"
+    assert [entry["taken"] for entry in manifest.read(tmp_path / "t")["sources"]] == [
+        [said],
+        [said],
+    ]
+    sound(tmp_path / "t")
+
+
+def test_what_was_taken_apart_can_be_merged_again(first: Path, tmp_path: Path) -> None:
+    parts = []
+    for sign in ("<", ">="):
+        parts.append(tmp_path / f"part{len(parts)}")
+        taken(parts[-1], first, where=(Condition("viewpoint", sign, 1.0),))
+    found = merged(tmp_path / "m", *parts)
+    assert who(found) == who(Dataset(first))
+    assert len(found.manifest.sources) == 1
+    assert manifest.read(tmp_path / "m")["sources"][0]["taken"] == [
+        "--where viewpoint<1",
+        "--where viewpoint>=1",
+    ]
+    assert {name[1:] for name in found.split("train").names} == {
+        name[1:] for name in Dataset(first).split("train").names
+    }
+    assert (
+        sound(tmp_path / "m")["digest"].counts["sources"] == 1
+    )  # whose samples lie here in another order
+
+
+def test_one_split_keeps_its_files_and_its_names(first: Path, tmp_path: Path) -> None:
+    found, there = taken(tmp_path / "t", first, splits=("test",)), Dataset(first)
+    assert {split: len(found.split(split)) for split in SPLITS} == {
+        "train": 0,
+        "val": 0,
+        "test": COUNTS["test"],
+    }
+    assert found.split("test").names == there.split("test").names
+    for entry in found.manifest.shards:
+        assert (tmp_path / "t" / entry.file).read_bytes() == (first / entry.file).read_bytes()
+    assert (found.manifest.kind, found.manifest.seed) == ("pillar", 1)
+    assert examine_refuses(tmp_path / "t", tmp_path)
+
+
+def examine_refuses(folder: Path, tmp_path: Path) -> str:
+    with pytest.raises(DatasetError, match="scan those again"):
+        plan_rescan(Dataset(folder), tmp_path / "again")
+    with pytest.raises(Exception, match="publish those") as refused:
+        examine(Request(dataset=folder, repository="ada/x", out=tmp_path / "p"))
+    return str(refused.value)
+
+
+def test_a_dataset_scanned_again_is_verified_as_far_as_its_flights_go(
+    first: Path, tmp_path: Path
+) -> None:
+    there = Dataset(first)
+    build(plan_rescan(there, tmp_path / "again", chain=named_noise("range:0.02", there.lidar)))
+    taken(tmp_path / "t", tmp_path / "again", where=(Condition("viewpoint", "=", 1.0),))
+    checks = sound(tmp_path / "t")
+    assert "no flight" in checks["regenerated"].detail
+    taken(tmp_path / "u", tmp_path / "again", most=2)
+    assert not sound(tmp_path / "u")["regenerated"].skipped
+
+
+def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path: Path) -> None:
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    for n in range(3):
+        (folder / f"{n}.xml").write_text(WORLD.format(x=4 + n))
+    recipe = make_recipe(
+        "scene", {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}, where="test"
+    )
+
+    def scenes(name: str, path: Path, counts: dict[str, int], seed: int) -> Path:
+        source = read_scenes(path, counts, seed=seed)
+        build(
+            plan_dataset(tmp_path / name, recipe, source, seed=seed, counts=counts, shard_samples=3)
+        )
+        return tmp_path / name
+
+    dealt = scenes("dealt", folder, {"train": 5, "val": 2, "test": 2}, 0)
+    trained = scenes("trained", folder / "0.xml", {"train": 6, "val": 0, "test": 0}, 5)
+    split = next(
+        name
+        for name in SPLITS
+        if (folder / "0.xml").name in str(Dataset(dealt).manifest.tables["scenes"][name])
+    )
+    if split == "train":
+        assert sum(map(len, map(merged(tmp_path / "m", dealt, trained).split, SPLITS))) == 15
+    else:
+        with pytest.raises(DatasetError, match="two splits"):
+            plan_merge([Dataset(dealt), Dataset(trained)], tmp_path / "m")
+    part = taken(tmp_path / "t", dealt, splits=("train",), where=(Condition("sample", ">", 0.0),))
+    assert len(part.split("train")) == 4
+    sound(tmp_path / "t")
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda it: it.update(sources=[]), "sources"),
+        (lambda it: it["sources"][0].pop("digest"), "digest is missing"),
+        (lambda it: it["sources"][0]["parameters"].update(sources=[]), "gathered once"),
+        (lambda it: it["sources"][0]["parameters"]["grid"].update(voxel=0.3), "parameters.grid"),
+        (
+            lambda it: it["sources"][0]["parameters"]["recipe"]["flight"].pop("viewpoints"),
+            "viewpoints is missing",
+        ),
+        (lambda it: it["shards"][0].update(source=7), "source = 7"),
+        (lambda it: it["shards"][0].update(stop=10**6), "places"),
+        (lambda it: it["shards"][0].pop("start"), "start is missing"),
+        (lambda it: it.pop("sources"), "version = 1.4"),
+    ],
+)
+def test_a_strangers_sources_are_not_trusted(
+    first: Path, tmp_path: Path, damage: Callable[[Any], object], said: str
+) -> None:
+    taken(tmp_path / "t", first, splits=("val",))
+    there = manifest.read(tmp_path / "t")
+    damage(there)
+    (tmp_path / "t" / manifest.NAME).write_text(json.dumps(there))
+    with pytest.raises(DatasetError, match=said):
+        Dataset(tmp_path / "t")
+    assert not verify(tmp_path / "t", quick=True).ok
+
+
+def test_a_false_account_of_where_samples_are_from_does_not_pass(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
+    merged(tmp_path / "m", first, second)
+    there = manifest.read(tmp_path / "m")
+    for wrong in ({"source": 1}, {"start": 3, "stop": 6}, {"start": 0, "stop": 6}):
+        told = json.loads(json.dumps(there))
+        told["shards"][0] |= wrong
+        (tmp_path / "m" / manifest.NAME).write_text(json.dumps(told))
+        assert not verify(tmp_path / "m", quick=True).ok, wrong
+
+
+def test_a_sources_digest_is_held_against_its_samples_where_all_are_there(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
+    taken(tmp_path / "part", second, where=(Condition("viewpoint", "<", 1.0),))
+    merged(tmp_path / "m", first, tmp_path / "part")
+    assert "only a part of their samples is there" in sound(tmp_path / "m")["digest"].detail
+    there = manifest.read(tmp_path / "m")
+    for source, passes in ((0, False), (1, True)):
+        told = json.loads(json.dumps(there))
+        told["sources"][source]["digest"] = "0" * 64
+        manifest.write(tmp_path / "m", told)
+        found = {check.name: check for check in verify(tmp_path / "m", quick=True).checks}["digest"]
+        assert found.ok == passes, found
+
+
+def test_a_sample_is_not_there_twice(first: Path, tmp_path: Path) -> None:
+    taken(tmp_path / "t", first, splits=("train",))
+    there = manifest.read(tmp_path / "t")
+    again = there["shards"][-1] | {"file": "train-00009.h5", "worlds": "train-00009.worlds.zip"}
+    for name in ("file", "worlds"):
+        shutil.copy(tmp_path / "t" / there["shards"][-1][name], tmp_path / "t" / again[name])
+    there["shards"].append(again)
+    there["counts"]["train"] += again["samples"]
+    (tmp_path / "t" / manifest.NAME).write_text(json.dumps(there))
+    found = {check.name: check.detail for check in verify(tmp_path / "t", quick=True).checks}
+    assert "are there twice" in found["digest"]
+
+
+def moved(arrays: forge.Arrays) -> None:
+    for name in ("position", "origin"):
+        arrays[name] = arrays[name] + 0.05
+
+
+def nearer(arrays: forge.Arrays) -> None:
+    arrays["tudf"] = arrays["tudf"] / 2
+
+
+@pytest.mark.parametrize(
+    ("change", "signed", "said"),
+    [
+        (moved, False, "train-00000.h5: is not the file"),
+        (nearer, False, "train-00000.h5: is not the file"),
+        (moved, True, "train-00000.h5: sample 0: its content does not have the digest"),
+        (None, False, "train-00000.worlds.zip: is not the file"),
+    ],
+)
+def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
+    first: Path, second: Path, tmp_path: Path, change: Any, signed: bool, said: str
+) -> None:
+    folder = Path(shutil.copytree(first, tmp_path / "bad"))
+    listed = (folder / manifest.NAME).read_bytes()
+    if change is None:
+        forge.rezip(
+            folder / "train-00000.worlds.zip",
+            lambda members: members.update({"000009.xml": b"<mujoco/>"}),
+        )
+    else:
+        arrays, attributes = forge.load(folder, "train-00000.h5")
+        change(arrays)
+        forge.store(folder, "train-00000.h5", arrays, attributes, digests=False)
+    if not signed:
+        (folder / manifest.NAME).write_bytes(listed)
+    bad = Dataset(folder)
+    for plan in (
+        plan_rescan(bad, tmp_path / "rescan"),
+        plan_take(bad, tmp_path / "whole", Choice(splits=("train",))),
+        plan_take(bad, tmp_path / "part", Choice(most=2)),
+        plan_merge([Dataset(second), bad], tmp_path / "merge"),
+    ):
+        with pytest.raises(DatasetError, match=said):
+            build(plan)
+
+
+def test_datasets_that_do_not_go_together_are_refused(
+    first: Path, second: Path, tmp_path: Path
+) -> None:
+    def refused(*folders: Path) -> str:
+        with pytest.raises(DatasetError) as error:
+            plan_merge([Dataset(one) for one in folders], tmp_path / "m")
+        assert not (tmp_path / "m").exists()
+        return str(error.value)
+
+    assert "hold the same sample" in refused(first, second, first)
+    other = make(tmp_path / "other", 3, grid={"shape": (16, 16, 16)})
+    assert f"{other}: grid.shape is [16, 16, 16] there" in refused(first, other)
+    for out in (first, first / "in" / "it"):
+        with pytest.raises(DatasetError, match="itself, or in it"):
+            plan_take(Dataset(first), out, Choice())
+    with pytest.raises(DatasetError, match="no sample is as asked for"):
+        plan_take(Dataset(first), tmp_path / "t", Choice(where=(Condition("occupied", ">", 2.0),)))
+    for file in ("train-00001.h5", "train-00001.worlds.zip"):
+        copy = Path(shutil.copytree(first, tmp_path / file))
+        (copy / file).write_bytes((first / file).read_bytes()[:-7])
+        for rows in (Choice(), Choice(where=(Condition("viewpoint", "<", 1.0),))):
+            plan = plan_take(Dataset(copy), tmp_path / "broken", rows)
+            with pytest.raises(DatasetError, match=file):
+                build(plan, force=True)
+
+
+@pytest.mark.parametrize(
+    "text", ["occupied", "occupied>", ">3", "weight>3", "occupied>>3", "occupied>x", "free=1e"]
+)
+def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text: str) -> None:
+    with pytest.raises(ValueError, match="expected a name, a sign and a number") as error:
+        Condition.of(text)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("sign", ["<", "<=", ">", ">=", "="])
+def test_a_condition_says_what_its_sign_says(sign: str) -> None:
+    condition = Condition.of(f" range_m {sign} 2.5 ")
+    assert Condition.of(str(condition)) == condition
+    plain = {
+        "<": operator.lt,
+        "<=": operator.le,
+        ">": operator.gt,
+        ">=": operator.ge,
+        "=": operator.eq,
+    }[sign]
+    for value in (2.0, 2.5, 3.0):
+        assert condition.holds(value) == plain(value, 2.5)
+    assert not condition.holds(float("nan"))

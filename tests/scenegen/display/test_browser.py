@@ -1,0 +1,163 @@
+"""The page in a real browser: needs Chromium and playwright, which is in none of our extras."""
+
+import io
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from scenegen.dataset.read import Dataset
+from scenegen.display.look import Guess, Route, looks
+from scenegen.display.page import page
+from tests.scenegen.display.test_live import served
+from tests.scenegen.display.test_page import HOSTILE
+
+pytestmark = pytest.mark.slow
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+SOFTWARE = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        yield opened
+        opened.close()
+
+
+def opened(browser: Any, path: Path, text: str) -> tuple[Any, list[str]]:
+    """A file's page once its first sample shows, and the list of what its console says against
+    it."""
+    path.write_text(text, encoding="utf-8")
+    return reached(browser, path.as_uri(), ("file:", "blob:"))
+
+
+def reached(
+    browser: Any, address: str, allowed: tuple[str, ...], first: int = 0
+) -> tuple[Any, list[str]]:
+    """The page at an address, and the list of what its console says against it, and of requests
+    that are not `allowed`."""
+    told: list[str] = []
+    tab = browser.new_page(viewport={"width": 900, "height": 700})
+    tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
+    tab.on("pageerror", lambda error: told.append(str(error)))
+    tab.on("dialog", lambda dialog: told.append(f"dialog {dialog.message}") or dialog.dismiss())
+    tab.on(
+        "request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url)
+    )
+    tab.goto(address)
+    tab.wait_for_selector(f"body[data-sample='{first}']", state="attached", timeout=60_000)
+    return tab, told
+
+
+def test_a_page_steps_shows_and_slides(browser: Any, made: Path, tmp_path: Path) -> None:
+    shown, _ = looks(Dataset(made), "train", [0, 4, 8])
+    tab, told = opened(browser, tmp_path / "page.html", page(shown, title="small"))
+    state = lambda name: tab.evaluate(f"document.body.dataset.{name}")  # noqa: E731
+    assert state("layers").split() == ["#box", "#sensor", "#x", "#y", "#z", "occupancy", "points"]
+    image = imread(io.BytesIO(tab.locator("canvas#scene").screenshot()), format="png")
+    assert (
+        len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100
+    )  # many heights and shades
+    tab.keyboard.press("ArrowRight")
+    tab.wait_for_selector("body[data-sample='1']", state="attached")
+    assert int(state("milliseconds")) < 2000
+    assert "train 4" in tab.locator("#which option:checked").inner_text()
+    tab.keyboard.press("End")
+    tab.wait_for_selector("body[data-sample='2']", state="attached")
+    before = int(state("level"))
+    tab.keyboard.press("ArrowUp")
+    assert int(state("level")) == before + 1
+    assert "distances" in state("layers").split()
+    tab.locator("#level").fill("3")
+    assert int(state("level")) == 3
+    for name, key in (("rays", "2"), ("observed", "3"), ("free", "4"), ("unknown", "6")):
+        tab.keyboard.press(key)
+        assert name in state("layers").split()
+    tab.locator("canvas#scene").drag_to(
+        tab.locator("canvas#scene"), target_position={"x": 600, "y": 300}
+    )
+    assert told == []
+    tab.close()
+
+
+def test_a_hostile_dataset_runs_no_script_in_a_browser(
+    browser: Any, made: Path, tmp_path: Path
+) -> None:
+    (look,), _ = looks(Dataset(made), "train", [0])
+    bad = replace(look, name=HOSTILE, masks={HOSTILE: look.masks["occupancy"]})
+    tab, told = opened(browser, tmp_path / "page.html", page([bad], title=HOSTILE, notes=[HOSTILE]))
+    assert tab.locator("img").count() == 0
+    assert tab.locator("#title").inner_text().startswith("</script>")
+    tab.wait_for_timeout(300)
+    assert told == []
+    tab.close()
+
+
+def test_the_viewer_steps_through_splits_and_tells_what_is_damaged(
+    browser: Any, dataset: Path
+) -> None:
+    (dataset / "train-00001.h5").unlink()  # samples 3 to 5
+
+    def guesses(sample: Any, samples: Any) -> list[Guess]:
+        ends = sample.origin + np.array([[1.0, 1.0, 1.0], [3.0, 3.0, 2.0]])
+        route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m", fails=False)
+        return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
+
+    with served(dataset, index=2, guesses=guesses, methods=(HOSTILE,)) as server:
+        tab, told = reached(browser, server.address, (server.address, "blob:"), first=2)
+        state = lambda name: tab.evaluate(f"document.body.dataset.{name}")  # noqa: E731
+        assert {"paths", "occupancy", "points"} <= set(state("layers").split())
+        assert tab.locator("img").count() == 0
+        assert "2.9 m" in tab.locator("#figures").inner_text()
+        tab.get_by_label("world").check()
+        tab.wait_for_selector("body[data-layers~='world']", state="attached")
+        tab.get_by_label("missed").check()
+        assert "missed" in state("layers")
+        tab.locator("#whose").select_option(index=1)
+        assert "distances" in state("layers").split()
+        tab.locator("canvas#scene").click()
+        tab.keyboard.press("ArrowRight")
+        tab.wait_for_selector("body[data-sample='3']", state="attached")
+        assert "train-00001.h5" in tab.locator("#notes").inner_text()
+        assert [line for line in told if "404" not in line] == []
+        tab.keyboard.press("End")
+        tab.wait_for_selector("body[data-sample='10']", state="attached")
+        assert tab.locator("#notes").inner_text() == ""
+        tab.locator("#split").select_option("test")
+        tab.wait_for_selector("body[data-sample='0']", state="attached")
+        tab.locator("#number").fill("1")
+        tab.locator("#number").press("Enter")
+        tab.wait_for_selector("body[data-sample='1']", state="attached")
+        assert int(state("milliseconds")) < 2000
+        assert [line for line in told if "404" not in line] == []
+        tab.close()
+
+
+def test_a_dataset_of_several_is_chosen(browser: Any, made: Path, dataset: Path) -> None:
+    (dataset / "train-00000.h5").unlink()
+    with served([made, dataset]) as server:
+        tab, told = reached(browser, server.address, (server.address, "blob:"))
+        assert tab.locator("#notes").inner_text() == ""
+        tab.locator("#split").select_option("test")
+        tab.locator("#dataset").select_option(index=1)
+        tab.locator("#split").select_option("train")
+        tab.wait_for_selector("#notes div", state="attached")
+        assert "train-00000.h5" in tab.locator("#notes").inner_text()
+        assert [line for line in told if "404" not in line] == []
+        tab.close()

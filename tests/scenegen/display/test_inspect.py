@@ -1,0 +1,263 @@
+"""What `inspect` says of a dataset is what a reader of its HDF5 files counts."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from lidarsim import GridSpec, Lidar
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.display.inspect import Spread, inspect, misfits
+from scenegen.errors import DatasetError
+from scenegen.source import DrawnWorlds
+from tests.command_line import run
+from tests.conftest import picky_recipe
+
+COUNTS = {"train": 11, "val": 0, "test": 4}
+KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m"}
+
+
+def make(folder: Path, *, compact: bool = False, shards: tuple[int, int] | None = None) -> Path:
+    recipe = picky_recipe()
+    plan = plan_dataset(
+        folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS, shard_samples=3, compact=compact
+    )
+    build(plan, workers=1, shard_range=shards)
+    return folder
+
+
+def fields(folder: Path, split: str) -> dict[str, np.ndarray]:
+    """All samples of a split, as its files hold them."""
+    files = sorted(folder.glob(f"{split}-*.h5"))
+    opened = [h5py.File(file, "r") for file in files]
+    found = {name: np.concatenate([file[name][:] for file in opened]) for name in opened[0]}
+    for file in opened:
+        file.close()
+    return found
+
+
+def recomputed(stored: dict[str, np.ndarray], chosen: np.ndarray) -> dict[str, list[float]]:
+    """Each figure of each chosen sample, loop by loop."""
+    rows: dict[str, list[float]] = {key: [] for key in KEYS}
+    for n in chosen:
+        finite = [float(r) for r in stored["ranges"][n].ravel() if r < np.inf]
+        rows["returned"].append(len(finite) / stored["ranges"][n].size)
+        if finite:
+            rows["range_m"].append(sum(finite) / len(finite))
+        for key, name in (("occupied", "occupancy"), ("observed", "observed"), ("free", "free")):
+            rows[key].append(int((stored[name][n] != 0).sum()) / stored[name][n].size)
+        rows["tudf_m"].append(
+            float(stored["tudf"][n].astype(np.float64).sum()) / stored["tudf"][n].size
+        )
+    return rows
+
+
+def check(statistics: dict[str, dict[str, Any]], rows: dict[str, list[float]]) -> None:
+    assert set(statistics) == KEYS
+    for key, values in rows.items():
+        mean = sum(values) / len(values)
+        expected = {
+            "mean": mean,
+            "std": (sum((value - mean) ** 2 for value in values) / len(values)) ** 0.5,
+            "min": min(values),
+            "max": max(values),
+        }
+        assert set(statistics[key]) == set(expected)
+        for name, value in expected.items():
+            assert statistics[key][name] == pytest.approx(value, rel=1e-5, abs=1e-7), (key, name)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make(tmp_path_factory.mktemp("inspect") / "full")
+
+
+def test_statistics_are_those_of_the_files(full: Path) -> None:
+    found = inspect(full)
+    assert list(found["splits"]) == ["train", "test"]
+    for name, split in found["splits"].items():
+        stored = fields(full, name)
+        assert split["samples"] == split["sampled"] == len(stored["world"]) == COUNTS[name]
+        assert split["worlds"] == len(set(stored["world"].tolist()))
+        check(split["statistics"], recomputed(stored, np.arange(COUNTS[name])))
+        for key in KEYS:
+            assert split["statistics"][key]["std"] > 0, (
+                f"{key} is the same in all samples: the test shows little"
+            )
+
+
+def test_counts_sizes_and_origin_are_those_of_the_folder(full: Path) -> None:
+    found = inspect(full)
+    manifest = json.loads(next(full.glob("*.json")).read_text())
+    assert found["samples"] == sum(COUNTS.values())
+    assert found["bytes"] == sum(len(path.read_bytes()) for path in full.iterdir())
+    assert found["bytes_per_sample"] == pytest.approx(found["bytes"] / sum(COUNTS.values()))
+    for name in ("kind", "seed", "complete", "digest", "fields", "grid", "rejected"):
+        assert found[name] == manifest[name]
+    assert found["complete"] is True
+
+
+def test_a_compact_dataset_says_the_same(full: Path, tmp_path: Path) -> None:
+    """Free space and distances are derived."""
+    compact = inspect(make(tmp_path / "compact", compact=True))
+    whole = inspect(full)
+    assert compact["splits"] == whole["splits"]
+    assert compact["bytes"] < whole["bytes"]
+
+
+@pytest.mark.parametrize("most", [1, 2, 4, 10, 11, 200])
+def test_at_most_so_many_samples_are_measured_evenly_spread(full: Path, most: int) -> None:
+    split = inspect(full, most=most)["splits"]["train"]
+    count = min(most, COUNTS["train"])
+    assert split["sampled"] == count
+    assert split["samples"] == COUNTS["train"]
+    chosen = [
+        n * (COUNTS["train"] - 1) // max(count - 1, 1) for n in range(count)
+    ]  # from the first to the last
+    check(split["statistics"], recomputed(fields(full, "train"), np.array(chosen)))
+
+
+def test_many_samples_are_measured_by_several_processes_some_at_a_time(
+    full: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.display.inspect.AT_ONCE", 4)
+    few, told = inspect(full, most=None, workers=2, values=True), list[int]()
+    assert few == inspect(full, most=None, workers=1, values=True, on_done=told.append)
+    assert sum(told) == sum(COUNTS.values())
+    assert len(told) > 3
+    for name, split in few["splits"].items():
+        check(split["statistics"], recomputed(fields(full, name), np.arange(COUNTS[name])))
+        assert [len(values) for values in split["values"].values()] == [COUNTS[name]] * len(KEYS)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 7, 20])
+def test_two_spreads_together_are_that_of_all(cut: int) -> None:
+    values = (1e6 + np.random.default_rng(cut).normal(size=20)).tolist()
+    found, whole = (
+        (Spread.of(values[:cut]) + Spread.of(values[cut:])).said(),
+        Spread.of(values).said(),
+    )
+    assert found == pytest.approx(whole, rel=1e-9)
+    assert whole["std"] == pytest.approx(np.std(values))
+
+
+def blind(folder: Path, split: str, rows: slice) -> None:
+    """Take the returns of some samples of a split's first file away."""
+    with h5py.File(folder / f"{split}-00000.h5", "r+") as file:
+        ranges, observed = file["ranges"][:], file["observed"][:]
+        ranges[rows], observed[rows] = np.inf, False
+        file["ranges"][:], file["observed"][:] = ranges, observed
+
+
+def test_a_sample_without_returns_has_no_mean_range(tmp_path: Path) -> None:
+    folder = make(tmp_path / "d")
+    blind(folder, "train", slice(1, 2))
+    split = inspect(folder)["splits"]["train"]
+    assert split["statistics"]["returned"]["min"] == 0
+    check(split["statistics"], recomputed(fields(folder, "train"), np.arange(COUNTS["train"])))
+
+
+def test_a_split_without_returns_gives_valid_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make(tmp_path / "d")
+    for file in sorted(folder.glob("test-*.h5")):
+        with h5py.File(file, "r+") as opened:
+            opened["ranges"][:] = np.inf
+    found = inspect(folder)
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    statistics = found["splits"]["test"]["statistics"]
+    assert statistics["range_m"] == {"mean": None, "std": None, "min": None, "max": None}
+    assert statistics["returned"] == {"mean": 0, "std": 0, "min": 0, "max": 0}
+    assert statistics["occupied"]["mean"] > 0
+    for words in (("--json",), ()):
+        code, said, _ = run(capsys, "inspect", folder, *words)
+        assert code == 0
+        assert "nan" not in said.lower()
+
+
+def test_an_unfinished_dataset_is_told_as_far_as_it_is(tmp_path: Path) -> None:
+    folder = make(tmp_path / "d", shards=(0, 2))
+    found = inspect(folder)
+    assert found["complete"] is False
+    assert found["samples"] == len(Dataset(folder, partial=True).split("train")) == 6
+    assert list(found["splits"]) == ["train"]
+    check(found["splits"]["train"]["statistics"], recomputed(fields(folder, "train"), np.arange(6)))
+
+
+def test_a_folder_that_holds_no_dataset_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="not a dataset"):
+        inspect(tmp_path)
+
+
+HOSTILE = "<script>alert(1)</script>"
+
+
+def test_a_page_has_histograms_of_all_that_was_measured_and_runs_nothing(
+    full: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.display.still.DPI", 30)
+    folder = tmp_path / HOSTILE.replace("/", "|")
+    shutil.copytree(full, folder)
+    code, said, _ = run(capsys, "inspect", folder, "--html", tmp_path / "page.html", "--json")
+    assert code == 0
+    found = json.loads(said)
+    assert "values" not in found["splits"]["train"]
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    assert "default-src 'none'" in text
+    assert text.count("<figure>") == len(KEYS) * len(found["splits"])
+    assert text.count("<img ") == len(found["splits"])
+    mean = found["splits"]["train"]["statistics"]["tudf_m"]["mean"]
+    assert f"{mean:.2f} ± " in text
+    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".html"] == ["page.html"]
+
+
+def test_a_folder_of_datasets_is_listed(
+    full: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(full, tmp_path / "good")
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "dataset.json").write_text("{")
+    (tmp_path / "else").mkdir()
+    code, said, _ = run(capsys, "inspect", tmp_path, "--json")
+    assert code == 0
+    bad, good = json.loads(said)
+    assert good["samples"] == COUNTS
+    assert good["digest"] == inspect(full)["digest"]
+    assert "dataset.json" in bad["fault"]
+    code, said, _ = run(capsys, "inspect", tmp_path)
+    assert (code, said.count("\n")) == (0, 2)
+    code, _, said = run(capsys, "inspect", tmp_path, "--html", tmp_path / "x.html")
+    assert (code, said.count("\n")) == (2, 1)
+
+
+def test_what_does_not_fit_is_told(full: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Shares of the map against a count of random places."""
+    rng = np.random.default_rng(0)
+    for shape, reach in (((80, 80, 40), 10.0), ((255, 255, 64), 10.0), ((80, 80, 80), 6.0)):
+        grid = GridSpec(shape=shape)
+        places = rng.uniform(-0.5, 0.5, (20_000, 3)) * grid.extent_m
+        beyond = (np.linalg.norm(places, axis=1) > reach).mean()
+        told = misfits(grid, Lidar(max_range_m=reach))
+        assert bool(told) == (beyond > 0.4)
+        if told:
+            assert abs(float(told[0].split()[0]) - 100 * beyond) < 4
+    code, _, noted = run(capsys, "inspect", full)
+    assert (code, noted) == (0, "")
+
+
+def test_a_world_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "w.xml").write_text(
+        "<mujoco><worldbody><geom size='1' pos='0 0 5'/><geom type='box' size='1 1 1'/>"
+        "<geom type='box' size='9 9 .1'/></worldbody></mujoco>"
+    )
+    code, said, _ = run(capsys, "inspect", tmp_path / "w.xml", "--json")
+    assert code == 0
+    assert json.loads(said)["solids"] == {"spheres": 1, "boxes": 2}

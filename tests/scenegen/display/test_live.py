@@ -1,0 +1,217 @@
+"""The page served: samples as they are, to who asks it by its own address, and lines about what is
+damaged."""
+
+import base64
+import gzip
+import http.client
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenegen.dataset.archived import compile_archived
+from scenegen.dataset.read import Dataset
+from scenegen.display.exchange.glb import surfaces
+from scenegen.display.live import Live
+from scenegen.display.look import look_into
+from scenegen.display.page import packed
+from scenegen.errors import ScenegenError
+from tests.command_line import run
+from tests.scenegen.display.test_page import HOSTILE, Seen
+
+
+@contextmanager
+def served(folder: Path | list[Path], **more: Any) -> Iterator[Live]:
+    folders = [folder] if isinstance(folder, Path) else folder
+    server = Live([Dataset(one, partial=True) for one in folders], **{"split": "train", **more})
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def ask(server: Live, path: str, *, method: str = "GET", **headers: str) -> tuple[int, Any, str]:
+    """Status, headers and content of an answer."""
+    link = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=10)
+    try:
+        link.request(method, path, headers=headers)
+        answer = link.getresponse()
+        return answer.status, answer.headers, answer.read().decode()
+    finally:
+        link.close()
+
+
+def test_samples_are_served_as_they_are_by_split_and_number(made: Path) -> None:
+    dataset = Dataset(made)
+    with served(made, split="test", index=2) as server:
+        assert server.server_address[0] == "127.0.0.1"
+        status, headers, text = ask(server, "/")
+        assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
+        page = Seen(text)
+        splits = {
+            name: len(dataset.split(name))
+            for name in ("train", "val", "test")
+            if len(dataset.split(name))
+        }
+        assert page.data()["live"] == {
+            "datasets": [{"name": "pillar: pillar", "splits": splits}],
+            "split": "test",
+            "index": 2,
+        }
+        (policy,) = [
+            names["content"]
+            for tag, names, _ in page.found
+            if tag == "meta" and "http-equiv" in names
+        ]
+        assert "default-src 'none'" in policy
+        assert policy.endswith("; connect-src 'self'")
+        for split, number in (("train", 7), ("test", 0)):
+            status, headers, text = ask(server, f"/sample/0/{split}/{number}")
+            assert (status, headers["X-Content-Type-Options"]) == (200, "nosniff")
+            expected = packed(look_into(dataset.split(split), number))
+            assert json.loads(text) == json.loads(json.dumps(expected)) | {"notes": []}
+        for path in (
+            "/sample/0/train/11",
+            "/sample/0/none/0",
+            "/sample/0/train/-1",
+            "/sample/0/train/0/..",
+            "/sample/1/train/0",
+            "/../etc/passwd",
+        ):
+            assert ask(server, path)[0] == 404
+        assert ask(server, "/", method="POST")[0] == 501
+
+
+def test_the_world_of_a_sample_is_served_in_its_maps_frame(made: Path) -> None:
+    """Each solid fills its own bounds; what is not there is said."""
+    dataset = Dataset(made)
+    sample = dataset.split("test")[2]
+    with served(made, split="test") as server:
+        status, _, text = ask(server, "/world/0/test/2")
+        assert status == 200
+        packed = gzip.decompress(base64.b64decode(json.loads(text)["triangles"]))
+        corners = np.frombuffer(packed, "<f4").reshape(-1, 3)
+        world = compile_archived(dataset, "test", int(sample.world))
+        for low, high, solid in zip(
+            world.solids.lower, world.solids.upper, surfaces(world), strict=True
+        ):
+            there, corners = np.split(corners, [solid.triangles.size // 3])
+            np.testing.assert_allclose(there.min(axis=0) + sample.origin, low, atol=0.05)
+            np.testing.assert_allclose(there.max(axis=0) + sample.origin, high, atol=0.05)
+        assert not len(corners)
+        for path, told in (
+            ("/world/1/test/0", "no such dataset"),
+            ("/world/0/test/999", "the world is not shown: "),
+        ):
+            status, _, text = ask(server, path)
+            assert status == 404
+            assert json.loads(text)["error"].startswith(told)
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_what_is_predicted_comes_with_the_sample(made: Path, split: str) -> None:
+    from scenegen.display.look import Guess
+
+    def guesses(sample: Any, samples: Any) -> list[Guess]:
+        assert samples.name == split
+        return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf)]
+
+    with served(made, split=split, guesses=guesses, methods=(HOSTILE,)) as server:
+        assert ask(server, "/")[2].count("<script>alert") == 0
+        assert [
+            guess["name"] for guess in json.loads(ask(server, f"/sample/0/{split}/0")[2])["guesses"]
+        ] == [HOSTILE]
+
+
+def test_datasets_of_a_folder_are_served_by_their_numbers(made: Path, dataset: Path) -> None:
+    (dataset / "train-00000.h5").unlink()
+    with served([made, dataset]) as server:
+        assert [one["name"] for one in Seen(ask(server, "/")[2]).data()["live"]["datasets"]] == [
+            "pillar: pillar"
+        ] * 2
+        assert ask(server, "/sample/0/train/0")[0] == 200
+        assert ask(server, "/sample/1/train/0")[0] == 404
+        assert ask(server, "/sample/1/train/4")[0] == 200
+
+
+def test_a_stranger_s_name_is_refused(made: Path) -> None:
+    with served(made) as server:
+        port = server.server_address[1]
+        for host in (
+            "evil.example",
+            f"evil.example:{port}",
+            "localhost.evil.example",
+            "127.0.0.1.evil.example",
+            "",
+            "[::1",
+        ):
+            status, _, text = ask(server, "/sample/0/train/0", Host=host)
+            assert status == 403, host
+            assert "points" not in text
+        for host in (
+            f"127.0.0.1:{port}",
+            f"localhost:{port}",
+            "localhost:9000",
+            "[::1]:9000",
+        ):  # SSH has another port
+            assert ask(server, "/sample/0/train/0", Host=host)[0] == 200, host
+        assert not server.allows(socket.gethostname())  # it is served on the loopback alone
+
+
+def test_what_is_damaged_is_told_and_the_rest_is_served(dataset: Path) -> None:
+    (dataset / "train-00001.h5").unlink()  # samples 3 to 5
+    manifest = json.loads((dataset / "dataset.json").read_text())
+    (dataset / "dataset.json").write_text(
+        json.dumps(manifest | {"complete": False, "digest": None})
+    )
+    with served(dataset) as server:
+        status, _, text = ask(server, "/sample/0/train/4")
+        assert status == 404
+        assert "train-00001.h5" in json.loads(text)["error"]
+        status, _, text = ask(server, "/sample/0/train/6")
+        assert status == 200
+        assert "incomplete" in json.loads(text)["notes"][0]
+
+
+def test_an_address_that_cannot_be_had_is_an_error(made: Path, capsys: Any, tmp_path: Path) -> None:
+    with served(made) as server:
+        port = server.server_address[1]
+        with pytest.raises(ScenegenError, match="another --port"):
+            Live([Dataset(made)], split="train", port=port)
+        for words, part in (
+            (["--port", port], "another --port"),
+            (["--host", "example.com"], "no IP address"),
+            (["--host", "127.0.0.1", "--html", tmp_path / "x.html"], "leave out --html"),
+            (["--index", 1, "--index", 2], "--html"),
+            (["--index", 99, "--port", 0], "--index 99"),
+        ):
+            code, _, said = run(capsys, "view", made, *words)
+            assert (code in (1, 2), said.count("\n")) == (True, 1)
+            assert part in said
+
+
+def test_ctrl_c_ends_it_with_the_code_of_stops(made: Path) -> None:
+    words = [sys.executable, "-m", "scenegen", "view", made, "--port", "0"]
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("http://127.0.0.1:")
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert said.count("\n") == 1

@@ -1,0 +1,264 @@
+"""Pictures: what hides what, what rays meet, and files that are images."""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import colormaps
+from matplotlib.image import imread
+from PIL import Image
+
+from lidarsim import MujocoEngine
+from scenegen.cli import render as command
+from scenegen.dataset.read import Dataset
+from scenegen.display.colours import (
+    DISTANCES,
+    HEIGHTS,
+    INVENTED,
+    MISSED,
+    SENSOR,
+    colour,
+    path_colours,
+)
+from scenegen.display.figures import FIGURES
+from scenegen.display.landscape import CUT, see
+from scenegen.display.look import Guess, Look, Route, looks
+from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
+from scenegen.display.still import draw_sample, draw_turn, to_bytes
+from scenegen.errors import DatasetError
+from scenegen.single import read_world
+from scenegen.worlds.world import compile_world
+from tests.command_line import ROOT, run
+
+
+def test_the_axes_of_the_view_are_right_handed_and_of_length_one() -> None:
+    axes = np.stack([VIEW.right, VIEW.up, VIEW.eye])
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.cross(VIEW.right, VIEW.up), VIEW.eye, atol=1e-12)
+    assert VIEW.up[2] > 0  # z goes up on the paper
+
+
+def test_heights_are_turbo() -> None:
+    at = np.linspace(0, 1, 501)
+    assert np.abs(colour(at, HEIGHTS) - colormaps["turbo"](at)[:, :3]).max() < 0.04
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_face_painted_last_is_the_one_that_the_eye_meets_first(seed: int) -> None:
+    """Against rays that step through the voxels from the eye."""
+    rng = np.random.default_rng(seed)
+    mask = rng.random((5, 4, 3)) < 0.4
+    view = View(azimuth=rng.uniform(-np.pi, np.pi), elevation=rng.uniform(0.2, 1.3))
+    corners, voxels, _ = visible_faces(mask, view)
+    quads = view.project(corners)
+    met = 0
+    for spot in rng.uniform(quads.min(axis=(0, 1)), quads.max(axis=(0, 1)), (100, 2)):
+        ray = (
+            spot[0] * view.right
+            + spot[1] * view.up
+            + np.linspace(12, -12, 3001)[:, None] * view.eye
+        )
+        cells = np.floor(ray).astype(int)
+        inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
+        hits = [tuple(cell) for cell in cells[inside] if mask[tuple(cell)]]
+        painted = [n for n, quad in enumerate(quads) if _is_in(quad, spot)]
+        assert bool(hits) == bool(painted)
+        if hits:
+            met += 1
+            assert tuple(voxels[painted[-1]]) == hits[0]
+            assert np.abs(corners[painted[-1]].mean(axis=0) - np.array(hits[0]) - 0.5).max() <= 0.5
+    assert met > 30
+
+
+def _is_in(quad: np.ndarray, spot: np.ndarray) -> bool:
+    edges, ways = np.roll(quad, -1, axis=0) - quad, spot - quad
+    sides = edges[:, 0] * ways[:, 1] - edges[:, 1] * ways[:, 0]
+    return bool((sides > 0).all() or (sides < 0).all())
+
+
+def test_a_world_is_what_another_engine_meets() -> None:
+    """A ball, a pillar through the box's lid, and a floor: where the picture is white, MuJoCo's
+    rays meet nothing."""
+    world = compile_world(
+        b"<mujoco><custom><numeric name='flight_bounds' data='0 0 0 10 8 4'/></custom><worldbody>"
+        b"<geom type='sphere' size='1' pos='4 4 2'/><geom type='box' size='.5 .5 9' pos='8 2 0'/>"
+        b"<geom type='box' size='3 3 .1' pos='3 3 0'/></worldbody></mujoco>"
+    )
+    low, high = world.flight_bounds
+    image, (left, right, down, up) = see(world, low, high)
+    rows, columns = image.shape[:2]
+    rng = np.random.default_rng(0)
+    places = rng.integers(0, (rows, columns), (400, 2))
+    spots = np.stack(
+        [
+            left + (places[:, 1] + 0.5) * (right - left) / columns,
+            down + (places[:, 0] + 0.5) * (up - down) / rows,
+        ],
+        1,
+    )
+    flat = spots[:, :1] * VIEW.right + spots[:, 1:] * VIEW.up
+    faces = np.stack([(low - flat) / VIEW.eye, (high - flat) / VIEW.eye])
+    begin, end = faces.max(axis=0).min(axis=1), faces.min(axis=0).max(axis=1)
+    inside = begin > end + 0.05
+    engine = MujocoEngine.of(world.model, world.data)
+    ranges = engine.cast(
+        flat + begin[:, None] * VIEW.eye, np.broadcast_to(-VIEW.eye, (400, 1, 3)), 50.0
+    )[:, 0]
+    colours = image[places[:, 0], places[:, 1]]
+    white = (colours == 1).all(axis=1)
+    assert (
+        white[inside] == np.isinf(ranges[inside])
+    ).mean() > 0.98  # a pixel is a hundredth of a metre
+    assert white[begin < end].all()
+    top = VIEW.project([8.0, 2.0, 4.0])  # where the box's lid cuts the pillar
+    row, column = (
+        int((top[1] - down) / (up - down) * rows),
+        int((top[0] - left) / (right - left) * columns),
+    )
+    np.testing.assert_allclose(image[row, column], CUT)
+    assert 0 < (image == CUT).all(axis=2).mean() < 0.2
+
+
+def test_a_sample_becomes_a_picture_with_its_sensor(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.display.still.DPI", 60)
+    (look,), _ = looks(Dataset(made), "train", [1])
+    image = imread(io.BytesIO(to_bytes(draw_sample(look), ".png")), format="png")
+    assert image.shape[:2] == (468, 720)
+    red = np.abs(image[..., :3] * 255 - SENSOR).max(axis=2) < 3
+    assert red.sum() > 40
+    less = replace(look, tudf=None, masks={"observed": look.masks["observed"]})
+    poorer = imread(io.BytesIO(to_bytes(draw_sample(less), ".png")), format="png")
+    assert (poorer[:, :, :3] == 1).all(axis=2).mean() > (image[:, :, :3] == 1).all(axis=2).mean()
+
+
+def test_the_command_draws_samples_sheets_and_worlds(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.display.landscape.PIXELS", 200)
+    monkeypatch.setattr("scenegen.display.still.DPI", 50)
+    room = ROOT / "scenes" / "room_with_gap.xml"
+    for words in (
+        [made, "--index", 2],
+        [made, "--sheet", 5, "--split", "test"],
+        [made, "--index", 1, "--figure", "world"],
+        [room, "--flight"],
+    ):
+        code, _, said = run(capsys, "render", *words, "-o", tmp_path / "deep" / "x.png", "--quiet")
+        assert (code, said) == (0, "")
+        assert (tmp_path / "deep" / "x.png").read_bytes().startswith(b"\x89PNG")
+        (tmp_path / "deep" / "x.png").unlink()
+    for words, part in (
+        ([made, "-o", tmp_path / "x.gif"], "expected a name that ends in"),
+        ([made, "--flight"], "is for a world"),
+        ([made, "--index", 1, "--n", 2], "not both"),
+        ([made, "--figure", "paths", "-o", tmp_path / "x.png"], "give --weights or --predictions"),
+        ([made, "--turn", "-o", tmp_path / "x.png"], "ends in .webp"),
+        ([made, "--turn", "--sheet", 4], "--turn"),
+        ([tmp_path / "none.xml", "-o", tmp_path / "x.png"], "none.xml"),
+        ([tmp_path, "-o", tmp_path / "x.png"], "dataset.json"),
+    ):
+        code, _, said = run(capsys, "render", *words)
+        assert code in (1, 2)
+        assert said.count("\n") == 1
+        assert part in said
+    assert not list(tmp_path.glob("x.*"))
+
+
+def test_viewpoints_of_a_flight_are_in_order_and_in_the_open() -> None:
+    from scenegen.single import poses_in_flight
+
+    world = read_world(ROOT / "scenes" / "room_with_gap.xml")
+    places = np.array([pose.position for pose in poses_in_flight(world, seed=1)])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert len(places) > 2
+    assert steps.max() <= 1.0 + 1e-9  # spacing along the flight, in metres
+    assert ((places >= world.flight_bounds[0]) & (places <= world.flight_bounds[1])).all()
+
+
+def test_a_turntable_turns_once_around(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scenegen.display.still.TURN_DPI", 40)
+    (look,), _ = looks(Dataset(made), "train", [1])
+    with Image.open(io.BytesIO(draw_turn(look, title="small", frames=4))) as film:
+        assert (film.format, film.is_animated, film.n_frames, film.size) == (
+            "WEBP",
+            True,
+            4,
+            (256, 192),
+        )
+        shown = []
+        for n in range(4):
+            film.seek(n)
+            shown.append(np.asarray(film.convert("RGB")).astype(int))
+    differ = [(np.abs(one - shown[0]).max(axis=2) > 60).mean() for one in shown]
+    assert differ[0] == 0
+    assert min(differ[1:]) > 0.02
+
+
+def predicted(made: Path) -> tuple[Look, np.ndarray]:
+    """A sample of which the upper half is missed, and a block is invented, with a path through the
+    map."""
+    (look,), _ = looks(Dataset(made), "train", [1])
+    truth = look.masks["occupancy"]
+    guess = truth.copy()
+    guess[:, :, truth.shape[2] // 2 :] = False
+    guess[-4:, :4, -4:] = True
+    ends = look.origin + np.array([[0.5, 0.5, 0.5], [4.0, 4.0, 2.5]])
+    paths = [
+        Route(start=ends[0], goal=ends[1], points=ends + shift, told="", fails=False)
+        for shift in (0.0, [0, 0, 1])
+    ]
+    names = ("occ", "$own$")
+    said = [
+        Guess(name=name, occupied=guess, tudf=np.zeros(truth.shape, np.float32), route=route)
+        for name, route in zip(names, paths, strict=True)
+    ]
+    return replace(look, guesses=tuple(said)), guess
+
+
+@pytest.mark.parametrize("name", list(FIGURES))
+def test_the_paper_s_figures_show_methods_errors_and_paths(
+    made: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.display.still.DPI", 60)
+    look, _ = predicted(made)
+
+    def share(shown: Look, colour: tuple[int, ...], near: float = 6) -> float:
+        image = imread(
+            io.BytesIO(to_bytes(FIGURES[name]([shown], title=""), ".png")), format="png"
+        )[:-40, :-60, :3]
+        shades = [np.array(colour) * light for light in SHADES]  # which sides of cubes have
+        far = np.min([np.abs(image * 255 - one).max(axis=2) for one in shades], axis=0)
+        return float((far < near).mean())
+
+    right = replace(
+        look, guesses=tuple(replace(one, occupied=look.masks["occupancy"]) for one in look.guesses)
+    )
+    if name == "completions":
+        assert share(look, MISSED) > share(right, MISSED) + 0.002
+        assert share(look, INVENTED, 40) > share(right, INVENTED, 40)
+    if name in ("paths", "example"):
+        bare = replace(
+            look,
+            guesses=tuple(
+                replace(one, route=replace(one.route, points=None)) for one in look.guesses
+            ),
+        )
+        for colour in path_colours(["occ", "$own^$"]):
+            assert share(look, colour) > share(bare, colour)
+        with pytest.raises(DatasetError, match="no path"):
+            FIGURES[name](
+                [replace(look, guesses=tuple(replace(one, route=None) for one in look.guesses))],
+                title="",
+            )
+    if name == "distances":
+        assert share(look, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
+    with pytest.raises(DatasetError, match="--weights"):
+        FIGURES[name]([replace(look, guesses=())], title="")
+
+
+def test_the_command_knows_every_figure() -> None:
+    assert set(command.FIGURES) == {"sample", "world", *FIGURES}

@@ -1,0 +1,98 @@
+"""What a command gives wherever it is done: a dataset, a network, the commands, and what they
+leave."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.model.checkpoint import save_network
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
+from scenegen.source import DrawnWorlds
+from tests.command_line import run
+from tests.conftest import small_recipe
+
+COUNTS = {"train": 6, "val": 4, "test": 7}
+SAMPLES = sum(COUNTS.values())
+COMPLETE = ("complete", "d", "--weights", "n.safetensors", "--batch", 2, "--device", "cpu")
+BENCH = (
+    "bench",
+    "d",
+    "--quick",
+    "--weights",
+    "n.safetensors",
+    "--method",
+    "returns",
+    "--method",
+    "truth",
+)
+COMMANDS: tuple[tuple[object, ...], ...] = (
+    ("verify", "d", "--json"),
+    ("convert", "d", "--to", "npz"),
+    ("convert", "d", "--to", "webdataset"),
+    COMPLETE,
+    BENCH,
+)
+
+
+def make(folder: Path) -> None:
+    """`d`, a dataset of seven shards, and `n.safetensors`, a network for it."""
+    recipe = small_recipe()
+    build(
+        plan_dataset(
+            folder / "d", recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3
+        )
+    )
+    grid = Dataset(folder / "d").grid
+    torch.manual_seed(0)
+    save_network(
+        folder / "n.safetensors", Network(NetworkConfig(width=2, height=grid.shape[2])), grid, {}
+    )
+
+
+def stand(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stand in `folder`, with tasks of two samples."""
+    monkeypatch.chdir(folder)
+    torch.set_num_threads(1)
+    monkeypatch.setattr("scenegen.display.exchange.convert.CHUNK", 2)
+    monkeypatch.setattr("scenegen.model.evaluation.run.CHUNK", 2)
+    monkeypatch.setattr("scenegen.model.completion.predictions.PART", 2)
+
+
+def outcome(
+    capsys: pytest.CaptureFixture[str],
+    here: Path,
+    words: tuple[object, ...],
+    out: str,
+    *more: object,
+) -> dict[str, Any]:
+    """What the command leaves at `out`, or says; without times, and without its own words."""
+    writes = () if words[0] == "verify" else ("-o", out)
+    code, said, complaint = run(capsys, *words, *writes, *more)
+    assert code == 0, complaint
+    if words[0] == "verify":
+        return checks(said)
+    found = contents(here / out)
+    if words[0] == "bench":
+        found = json.loads(found["report.json"])
+        found.pop("command")
+    shutil.rmtree(here / out, ignore_errors=True)
+    (here / out).unlink(missing_ok=True)
+    return found
+
+
+def checks(said: str) -> dict[str, Any]:
+    """A report's checks by name, without their time."""
+    return {check.pop("name"): check | {"seconds": 0} for check in json.loads(said)["checks"]}
+
+
+def contents(place: Path) -> dict[str, Any]:
+    """A file, or all files below a folder."""
+    files = [place] if place.is_file() else [path for path in place.rglob("*") if path.is_file()]
+    return {str(path.relative_to(place)): path.read_bytes() for path in files}

@@ -1,0 +1,118 @@
+"""A real Slurm on this machine, of several nodes: for tests, and around a command.
+
+python -m tests.scenegen.run.slurm_here COMMAND…     begins munged, slurmctld and slurmd, runs
+COMMAND, ends them
+    needs Debian's slurm-wlm and munge, and to be root
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+CONFIG = """
+ClusterName=scenegen
+SlurmctldHost={host}
+AuthType=auth/munge
+AuthInfo=socket={folder}/munge.socket
+CredType=cred/munge
+SlurmUser=root
+SlurmctldPort={port}
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool-%n
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd-%n.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd-%n.log
+ProctrackType=proctrack/pgid
+TaskPlugin=task/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU
+AccountingStorageType=accounting_storage/none
+JobAcctGatherType=jobacct_gather/none
+JobCompType=jobcomp/none
+ReturnToService=2
+MpiDefault=none
+SchedulerParameters=sched_interval=1
+MaxArraySize=4
+PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
+"""
+NODE = (
+    "NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} State=UNKNOWN\n"
+)
+WAIT_S = 60
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+@contextmanager
+def slurm(folder: Path, nodes: int = 1) -> Iterator[dict[str, int]]:
+    """A cluster of this machine's cores, `nodes` times; files lie in `folder`. The process number
+    of every node's daemon, by the node's name."""
+    for above in (
+        folder,
+        *folder.parents,
+    ):  # munge refuses sockets in folders that others cannot reach
+        if above.stat().st_uid == 0 and above != Path("/"):
+            above.chmod(above.stat().st_mode | 0o755)
+    (folder / "state").mkdir()
+    host = socket.gethostname().split(".")[0]
+    names = [f"node{number}" for number in range(nodes)]
+    text = CONFIG.format(host=host, folder=folder, port=free_port())
+    for name in names:
+        text += NODE.format(name=name, host=host, port=free_port(), cpus=os.cpu_count())
+        (folder / f"spool-{name}").mkdir()
+    (folder / "slurm.conf").write_text(text)
+    (folder / "key").write_bytes(os.urandom(1024))
+    (folder / "key").chmod(0o400)
+    before = os.environ.get("SLURM_CONF")
+    os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
+    flags = {
+        "key-file": "key",
+        "socket": "munge.socket",
+        "log-file": "log",
+        "pid-file": "pid",
+        "seed-file": "seed",
+    }
+    files = [f"--{flag}={folder}/{name}" for flag, name in flags.items()]
+    daemons = [subprocess.Popen(["munged", "-F", "-f", *files])]
+    try:
+        time.sleep(1)
+        daemons += [subprocess.Popen(["slurmctld", "-D"])]
+        daemons += [subprocess.Popen(["slurmd", "-D", "-N", name]) for name in names]
+        _wait(folder, nodes)
+        yield {name: daemon.pid for name, daemon in zip(names, daemons[2:], strict=True)}
+    finally:
+        for daemon in reversed(daemons):
+            daemon.send_signal(signal.SIGTERM)
+            daemon.wait(20)
+        os.environ.pop("SLURM_CONF")
+        if before is not None:
+            os.environ["SLURM_CONF"] = before
+
+
+def _wait(folder: Path, nodes: int) -> None:
+    for _ in range(WAIT_S):
+        told = subprocess.run(
+            ["sinfo", "-h", "-N", "-o", "%T"], capture_output=True, text=True, check=False
+        )
+        if told.stdout.split() == ["idle"] * nodes:
+            return
+        time.sleep(1)
+    log = (folder / "slurmctld.log").read_text()[-2000:]
+    raise RuntimeError(f"not all nodes are up: {told.stdout}{told.stderr}\n{log}")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as made, slurm(Path(made)):
+        sys.exit(subprocess.run(sys.argv[1:], check=False).returncode)

@@ -1,0 +1,205 @@
+"""Where the shards of a dataset are written changes nothing of it."""
+
+import marshal
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.run import EXECUTORS, executor
+from scenegen.run.rank import rank_of
+from scenegen.run.remote import Outcome, sent
+from scenegen.run.software import identity
+from scenegen.source import DrawnWorlds
+from tests.command_line import ROOT
+from tests.conftest import small_recipe
+from tests.scenegen.run.backwards import Backwards
+
+COUNTS = {"train": 14, "val": 3, "test": 4}
+
+
+def make(
+    folder: Path, place: str = "local", workers: int = 1
+) -> tuple[str | None, dict[str, bytes]]:
+    """The digest of a small dataset made at `place`, and all its files."""
+    recipe = small_recipe()
+    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
+    summary = build(plan, execute=executor(place, workers))
+    return summary.digest, {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_ranks_make_a_dataset_together_in_any_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each job writes its own shards and no others; whichever ends last completes the manifest."""
+    whole = make(tmp_path / "whole")
+    monkeypatch.setenv("SCENEGEN_WORLD_SIZE", "3")
+    written: set[str] = set()
+    for rank in (2, 0, 1):
+        monkeypatch.setenv("SCENEGEN_RANK", str(rank))
+        digest, files = make(tmp_path / "parts", "rank")
+        shards = {name for name in files if name.endswith(".h5")}
+        assert len(shards - written) in (2, 3)
+        written = shards
+        assert (digest is None) == (rank != 1)
+    assert make(tmp_path / "parts", "rank") == whole
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({"RANK": "1", "WORLD_SIZE": "4"}, (1, 4)),
+        ({"SLURM_PROCID": "3", "SLURM_NTASKS": "4"}, (3, 4)),
+        # torchrun on the second of two nodes
+        ({"SLURM_PROCID": "1", "SLURM_NTASKS": "2", "RANK": "5", "WORLD_SIZE": "8"}, (5, 8)),
+        (
+            {
+                "SLURM_ARRAY_TASK_ID": "7",
+                "SLURM_ARRAY_TASK_COUNT": "4",
+                "SLURM_ARRAY_TASK_MIN": "5",
+            },
+            (2, 4),
+        ),
+        (
+            {
+                "JOB_COMPLETION_INDEX": "0",
+                "SCENEGEN_WORLD_SIZE": "2",
+                "RANK": "1",
+                "WORLD_SIZE": "4",
+            },
+            (0, 2),
+        ),
+    ],
+)
+def test_the_environment_tells_the_rank(
+    environment: dict[str, str], expected: tuple[int, int]
+) -> None:
+    assert rank_of(environment) == expected
+
+
+@pytest.mark.parametrize(
+    ("environment", "told"),
+    [
+        ({}, "the environment tells no rank; set SCENEGEN_RANK and SCENEGEN_WORLD_SIZE, or "),
+        ({"RANK": "4", "WORLD_SIZE": "4"}, "RANK='4', WORLD_SIZE='4'; expected whole numbers"),
+        ({"RANK": "-1", "WORLD_SIZE": "4"}, "RANK='-1', WORLD_SIZE='4'; expected whole numbers"),
+        (
+            {"SCENEGEN_RANK": "one", "SCENEGEN_WORLD_SIZE": "2"},
+            "SCENEGEN_RANK='one', SCENEGEN_WORLD_SIZE='2'; expect",
+        ),
+        (
+            {
+                "SLURM_ARRAY_TASK_ID": "1",
+                "SLURM_ARRAY_TASK_COUNT": "2",
+                "SLURM_ARRAY_TASK_MIN": "5",
+            },
+            "SLURM_ARRAY_TASK",
+        ),
+    ],
+)
+def test_an_impossible_rank_ends_in_one_line(environment: dict[str, str], told: str) -> None:
+    with pytest.raises(DatasetError) as caught:
+        rank_of(environment)
+    assert str(caught.value).startswith(f"--on rank: {told}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["local", "rank"])
+def test_places_without_an_address_take_none(name: str) -> None:
+    with pytest.raises(DatasetError, match=f"--on {name}://somewhere: "):
+        executor(f"{name}://somewhere", 1)
+
+
+def test_what_is_no_executor_is_refused() -> None:
+    with pytest.raises(ScenegenError, match="--on: unknown executor 'clouds'"):
+        executor("clouds", 1)
+    with pytest.raises(
+        ScenegenError, match="--on: executor nowhere:Thing: there is no module nowhere"
+    ):
+        executor("nowhere:Thing://there", 1)
+    assert set(EXECUTORS.known) == {"local", "rank", "ray", "slurm"}
+
+
+def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = small_recipe()
+    plan = plan_dataset(
+        tmp_path / "d", recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3
+    )
+    theirs = identity() | {"numpy": "1.0", "source": "f00d"}
+
+    def arrive() -> None:
+        """From here on, this process is the other machine's."""
+        monkeypatch.setattr("scenegen.run.remote.identity", lambda: theirs)
+
+    ours = identity()
+    with pytest.raises(GenerationError) as caught:
+        build(plan, execute=Backwards("", 1), on_start=arrive)
+    said = str(caught.value)
+    assert f"numpy 1.0, not {ours['numpy']}, source f00d, not {ours['source']};" in said
+    assert said.endswith(f"(on {socket.gethostname()})")
+    assert "mujoco" not in said
+    assert not list((tmp_path / "d").glob("*.h5"))
+
+
+def test_the_digest_of_the_source_follows_every_file(tmp_path: Path) -> None:
+    """A copy elsewhere has the same one, until any file of it changes."""
+    for package in ("lidarsim", "scenegen"):
+        ignore = shutil.ignore_patterns("*.safetensors", "__pycache__", "*.js")
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=ignore)
+    code = "from scenegen.run.software import identity; print(identity()['source'])"
+
+    def digest() -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        return done.stdout.strip()
+
+    assert digest() == identity()["source"]
+    with (tmp_path / "scenegen" / "model" / "columns.py").open("a") as file:
+        file.write("#")
+    assert digest() != identity()["source"]
+
+
+def test_a_machine_without_scenegen_says_so() -> None:
+    """What is sent needs nothing of ours: its code is run by a Python that has no packages."""
+    there: Any = sent(abs)
+    cells = {
+        name: cell.cell_contents
+        for name, cell in zip(there.__code__.co_freevars, there.__closure__, strict=True)
+    }
+    code = (
+        "import marshal, sys, types\n"
+        "code, cells = marshal.load(sys.stdin.buffer)\n"
+        "closure = tuple(types.CellType(cells[name]) for name in code.co_freevars)\n"
+        "print(*types.FunctionType(code, {'__builtins__': __builtins__}, None, None, "
+        "closure)(b''), sep='\\n')\n"
+    )
+    given = marshal.dumps((there.__code__, cells))
+    words = [sys.executable, "-I", "-S", "-c", code]
+    said, node = (
+        subprocess.run(words, input=given, capture_output=True, check=True)
+        .stdout.decode()
+        .splitlines()
+    )
+    assert node == socket.gethostname()
+    with pytest.raises(GenerationError, match=rf"No module named 'scenegen'; .* \(on {node}\)"):
+        Outcome(said, node).taken()
+
+
+def test_where_there_is_no_slurm_one_line_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("submitit")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(GenerationError, match="--on slurm: nothing could be submitted") as caught:
+        list(executor("slurm", 1)(abs, [1], lambda: None))
+    assert "\n" not in str(caught.value)

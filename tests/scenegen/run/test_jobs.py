@@ -1,0 +1,134 @@
+"""What is asked of Slurm, on a stand-in for it and for submitit; test_slurm.py has the real
+ones."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from scenegen.errors import DatasetError, GenerationError, OwnCodeError
+from scenegen.run import executor
+from tests.command_line import ROOT
+
+MOST = 3
+"""The cluster's MaxArraySize."""
+COMMANDS = {
+    "scontrol": f"echo 'MaxArraySize            = {MOST}'",
+    "squeue": "",
+    "scancel": 'echo "$@" >> cancelled',
+}
+
+
+class UncompletedJobError(RuntimeError):
+    """Submitit's, by which it ends what Slurm's signal interrupts."""
+
+
+class Submitit(SimpleNamespace):
+    """The module, as far as it is used: jobs are done when they are submitted."""
+
+    core = SimpleNamespace(utils=SimpleNamespace(UncompletedJobError=UncompletedJobError))
+    arrays: list[tuple[int, dict[str, Any]]]
+    """The size of each array, and its parameters."""
+
+    def SlurmExecutor(self, folder: Path) -> Any:  # noqa: N802
+        given: dict[str, Any] = {}
+
+        def map_array(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
+            if len(parts) > MOST:
+                raise RuntimeError(
+                    "sbatch: error: Batch job submission failed: Invalid job array specification"
+                )
+            self.arrays.append((len(parts), dict(given)))
+            return [
+                SimpleNamespace(
+                    job_id=f"{len(self.arrays)}_{n}",
+                    paths=SimpleNamespace(result_pickle=folder),
+                    result=partial(function, part),
+                )
+                for n, part in enumerate(parts)
+            ]
+
+        return SimpleNamespace(update_parameters=given.update, map_array=map_array)
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Submitit:
+    """A folder to stand in, where there are Slurm's commands."""
+    for name, line in COMMANDS.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{line}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    found = Submitit(arrays=[])
+    monkeypatch.setitem(sys.modules, "submitit", found)
+    monkeypatch.setitem(sys.modules, "cloudpickle", SimpleNamespace(CloudPickler=pickle.Pickler))
+    return found
+
+
+def test_arrays_are_no_larger_than_the_cluster_takes(slurm: Submitit, tmp_path: Path) -> None:
+    """All tasks are done, no more jobs at a time than there are workers, and none is left."""
+    found = executor("slurm://cpu?time=60&mem=4G", 5)(abs, range(-50, 0), lambda: None)
+    assert sorted(found) == list(range(1, 51))
+    assert (
+        sum(size for size, _ in slurm.arrays) == 17
+    )  # three tasks a job: four jobs for each worker, about
+    assert len(slurm.arrays) == 6
+    for _, given in slurm.arrays:
+        assert given["time"] == 60
+        assert given["additional_parameters"] == {"partition": "cpu", "mem": "4G"}
+        assert given["array_parallelism"] == 1
+    assert (tmp_path / "cancelled").read_text() == f"--name={slurm.arrays[0][1]['job_name']}\n"
+    assert not list(tmp_path.glob("scenegen-slurm-*"))
+
+
+@pytest.mark.parametrize("minutes", ["1:00:00", "0", "-5", "an hour", "1.5", "9" * 99])
+def test_a_time_limit_is_in_whole_minutes(slurm: Submitit, minutes: str) -> None:
+    with pytest.raises(DatasetError, match="expected whole minutes"):
+        executor(f"slurm://?time={minutes}", 1)
+
+
+def interrupted(error: type[Exception]) -> None:
+    raise error("Job not requeued because: timed-out and not checkpointable.")
+
+
+@pytest.mark.parametrize("error", [UncompletedJobError, OwnCodeError])
+def test_a_time_limit_that_is_reached_is_one_line(slurm: Submitit, error: type[Exception]) -> None:
+    with pytest.raises(
+        GenerationError, match=r"job 1_0: timed-out: its 60 minutes are too few"
+    ) as caught:
+        list(executor("slurm://?time=60", 1)(interrupted, [error], lambda: None))
+    assert "\n" not in str(caught.value)
+
+
+def test_jobs_are_cancelled_though_the_command_is_killed(slurm: Submitit, tmp_path: Path) -> None:
+    code = (
+        "import time\n"
+        "from scenegen.run.slurm import _cancelled\n"
+        "with _cancelled('ours'):\n"
+        "    print('begun', flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, env=environment
+    ) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline() == b"begun\n"
+        assert not (tmp_path / "cancelled").exists()
+        running.send_signal(signal.SIGKILL)
+    deadline = time.monotonic() + 20
+    while (
+        not ((said := tmp_path / "cancelled").exists() and said.read_text())
+        and time.monotonic() < deadline
+    ):
+        time.sleep(0.1)
+    assert said.read_text() == "--name=ours\n"

@@ -1,0 +1,190 @@
+"""On a real Ray cluster: the same bits, also where a node is killed on the way.
+
+python -m pytest -m slow tests/scenegen/run/test_ray.py        needs the extra `ray`
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenegen.cli.progress import Progress
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.run import executor
+from scenegen.source import DrawnWorlds
+from tests.command_line import ROOT
+from tests.conftest import small_recipe
+from tests.scenegen.run import everywhere
+from tests.scenegen.run.odd import NODES, odd_node
+
+ray = pytest.importorskip("ray")
+cluster_utils = pytest.importorskip("ray.cluster_utils")
+pytestmark = pytest.mark.slow
+COUNTS = {"train": 60, "val": 3, "test": 3}
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """A head and two nodes of one core each, all on this machine."""
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    found = cluster_utils.Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
+    found.nodes = [found.add_node(num_cpus=1) for _ in range(2)]
+    yield found
+    found.shutdown()
+
+
+@pytest.fixture
+def connected(cluster: Any) -> Iterator[Any]:
+    """The cluster, to which this process is connected."""
+    ray.init(address=cluster.address, log_to_driver=False, configure_logging=False)
+    yield cluster
+    ray.shutdown()
+
+
+def plan(folder: Path) -> Any:
+    recipe = small_recipe()
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
+
+
+def test_a_cluster_makes_the_same_dataset_though_a_node_dies(
+    connected: Any, tmp_path: Path
+) -> None:
+    here = build(plan(tmp_path / "here"))
+    killed = []
+
+    def kill_one(report: Any, fresh: bool) -> None:
+        if fresh and not killed:
+            killed.append(connected.nodes.pop())
+            connected.remove_node(killed[0], allow_graceful=False)
+
+    there = build(plan(tmp_path / "there"), execute=executor("ray", 1), on_shard=kill_one)
+    assert killed
+    assert there.digest == here.digest
+    for path in (tmp_path / "here").iterdir():
+        assert (tmp_path / "there" / path.name).read_bytes() == path.read_bytes()
+    assert ray.is_initialized(), "what was there before is left"
+
+
+def test_commands_give_the_same_there_though_a_node_dies(
+    cluster: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """verify, convert, complete and bench, each with a node that is killed on the way. Nothing of
+    Ray's is printed."""
+    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+    everywhere.make(tmp_path)
+    everywhere.stand(tmp_path, monkeypatch)
+    count = Progress.count
+
+    def kill_one(self: Any, samples: int) -> None:
+        count(self, samples)
+        if nodes and samples:
+            cluster.remove_node(nodes.pop(), allow_graceful=False)
+            cluster.nodes.append(cluster.add_node(num_cpus=1))
+
+    for words in everywhere.COMMANDS:
+        nodes: list[Any] = []
+        here = everywhere.outcome(capsys, tmp_path, words, "here", "--workers", 1)
+        nodes = [cluster.nodes.pop(0)]
+        monkeypatch.setattr(Progress, "count", kill_one)
+        there = everywhere.outcome(capsys, tmp_path, words, "there", "--on", "ray://auto")
+        monkeypatch.setattr(Progress, "count", count)
+        assert not nodes, "one was killed"
+        assert there == here
+
+
+def test_an_error_is_raised_here_and_names_the_node(connected: Any, tmp_path: Path) -> None:
+    """A disk that only the nodes find full, say; here a folder that became a file."""
+    asked = plan(tmp_path / "there")
+
+    def spoil(task: Any) -> None:
+        raise DatasetError(f"{task}: disk is full")
+
+    with pytest.raises(ScenegenError, match=r"3: disk is full \(on \S+\)"):
+        list(executor("ray", 1)(spoil, [3], lambda: None))
+    assert asked.samples == 66
+
+
+@pytest.mark.parametrize(("what", "told"), NODES.items(), ids=lambda it: it[:8])
+def test_a_node_that_is_not_as_this_machine_is_named(tmp_path: Path, what: str, told: str) -> None:
+    """A cluster whose only node that takes tasks is another version's, or has none."""
+    odd_node(tmp_path, what)
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    found = cluster_utils.Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False}
+    )
+    found.add_node(
+        num_cpus=1, env_vars={"PYTHONPATH": f"{tmp_path}:{ROOT}", "SLURMD_NODENAME": "node1"}
+    )
+    ray.init(address=found.address, log_to_driver=False, configure_logging=False)
+    try:
+        with pytest.raises(GenerationError, match=told) as caught:
+            list(executor("ray", 1)(abs, [-1], lambda: None))
+        assert "\n" not in str(caught.value)
+    finally:
+        ray.shutdown()
+        found.shutdown()
+
+
+def beat(path: Path) -> None:
+    """Write for a minute what time it is."""
+    for _ in range(300):
+        path.write_text(str(time.time()))
+        time.sleep(0.2)
+
+
+def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_path: Path) -> None:
+    ours, others = tmp_path / "ours", tmp_path / "others"
+    task = ray.remote(beat).remote(others)
+    code = (
+        "from pathlib import Path\n"
+        "from scenegen.run import executor\n"
+        "from scenegen.cli import stops\n"
+        "from tests.scenegen.run.test_ray import beat\n"
+        "stops.answer()\n"
+        f"list(executor('ray://auto', 1)(beat, [Path({str(ours)!r})], lambda: None))\n"
+    )
+    environment = os.environ | {"RAY_ADDRESS": connected.address, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, "-c", code], env=environment) as running:
+        deadline = time.monotonic() + 60
+        while not (ours.exists() and others.exists()) and time.monotonic() < deadline:
+            time.sleep(0.2)
+        running.send_signal(signal.SIGINT)
+        assert running.wait(20) == 130
+    time.sleep(10)
+    now = time.time()
+    assert float(ours.read_text()) < now - 5
+    assert float(others.read_text()) > now - 2
+    ray.cancel(task, force=True)
+
+
+def test_usage_is_never_reported() -> None:
+    """The switch is off before Ray is imported, and Ray's own opinion is asked."""
+    code = (
+        "from scenegen.run import executor\n"
+        "executor('ray', 1)\n"
+        "from ray._common.usage import usage_lib\n"
+        "assert not usage_lib.usage_stats_enabled()\n"
+    )
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    subprocess.run([sys.executable, "-c", code], check=True, env=clean, timeout=120)
+
+
+def test_an_address_where_nobody_answers_ends_in_one_line() -> None:
+    pytest.importorskip("grpc", reason="Ray's client needs grpcio")
+    with pytest.raises(
+        ScenegenError, match=r"--on ray://127\.0\.0\.1:9: no cluster answers there"
+    ) as caught:
+        list(executor("ray://127.0.0.1:9", 1)(abs, [1], lambda: None))
+    assert "\n" not in str(caught.value)

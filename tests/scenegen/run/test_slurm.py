@@ -1,0 +1,225 @@
+"""On a real Slurm, begun on this machine: the same bits, and one line for what goes wrong.
+
+python -m pytest -m slow tests/scenegen/run/test_slurm.py
+    needs the extra `slurm`, Debian's slurm-wlm and munge, and to be root: it begins munged,
+    slurmctld and slurmd
+"""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenegen.dataset import manifest
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.run import executor
+from scenegen.source import DrawnWorlds
+from tests.command_line import ROOT
+from tests.conftest import small_recipe
+from tests.scenegen.run import everywhere, slurm_here
+from tests.scenegen.run.odd import NODES, odd_node
+
+pytest.importorskip("submitit")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        shutil.which("slurmctld") is None or os.getuid() != 0,
+        reason="needs slurm-wlm, and to be root",
+    ),
+]
+COUNTS = {"train": 24, "val": 3, "test": 3}
+
+
+@pytest.fixture(scope="module")
+def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, int]]:
+    """A cluster of two nodes, both this machine."""
+    with slurm_here.slurm(tmp_path_factory.mktemp("slurm"), nodes=2) as nodes:
+        yield nodes
+
+
+def plan(folder: Path) -> Any:
+    recipe = small_recipe()
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
+
+
+@pytest.fixture
+def here(slurm: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))  # where jobs find functions of this file
+    return tmp_path
+
+
+def test_a_job_array_makes_the_same_dataset(here: Path) -> None:
+    seen: list[bool] = []
+    there = build(
+        plan(here / "there"),
+        execute=executor("slurm", 2),
+        on_shard=lambda report, fresh: seen.append(fresh),
+    )
+    assert there.digest == build(plan(here / "here")).digest
+    assert seen == [True] * 10
+    for path in (here / "here").iterdir():
+        assert (here / "there" / path.name).read_bytes() == path.read_bytes()
+    assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
+
+
+def test_commands_give_the_same_there(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """verify, convert, complete and bench: equal reports, and files byte by byte."""
+    everywhere.make(here)
+    everywhere.stand(here, monkeypatch)
+    for words in everywhere.COMMANDS:
+        there = everywhere.outcome(capsys, here, words, "there", "--on", "slurm", "--workers", 2)
+        assert there == everywhere.outcome(capsys, here, words, "here", "--workers", 1)
+
+
+def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here: Path) -> None:
+    with pytest.raises(DatasetError, match=rf"nowhere/0: .* \(on {socket.gethostname()}"):
+        list(
+            executor("slurm", 1)(
+                manifest.read, [Path(f"nowhere/{n}") for n in range(6)], lambda: None
+            )
+        )
+    for _ in range(30):
+        left = subprocess.run(["squeue", "-h"], capture_output=True, text=True, check=True).stdout
+        if not left:
+            break
+        time.sleep(1)
+    assert left == ""
+
+
+def test_a_job_that_somebody_cancels_is_told_of(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.run.slurm.LOOKS", 2)
+
+    def cancel() -> None:
+        (folder,) = here.glob("scenegen-slurm-*")
+        subprocess.run(["scancel", f"--name={folder.name}"], check=True)
+
+    with pytest.raises(
+        GenerationError, match=r"job \d+_0: left the queue without a result"
+    ) as caught:
+        list(executor("slurm", 1)(time.sleep, [60, 60], cancel))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(
+    here: Path, stop: int, code: int
+) -> None:
+    """Those of this run are cancelled, and no others."""
+    other = subprocess.run(
+        ["sbatch", "--parsable", "--wrap", "sleep 60"], capture_output=True, text=True, check=True
+    )
+    words = (
+        "import time\n"
+        "from scenegen.run import executor\n"
+        "from scenegen.cli import stops\n"
+        "stops.answer()\n"
+        "list(executor('slurm', 2)(time.sleep, [60] * 3, lambda: print('begun', flush=True)))\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", words], stdout=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline() == "begun\n"
+        running.send_signal(stop)
+        assert running.wait(20) == code
+    for _ in range(30):
+        left = subprocess.run(
+            ["squeue", "-h", "-o", "%i"], capture_output=True, text=True, check=True
+        ).stdout
+        if left.split() == other.stdout.split():
+            break
+        time.sleep(1)
+    subprocess.run(["scancel", other.stdout.strip()], check=True)
+    assert left.split() == other.stdout.split()
+
+
+def test_a_job_that_reaches_its_time_limit_says_so(here: Path) -> None:
+    """Slurm tells it 90 seconds ahead, or up to 150, which is too early for shorter ones."""
+    with pytest.raises(
+        GenerationError, match=r"job \d+: timed-out: its 3 minutes are too few"
+    ) as caught:
+        list(executor("slurm://?time=3", 1)(time.sleep, [170], lambda: None))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("what", "told"), (NODES | {"submitit": r"job \d+: left the queue.*: .*node1"}).items()
+)
+def test_a_node_that_is_not_as_this_machine_is_named(
+    here: Path, what: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.run.slurm.LOOKS", 2)
+    odd_node(here, what)
+    monkeypatch.setenv("PYTHONPATH", f"{here}:{ROOT}")
+    assert list(executor("slurm://?nodelist=node0", 1)(abs, [-1], lambda: None)) == [1]
+    with pytest.raises(GenerationError, match=told) as caught:
+        list(executor("slurm://?nodelist=node1", 1)(abs, [-1], lambda: None))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_slurm_refuses_is_one_line(here: Path) -> None:
+    with pytest.raises(GenerationError, match="--on slurm: nothing could be submitted") as caught:
+        list(executor("slurm://nowhere", 1)(abs, [0], lambda: None))
+    assert "\n" not in str(caught.value)
+    for address, told in {
+        "all?time": r"slurm://PARTITION\?time=60&mem=4G",
+        "?time=1:00": "whole minutes",
+    }.items():
+        with pytest.raises(ScenegenError, match=f"expected {told}"):
+            executor(f"slurm://{address}", 1)
+
+
+def twice(task: Path) -> str:
+    """Done by the second who tries, and tells its node; the first one's is lost meanwhile."""
+    node = os.environ["SLURMD_NODENAME"]
+    if list(task.glob("node*")):
+        return node
+    (task / f"{node} {os.getpid()}").touch()
+    time.sleep(120)
+    return "was not lost"
+
+
+def test_a_task_whose_node_is_lost_begins_again_on_another(
+    slurm: dict[str, int], here: Path
+) -> None:
+    """The last test, for a node is lost. Slurm waits two minutes before a task begins again."""
+
+    def lose() -> None:
+        """Once the task has begun, its node is told to be down, and all processes there are
+        killed."""
+        deadline = time.monotonic() + 60
+        while (
+            not (there := [path.name.split() for path in here.glob("node*")])
+            and time.monotonic() < deadline
+        ):
+            time.sleep(0.2)
+        for name, task in there:
+            os.kill(slurm[name], signal.SIGKILL)
+            subprocess.run(
+                ["scontrol", "update", f"nodename={name}", "state=down", "reason=test"], check=True
+            )
+            os.kill(int(task), signal.SIGKILL)
+            lost.append(name)
+
+    lost: list[str] = []
+    losing = threading.Thread(target=lose)
+    try:
+        (found,) = executor("slurm", 1)(twice, [here], losing.start)
+    finally:
+        losing.join()
+    assert {found, *lost} == slurm.keys()

@@ -1,0 +1,136 @@
+"""Tasks whose worker dies, hangs, raises or eats memory cost themselves, and nothing else."""
+
+import gc
+import multiprocessing
+import os
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from scenegen.run.remote import pack, sent
+from scenegen.run.workers import Limited, run
+
+
+def work(task: str) -> str:
+    if task == "die":
+        os.kill(os.getpid(), 9)
+    if task == "sleep":
+        time.sleep(60)
+    if task == "raise":
+        raise ValueError("two\nlines")
+    if task == "eat":
+        return str(len(bytearray(8 << 30)))
+    return task
+
+
+LIMITED: Limited[str, str] = Limited(
+    work, lambda task: 2.0 if task == "sleep" else 60.0, 1 << 30, lambda task, why: f"{task}: {why}"
+)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_bad_tasks_are_given_up_and_good_ones_done(workers: int) -> None:
+    before = set(multiprocessing.active_children())
+    others = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,))
+    others.start()
+    tasks = ["a", "die", "raise", "sleep", "eat", "b"]
+    begin = time.monotonic()
+    results = list(run(LIMITED, tasks, workers))
+    assert time.monotonic() - begin < 30
+    assert sorted(results)[:2] == ["a", "b"]
+    assert sorted(result.partition(":")[0] for result in results) == sorted(tasks)
+    said = {result.partition(":")[0]: result for result in results}
+    assert "crashed" in said["die"]
+    assert "took too long" in said["sleep"]
+    assert said["raise"].startswith("raise: ended in ")
+    assert said["raise"].endswith(
+        "ValueError: two lines"
+    )  # its line too, once tests were named as one's own
+    assert "MemoryError" in said["eat"]
+    assert set(multiprocessing.active_children()) - before == {
+        others
+    }  # somebody else's process is left alone
+    others.kill()
+    others.join()
+
+
+def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scenegen.run.workers.MOST_REPLACED", 1)
+    results = list(run(LIMITED, ["die"] * 5, 1))
+    assert len(results) == 5
+    assert "crashed" in results[1]
+    assert "was not examined" in results[-1]
+
+
+def process(task: str) -> int:
+    if task == "die":
+        os.kill(os.getpid(), 9)
+    return os.getpid()
+
+
+def test_called_by_itself_a_limited_function_keeps_its_process_while_it_lives() -> None:
+    """As executors on other machines call it."""
+    limited: Limited[str, int] = Limited(process, lambda task: 60.0, 1 << 30, lambda task, why: -1)
+    first = limited("a")
+    assert first != os.getpid()
+    assert limited("b") == first
+    assert limited("die") == -1
+    again = limited("c")
+    assert again not in (first, os.getpid())
+    del limited
+    gc.collect()
+    assert ended_soon(again), "it ends with the function"
+
+
+@pytest.fixture
+def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, which holds modules of well-known names, and gets a file `ran` if any is
+    imported."""
+    for name in (
+        "multiprocessing",
+        "numpy",
+        "scenegen",
+        "lidarsim",
+        "model",
+        "signal",
+        "threading",
+    ):
+        (tmp_path / f"{name}.py").write_text(
+            f"open({str(tmp_path / 'ran')!r}, 'a').write({name!r})"
+        )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)  # as a command may have left it
+    return tmp_path
+
+
+def test_a_spawned_process_imports_nothing_from_the_working_folder(hostile: Path) -> None:
+    assert list(run(LIMITED, ["die", "a", "b"], 1))[1:] == ["a", "b"]
+    assert replace(LIMITED)("a") == "a"
+    assert not (hostile / "ran").exists()
+    assert "PYTHONSAFEPATH" not in os.environ  # the caller's own processes are left alone
+
+
+def test_a_task_elsewhere_imports_from_the_working_folder_only_what_was_named(
+    hostile: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of the registry, which appends the folder where a user names a module of his own."""
+    bare, before = sent(len), list(sys.path)
+    monkeypatch.setattr(sys, "path", [*before, str(hostile)])
+    named = sent(len)
+    monkeypatch.setattr(sys, "path", list(before))
+    assert tuple(bare(pack("ab"))) == (2, "")
+    assert sys.path == before
+    assert tuple(named(pack("ab"))) == (2, "")
+    assert sys.path == [*before, str(hostile)]
+
+
+def ended_soon(pid: int) -> bool:
+    """Whether a process of this one's ends within seconds."""
+    for _ in range(100):
+        if all(child.pid != pid for child in multiprocessing.active_children()):
+            return True
+        time.sleep(0.05)
+    return False

@@ -1,0 +1,85 @@
+"""What makes a dataset again: the command, and the kind, whose module only the user can have
+imported."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from scenegen.cli.generate import generate
+from scenegen.dataset import manifest
+from scenegen.dataset.build import plan_dataset
+from scenegen.dataset.trust import parse
+from scenegen.errors import PublishError
+from scenegen.share.croissant import croissant
+from scenegen.share.licence import LICENCES
+from scenegen.share.publication import Publication
+from scenegen.share.regenerate import check_kind, command
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+
+
+@pytest.mark.parametrize(("there", "named"), [("pillar", None), ("scene", None), ("a:B", "a:B")])
+def test_kinds_of_scenegen_and_those_that_the_user_names_pass(
+    there: str, named: str | None
+) -> None:
+    check_kind(there, named)
+
+
+@pytest.mark.parametrize(
+    ("there", "named"), [("a:B", None), ("a:B", "a:C"), ("nobodys", None), ("a:B", "pillar")]
+)
+def test_others_are_refused(there: str, named: str | None) -> None:
+    with pytest.raises(PublishError, match="give --kind with its name"):
+        check_kind(there, named)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "analytic", "my_engine:Slow", None])
+def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(
+    engine: str | None, tmp_path: Path
+) -> None:
+    recipe = small_recipe()
+    plan = plan_dataset(
+        tmp_path, recipe, DrawnWorlds(recipe), seed=3, counts={"train": 5, "val": 1, "test": 0}
+    )
+    unsigned = manifest.assemble(plan.parameters, [], complete=False) | {"engine": engine}
+    if engine is None:  # as of datasets from before there was another engine
+        del unsigned["engine"]
+    name, verb, *words = shlex.split(command(parse(unsigned, tmp_path), "again"))
+    asked = generate.make_context("generate", words).params
+    assert (name, verb, asked["engine"], asked["seed"], asked["n"]) == (
+        "scenegen",
+        "generate",
+        engine or "mujoco",
+        3,
+        5,
+    )
+
+
+@pytest.mark.parametrize(("kind", "random"), [("pillar", True), ("scene", False)])
+def test_worlds_drawn_by_hand_are_not_called_random(
+    kind: str, random: bool, tmp_path: Path
+) -> None:
+    recipe = small_recipe()
+    plan = plan_dataset(
+        tmp_path, recipe, DrawnWorlds(recipe), seed=3, counts={"train": 5, "val": 1, "test": 0}
+    )
+    found = parse(manifest.assemble(plan.parameters, [], complete=False) | {"kind": kind}, tmp_path)
+    empty = {
+        "command": "",
+        "lock": "",
+        "checks": (),
+        "pictures": (),
+        "statistics": {"samples": 6, "splits": {}},
+    }
+    about = {
+        "repository": "ada/x",
+        "tag": "v1",
+        "licence": LICENCES[0],
+        "date": "2026-01-01",
+        "manifest": found,
+    }
+    said = json.loads(croissant(Publication(**about, **empty), {}))
+    assert ("Random worlds" in said["rai:dataCollection"]) == random
+    assert ("distributions of recipe.toml" in str(said["rai:dataBiases"])) == random

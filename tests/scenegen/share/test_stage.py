@@ -1,0 +1,355 @@
+"""The published folder: still the dataset, readable by everyone, whole or absent, and true to what
+it says."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import datasets
+import h5py
+import mlcroissant
+import numpy as np
+import pytest
+
+from scenegen.dataset import manifest
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.display.inspect import inspect
+from scenegen.errors import PublishError
+from scenegen.recipe import read_recipe
+from scenegen.share import folder as folder_module
+from scenegen.share.stage import Request, stage
+from scenegen.source import DrawnWorlds
+from tests.conftest import small_recipe
+from tests.scenegen.conftest import COUNTS
+from tests.scenegen.display.test_page import Seen
+
+CHECKS = (("files", "14 files hold"),)
+
+
+@pytest.fixture(scope="module")
+def out(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A published folder; not to be changed."""
+    out = tmp_path_factory.mktemp("publish") / "small-pillars"
+    stage(Request(dataset=made, repository="ada/small-pillars", out=out), CHECKS)
+    return out
+
+
+def section(card: str, language: str, title: str) -> list[str]:
+    """Code blocks of a language under a heading."""
+    body = card.partition(f"## {title}\n")[2].partition("\n## ")[0]
+    return re.findall(rf"```{language}\n(.*?)```", body, flags=re.DOTALL)
+
+
+def test_it_is_still_the_dataset(out: Path, made: Path) -> None:
+    there, source = Dataset(out), Dataset(made)
+    assert there.manifest == source.manifest
+    assert there.split("test").names == source.split("test").names
+    assert np.array_equal(there.split("val")[1].tudf, source.split("val")[1].tudf)
+    assert there.world("train", 2) == source.world("train", 2)
+
+
+def test_every_file_is_listed_with_its_digest(out: Path) -> None:
+    lines = [line.split("  ") for line in (out / "SHA256SUMS").read_text().splitlines()]
+    there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    assert {name for _, name in lines} == there - {"SHA256SUMS"}
+    for digest, name in lines:
+        assert hashlib.sha256((out / name).read_bytes()).hexdigest() == digest
+    assert not [path for path in out.rglob("*") if path.is_symlink()]
+
+
+def test_the_page_shows_its_samples_and_the_card_leads_there(out: Path) -> None:
+    data = Seen((out / "look.html").read_text(encoding="utf-8")).data()
+    assert len(data["samples"]) == COUNTS["train"]
+    assert data["notes"] == []
+    assert "(look.html)" in (out / "README.md").read_text()
+
+
+def test_the_cards_own_lines_read_it_with_plain_h5py(out: Path) -> None:
+    lines = section((out / "README.md").read_text(), "python", "Load it")[0]
+    assert len(lines.splitlines()) <= 10
+    assert "scenegen" not in lines
+    said = subprocess.run(
+        [sys.executable, "-c", lines], cwd=out.parent, capture_output=True, text=True, check=True
+    )
+    with h5py.File(out / "train-00000.h5") as shard:
+        seen, solid = shard["observed"][0].sum(), shard["occupancy"][0].sum()
+    assert said.stdout == f"{seen} of {solid} occupied voxels were observed\n"
+
+
+def test_datasets_reads_it_offline_by_its_splits(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", True)
+    found = datasets.load_dataset(str(out), cache_dir=str(tmp_path)).with_format("numpy")
+    assert {name: len(split) for name, split in found.items()} == COUNTS
+    for split in ("train", "test"):
+        mine = Dataset(out).split(split)
+        for index in (0, len(mine) - 1):
+            theirs = found[split][index]
+            for name in ("observed", "occupancy", "tudf", "ranges", "position", "world"):
+                value = np.asarray(getattr(mine[index], name))
+                assert np.array_equal(theirs[name], value.astype(theirs[name].dtype)), (
+                    name
+                )  # numpy's format has float32
+
+
+def test_croissant_is_valid_and_describes_what_is_there(out: Path, made: Path) -> None:
+    found = mlcroissant.Dataset(str(out / "croissant.json"))
+    issues = found.metadata.ctx.issues
+    assert (issues.errors, issues.warnings) == (set(), set())
+    plain = json.loads((out / "croissant.json").read_text())
+    assert plain["conformsTo"][0] == "http://mlcommons.org/croissant/1.1"
+    for name in (
+        "dataCollection",
+        "dataBiases",
+        "dataLimitations",
+        "dataUseCases",
+        "personalSensitiveInformation",
+    ):
+        assert plain[f"rai:{name}"]
+    files = {
+        item["@id"]: item["sha256"]
+        for item in plain["distribution"]
+        if item["@id"].endswith((".h5", ".zip"))
+    }
+    assert files == {
+        name: hashlib.sha256((out / name).read_bytes()).hexdigest()
+        for name in (path.name for path in out.iterdir() if path.suffix in (".h5", ".zip"))
+    }
+    with h5py.File(out / "test-00000.h5") as shard:
+        described = {field["name"]: field for field in plain["recordSet"][2]["field"]}
+        assert set(described) == set(shard)
+        for name, stored in shard.items():
+            shape = described[name].get("arrayShape", "")
+            assert shape == ",".join(map(str, stored.shape[1:]))
+            kind = {"b": "sc:Boolean", "u": "cr:UInt", "i": "cr:Int", "f": "cr:Float"}[
+                stored.dtype.kind
+            ]
+            bits = "" if stored.dtype.kind == "b" else str(8 * stored.dtype.itemsize)
+            assert described[name]["dataType"] == kind + bits
+
+
+def test_the_card_says_what_the_files_hold(out: Path, made: Path) -> None:
+    card = (out / "README.md").read_text()
+    front = card.split("---\n")[1]
+    assert "license: cc-by-4.0" in front
+    assert '  - split: val\n    path: "val-*.h5"' in front
+    statistics = inspect(made)["splits"]["train"]["statistics"]["occupied"]
+    assert (
+        f"| voxels occupied, % | {statistics['mean'] * 100:.2f} ± {statistics['std'] * 100:.2f} |"
+        in card
+    )
+    assert Dataset(made).manifest.digest in card
+    assert "- files: 14 files hold" in card
+    with h5py.File(out / "train-00000.h5") as shard:
+        for name in shard:
+            assert f"| `{name}` | " in card
+    for shown in re.findall(r"!\[.*?\]\((.*?)\)", card):
+        assert (out / shown).read_bytes().startswith(b"\x89PNG")
+
+
+def test_its_command_makes_the_same_dataset(out: Path, made: Path, tmp_path: Path) -> None:
+    words = shlex.split(section((out / "README.md").read_text(), "", "Make it again")[0])
+    assert words[:4] == ["scenegen", "generate", "--recipe", "recipe.toml"]
+    options = dict(zip(words[2::2], words[3::2], strict=True))
+    recipe = read_recipe(out / options["--recipe"])
+    plan = plan_dataset(
+        tmp_path / options["--out"],
+        recipe,
+        DrawnWorlds(recipe),
+        seed=int(options["--seed"]),
+        counts={
+            "train": int(options["--n"]),
+            "val": int(options["--val"]),
+            "test": int(options["--test"]),
+        },
+        shard_samples=int(options["--shard-samples"]),
+    )
+    assert build(plan, workers=1).digest == Dataset(made).manifest.digest
+
+
+def test_a_recipe_that_this_version_reads_differently_is_refused(
+    dataset: Path, asked: Request
+) -> None:
+    found = manifest.read(dataset)
+    for change, named in (
+        ({"density": [0.2, 0.3]}, ""),
+        ({"colour": 1}, "unknown parameter 'colour'"),
+    ):
+        changed = {
+            **found,
+            "recipe": {**found["recipe"], "world": {**found["recipe"]["world"], **change}},
+        }
+        manifest.write(dataset, changed)
+        if named:
+            with pytest.raises(
+                PublishError, match=rf"would not make the same dataset again.*{named}"
+            ):
+                stage(asked, CHECKS)
+    assert not asked.out.exists()
+
+
+def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made_again(
+    dataset: Path, asked: Request
+) -> None:
+    found = manifest.read(dataset)
+    del found["generator"]
+    manifest.write(dataset, found)
+    with pytest.raises(
+        PublishError,
+        match=r"with the one that made it, .* with generator 1, or.*generator is 1 there",
+    ):
+        stage(asked, CHECKS)
+    assert not asked.out.exists()
+
+
+def test_compact_datasets_and_absent_splits_publish_as_well(tmp_path: Path) -> None:
+    recipe = small_recipe("geometric")
+    counts = {"train": 4, "val": 0, "test": 1}
+    made = tmp_path / "made"
+    build(
+        plan_dataset(made, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=True),
+        workers=1,
+    )
+    out = tmp_path / "out"
+    stage(Request(dataset=made, repository="ada/g", out=out, licence="cc0-1.0"), CHECKS)
+    card = (out / "README.md").read_text()
+    assert "--compact" in card
+    assert "split: val" not in card
+    assert "`free` and `tudf` follow from these" in card
+    assert "license: cc0-1.0" in card
+    issues = mlcroissant.Dataset(str(out / "croissant.json")).metadata.ctx.issues
+    assert (issues.errors, issues.warnings) == (set(), set())
+    assert Dataset(out).split("test")[0].tudf.shape == recipe.grid.shape
+
+
+def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked: Request) -> None:
+    def contents() -> dict[str, bytes]:
+        return {str(path): path.read_bytes() for path in asked.out.rglob("*") if path.is_file()}
+
+    stage(asked, CHECKS)
+    croissant = asked.out / "croissant.json"
+    dated = re.sub(
+        r'"datePublished": "[^"]*"', '"datePublished": "2001-02-03"', croissant.read_text()
+    )
+    croissant.write_text(dated)  # as if begun on another day
+    stage(asked, CHECKS)
+    first = contents()
+    stage(asked, CHECKS)
+    assert contents() == first
+    assert "2001-02-03" in croissant.read_text()
+    assert [path.name for path in asked.out.parent.iterdir()] == [asked.out.name]
+
+
+def test_a_folder_of_somebody_elses_is_let_be(asked: Request, dataset: Path) -> None:
+    stage(asked, CHECKS)
+    (asked.out / "notes.md").write_text("mine")
+    with pytest.raises(PublishError, match=r"holds notes.md, which publish did not put there"):
+        stage(asked, CHECKS)
+    for out in (dataset, dataset / "inside", dataset.parent):
+        with pytest.raises(PublishError, match="overlaps the dataset"):
+            stage(dataclasses.replace(asked, out=out), CHECKS)
+    assert Dataset(dataset).manifest.complete
+
+
+def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked: Request, dataset: Path) -> None:
+    shard = dataset / "val-00000.h5"
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(content)
+    with pytest.raises(
+        PublishError, match=r"val-00000.h5: is not the file that dataset.json lists"
+    ):
+        stage(asked, CHECKS)
+    shard.unlink()
+    with pytest.raises(PublishError, match=r"val-00000.h5: is missing"):
+        stage(asked, CHECKS)
+    assert list(asked.out.parent.iterdir()) == []
+
+
+def test_a_manifest_cannot_lead_out_of_the_folder(
+    asked: Request, dataset: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "secret.h5").write_text("not yours")
+    found = manifest.read(dataset)
+    for name in ("../../secret.h5", "/etc/passwd", "train-00000.h5/../x", "-train.h5", 7):
+        shards = [{**found["shards"][0], "file": name}]
+        manifest.write(dataset, {**found, "shards": shards})
+        with pytest.raises(Exception, match=r"dataset.json is damaged: shards.0.file") as refused:
+            stage(asked, CHECKS)
+        assert "\n" not in str(refused.value)
+    assert not asked.out.exists()
+
+
+def test_too_many_files_are_refused_with_what_helps(
+    asked: Request, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.share.stage.MOST_FILES", 20)
+    with pytest.raises(
+        PublishError, match=r"26 files, more than the 20 .* --shard-samples \d+00, which changes no"
+    ):
+        stage(asked, CHECKS)
+
+
+def test_where_links_are_not_possible_files_are_copied(
+    asked: Request, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*args: object, **options: object) -> None:
+        raise OSError(18, "Invalid cross-device link")
+
+    linked = stage(asked, CHECKS).files
+    assert (asked.out / "train-00000.h5").stat().st_nlink == 2
+    monkeypatch.setattr(folder_module.os, "link", refuse)
+    assert stage(asked, CHECKS).files == linked
+    assert (asked.out / "train-00000.h5").stat().st_nlink == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["pillar", "ada/../x", "/etc", "a/b/c", "ada/", "ada/x y", "--repo", "ada/x.git"]
+)
+def test_a_repository_that_cannot_be_one_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(PublishError, match="expected user/name"):
+        Request(dataset=tmp_path, repository=name, out=tmp_path)
+
+
+def test_unknown_licences_and_tags_are_refused(asked: Request) -> None:
+    with pytest.raises(PublishError, match=r"expected one of CC-BY-4\.0"):
+        stage(dataclasses.replace(asked, licence="GPL"), CHECKS)
+    with pytest.raises(PublishError, match="--tag -f: expected letters"):
+        dataclasses.replace(asked, tag="-f")
+
+
+def test_what_others_left_beside_the_folder_stays(asked: Request) -> None:
+    parent = asked.out.parent
+    (parent / ".work.tmp").mkdir(parents=True)
+    for name in (".work.tmp/thesis.tex", ".notes.tmp", ".small-pillars.host-7.tmp"):
+        (parent / name).write_text("mine")
+        os.utime(parent / name, (0, 0))
+    os.utime(parent / ".work.tmp", (0, 0))
+    stage(asked, CHECKS)
+    names = {".work.tmp", ".notes.tmp", ".small-pillars.host-7.tmp", asked.out.name}
+    assert {path.name for path in parent.iterdir()} == names
+    assert (parent / ".work.tmp" / "thesis.tex").read_text() == "mine"
+
+
+def test_a_folder_with_checksums_of_somebody_elses_is_let_be(asked: Request) -> None:
+    asked.out.mkdir(parents=True)
+    (asked.out / "years.of.work").write_text("mine")
+    (asked.out / "SHA256SUMS").write_text("0" * 64 + "  years.of.work\n")
+    with pytest.raises(PublishError, match="which publish did not put there"):
+        stage(asked, CHECKS)
+
+
+def test_what_comes_into_the_folder_meanwhile_stays(asked: Request) -> None:
+    stage(asked, CHECKS)
+    with pytest.raises(PublishError, match=r"holds notes\.md"), folder_module.drafted(asked.out):
+        (asked.out / "notes.md").write_text("mine")
+    assert (asked.out / "notes.md").read_text() == "mine"
+    assert [path.name for path in asked.out.parent.iterdir()] == [asked.out.name]

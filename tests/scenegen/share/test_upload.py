@@ -1,0 +1,163 @@
+"""Sending, against a stand-in for the Hub's HTTP API: all arrives, interruptions are made good, the
+tag is last."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from scenegen.errors import PublishError
+from scenegen.share.run import publish
+from scenegen.share.stage import Request, Staged
+from tests.scenegen.conftest import Check
+from tests.scenegen.hub import TOKEN, Hub
+
+pytestmark = pytest.mark.usefixtures("verified")
+
+
+def staged_files(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_what_arrives_is_the_folder_and_the_tag_comes_last(asked: Request, hub: Hub) -> None:
+    done = publish(asked)
+    repository = hub.repositories[asked.repository]
+    there = dict(repository.files(done.staged.tag) or {})
+    there.pop(".gitattributes")
+    assert there == staged_files(asked.out)
+    assert set(there) == set(done.staged.files)
+    assert repository.tags == {done.staged.tag: done.commit}
+    tagged = next(n for n, line in enumerate(hub.log) if "/tag/" in line)
+    assert not [line for line in hub.log[tagged + 1 :] if line.startswith(("POST", "PUT"))]
+    assert hub.tokens == {TOKEN}
+
+
+def test_an_interrupted_upload_goes_on_where_it_was(asked: Request, hub: Hub) -> None:
+    hub.refuse_after = 5
+    with pytest.raises(PublishError, match="the same command goes on"):
+        publish(asked)
+    assert hub.repositories[asked.repository].tags == {}
+    hub.refuse_after = None
+    done = publish(asked)
+    assert len(hub.puts) == len(set(hub.puts))  # nothing went twice
+    assert hub.repositories[asked.repository].tags == {done.staged.tag: done.commit}
+    there = dict(hub.repositories[asked.repository].files("main") or {})
+    there.pop(".gitattributes")
+    assert there == staged_files(asked.out)
+
+
+def test_what_is_published_already_is_not_sent_again(asked: Request, hub: Hub) -> None:
+    first = publish(asked)
+    sent = len(hub.log)
+    again = publish(asked)
+    assert again.commit == first.commit
+    assert not [
+        line
+        for line in hub.log[sent:]
+        if line.startswith("PUT") or "/commit/" in line or "/tag/" in line
+    ]
+
+
+def test_no_tag_where_a_file_is_lost_on_the_way(asked: Request, hub: Hub) -> None:
+    hub.lose = "train-00001.h5"
+    with pytest.raises(PublishError, match=r"not everything arrived \(train-00001.h5 is missing\)"):
+        publish(asked)
+    assert hub.repositories[asked.repository].tags == {}
+
+
+def test_a_tag_of_other_content_is_let_be(asked: Request, hub: Hub) -> None:
+    publish(dataclasses.replace(asked, tag="v1"))
+    with pytest.raises(
+        PublishError, match=r"tag v1 is there with other content .* give another --tag"
+    ):
+        publish(dataclasses.replace(asked, tag="v1", licence="CC0-1.0"))
+    publish(dataclasses.replace(asked, tag="v2", licence="CC0-1.0"))
+    assert set(hub.repositories[asked.repository].tags) == {"v1", "v2"}
+
+
+def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(
+    asked: Request, hub: Hub
+) -> None:
+    from tests.scenegen.hub import Repository
+
+    hub.repositories[asked.repository] = former = Repository()
+    former.commit({"train-00099.h5": b"old", "notes.md": b"mine", "pictures/mine.png": b"mine"})
+    publish(asked)
+    there = former.files("main") or {}
+    assert "train-00099.h5" not in there
+    assert there["notes.md"] == there["pictures/mine.png"] == b"mine"
+
+
+def test_private_stays_private(asked: Request, hub: Hub) -> None:
+    publish(asked, private=True)
+    assert hub.repositories[asked.repository].private
+    other = dataclasses.replace(asked, repository="ada/public")
+    publish(other)
+    with pytest.raises(PublishError, match="is there and public"):
+        publish(other, private=True)
+
+
+def test_without_a_token_nothing_begins(
+    asked: Request, hub: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("HF_TOKEN")
+    with pytest.raises(
+        PublishError, match=r"no token for the Hub: run `hf auth login`, or set HF_TOKEN"
+    ):
+        publish(asked)
+    assert not asked.out.exists()
+    assert hub.log == []
+
+
+def test_a_refused_token_is_one_line_that_does_not_show_it(
+    asked: Request, hub: Hub, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("HF_TOKEN", "hf_wrongButStillASecret")
+    with pytest.raises(PublishError, match=r"the Hub refuses the token \(401\)") as refused:
+        publish(asked)
+    assert "hf_wrong" not in str(refused.value) + caplog.text
+    assert "\n" not in str(refused.value)
+
+
+def test_no_hub_at_all_is_one_line_and_the_folder_stays(
+    asked: Request, hub: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
+    with pytest.raises(PublishError, match="what arrived is kept") as refused:
+        publish(asked)
+    assert "\n" not in str(refused.value)
+    assert (asked.out / "README.md").is_file()
+
+
+def test_a_dataset_that_fails_its_check_goes_nowhere(
+    asked: Request, hub: Hub, verified: list[Check]
+) -> None:
+    verified.append(Check("truth", False, "sample 3 of train differs"))
+    with pytest.raises(
+        PublishError,
+        match=r"does not pass .* truth: sample 3 of train differs; nothing is published",
+    ):
+        publish(asked)
+    assert hub.log == []
+    assert not asked.out.exists()
+
+
+def test_a_dry_run_contacts_nobody(asked: Request, monkeypatch: pytest.MonkeyPatch) -> None:
+    import socket
+
+    def connect(*args: object) -> None:
+        raise AssertionError("a connection")
+
+    monkeypatch.setattr(socket.socket, "connect", connect)
+    monkeypatch.delenv("HF_TOKEN", raising=False)
+    seen: list[Staged] = []
+    done = publish(asked, dry_run=True, on_staged=seen.append)
+    assert done.commit is None
+    assert seen == [done.staged]
+    assert (asked.out / "SHA256SUMS").is_file()

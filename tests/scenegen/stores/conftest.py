@@ -1,0 +1,28 @@
+"""A bucket that is none, for this process and those that it forks."""
+
+from pathlib import Path
+
+import pytest
+
+from scenegen import places
+from scenegen.stores import cache
+from tests.scenegen.stores.kept import HOME
+
+
+@pytest.fixture
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder where the objects of s3:// are kept."""
+    home = tmp_path / "store"
+    home.mkdir()
+    monkeypatch.setenv(HOME, str(home))
+    monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "copies"))
+    monkeypatch.setitem(places.PLACES.known, "s3", "tests.scenegen.stores.kept:Kept")
+    forget()
+    return home
+
+
+def forget() -> None:
+    """Have this process be as a new one: nothing is opened or seen."""
+    places._opened.cache_clear()
+    places._seen.clear()
+    cache._noted.cache_clear()

@@ -1,0 +1,82 @@
+"""A stand-in for a store, of which every process sees the same: objects in a folder, one operation
+at a time."""
+
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from scenegen.errors import DatasetError, PlaceError
+from scenegen.stores import ConflictError, Object, Place, Version
+
+HOME = "TESTS_KEPT"
+"""Where the environment says that objects are kept."""
+ROOM = "TESTS_KEPT_PUTS"
+"""A file, if the environment names one, that says how many puts are taken before the store is
+full."""
+
+
+class Kept(Place):
+    """``s3://bucket/prefix`` in a folder of that name."""
+
+    log: list[str]
+    """What this process asked for."""
+
+    def __init__(self, name: str):
+        self.name = name
+        self.home = Path(os.environ[HOME], name.partition("://")[2])
+        self.log = []
+
+    @contextmanager
+    def _alone(self, what: str) -> Iterator[None]:
+        self.log.append(what)
+        with (Path(os.environ[HOME]) / ".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def list(self) -> Iterator[Object]:
+        with self._alone("list"):
+            there = [path for path in self.home.glob("*") if path.is_file()]
+            found = [Object(path.name, path.stat().st_size, self._version(path)) for path in there]
+        return iter(found)
+
+    def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
+        with self._alone(f"read {name}"):
+            path = self.home / name
+            if not path.is_file():
+                raise FileNotFoundError(name)
+            if path.stat().st_size > most_bytes:
+                raise DatasetError(f"{name}: too large")
+            file.write(path.read_bytes())
+            return self._version(path)
+
+    def put_whole(self, name: str, content: bytes) -> Version:
+        with self._alone(f"put {name}"):
+            return self._put(name, content)
+
+    def put_if(self, name: str, content: bytes, version: Version) -> Version:
+        with self._alone(f"put {name}"):
+            if self._version(self.home / name) != version:
+                raise ConflictError(f"{self.name}/{name}: somebody else has put it")
+            return self._put(name, content)
+
+    def remove(self, name: str) -> None:
+        with self._alone(f"remove {name}"):
+            (self.home / name).unlink(missing_ok=True)
+
+    def _put(self, name: str, content: bytes) -> Version:
+        if room := os.environ.get(ROOM):
+            left = int(Path(room).read_text())
+            if left == 0:
+                raise PlaceError(f"{self.name}/{name}: the store is full")
+            Path(room).write_text(str(left - 1))
+        self.home.mkdir(parents=True, exist_ok=True)
+        (self.home / name).write_bytes(content)
+        return self._version(self.home / name)
+
+    @staticmethod
+    def _version(path: Path) -> Version:
+        return hashlib.md5(path.read_bytes()).hexdigest() if path.is_file() else None

@@ -1,0 +1,356 @@
+"""On a real server of S3's protocol, killed and begun again in mid-write: the same bytes, or one
+clear line.
+
+python -m pytest -m slow -n0 tests/scenegen/stores/test_bucket.py      as root, with Debian's
+ceph-mon ceph-osd radosgw
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenegen import load
+from scenegen.dataset.locate import locate
+from scenegen.dataset.placed import SUFFIX
+from scenegen.errors import PlaceError
+from scenegen.stores import PlacePath
+from scenegen.verification import verify
+from tests.command_line import SMALL
+from tests.scenegen.run import everywhere
+from tests.scenegen.stores.ceph import KEY, SECRET, USER, Ceph, missing
+from tests.scenegen.stores.conftest import forget
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(missing()), reason=missing())]
+pytest.importorskip("boto3")
+ASKED = (
+    "-n",
+    "240",
+    "--val",
+    "6",
+    "--test",
+    "6",
+    "--shard-samples",
+    "3",
+    "--seed",
+    "5",
+    "--workers",
+    "2",
+)
+SHARDS = 84
+
+
+@pytest.fixture(scope="module")
+def ceph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ceph]:
+    with Ceph(tmp_path_factory.mktemp("ceph")) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Where copies go, and kernels, which are compiled once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SCENEGEN_CACHE", str(found := tmp_path_factory.mktemp("cache")))
+        yield found
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Path:
+    """The same dataset in a folder."""
+    home = tmp_path_factory.mktemp("here")
+    (home / "small.toml").write_text(SMALL)
+    Run(home, "d").ends(0)
+    return home / "d"
+
+
+@pytest.fixture
+def bucket(ceph: Ceph, here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A new bucket, and this process and its children may use it."""
+    for name, value in ceph.environment.items():
+        monkeypatch.setenv(name, value)
+    (tmp_path / "small.toml").write_text(SMALL)
+    forget()
+    name = f"lab-{time.monotonic_ns()}"
+    client().create_bucket(Bucket=name)
+    return name
+
+
+def client() -> Any:
+    import boto3
+    from botocore.config import Config
+
+    plain = {
+        "request_checksum_calculation": "when_required",
+        "response_checksum_validation": "when_required",
+    }
+    return boto3.client("s3", config=Config(s3={"addressing_style": "path"}, **plain))
+
+
+class Run:
+    """`scenegen generate`, begun in the folder `home`."""
+
+    def __init__(self, home: Path, out: str, *more: str):
+        words = [
+            sys.executable,
+            "-m",
+            "scenegen",
+            "generate",
+            "--recipe",
+            "small.toml",
+            *ASKED,
+            "--out",
+            out,
+            *more,
+        ]
+        self.process = subprocess.Popen(
+            [*words, "--quiet"],
+            cwd=home,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    def ends(self, code: int) -> str:
+        """What it said, with its exit code as it should be, and no credential in it."""
+        said, _ = self.process.communicate(timeout=240)
+        assert self.process.returncode == code, said
+        assert SECRET not in said
+        assert KEY not in said
+        assert sum("scenegen: " in line for line in said.splitlines()) == (1 if code else 0), said
+        assert "Traceback" not in said
+        return said
+
+
+def objects(bucket: str) -> dict[str, bytes]:
+    """What the bucket holds of the dataset, less what is there for resuming alone."""
+    place = PlacePath(f"s3://{bucket}/d").place
+    names = [item.name for item in place.list()]
+    found = {name: (PlacePath(f"s3://{bucket}/d") / name).read_bytes() for name in names}
+    for name, content in found.items():
+        assert SECRET.encode() not in content, name
+        assert KEY.encode() not in content, name
+    return {name: content for name, content in found.items() if not name.endswith(SUFFIX)}
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def wait_for(bucket: str, shards: int) -> int:
+    """Wait until so many shards are there; how many are."""
+    for _ in range(600):
+        there = sum(
+            item.name.endswith(".h5") for item in PlacePath(f"s3://{bucket}/d").place.list()
+        )
+        if there >= shards:
+            return there
+        time.sleep(0.05)
+    raise TimeoutError(f"{there} shards")
+
+
+@pytest.mark.parametrize("of_what", [None, "version"])
+def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -> None:
+    """Of eight at once exactly one wins, and what it put is there."""
+    place = PlacePath(f"s3://{bucket}/d").place
+    for turn in range(20):
+        name = f"race-{turn}"
+        version = place.put_whole(name, b"first") if of_what else None
+        start, won = threading.Barrier(8), list[bytes]()
+
+        def put(
+            mine: bytes,
+            name: str = name,
+            version: Any = version,
+            start: Any = start,
+            won: Any = won,
+        ) -> None:
+            start.wait()
+            try:
+                place.put_if(name, mine, version)
+                won.append(mine)
+            except PlaceError:  # a conflict, or what Ceph answers to some that lose a race, 500
+                pass
+
+        threads = [threading.Thread(target=put, args=(f"{n}".encode(),)) for n in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert len(won) == 1
+        assert (PlacePath(f"s3://{bucket}/d") / name).read_bytes() == won[0]
+
+
+def test_the_server_is_killed_and_begun_again_in_mid_write(
+    ceph: Ceph, bucket: str, here: Path, tmp_path: Path
+) -> None:
+    run = Run(tmp_path, f"s3://{bucket}/d")
+    for share in (0.1, 0.4, 0.7):
+        assert wait_for(bucket, int(share * SHARDS)) < SHARDS
+        ceph.kill()
+        time.sleep(1.0)
+        ceph.begin()
+    run.ends(0)
+    assert objects(bucket) == files(here)
+    assert (
+        load(f"s3://{bucket}/d", split="test")[5].sha256() == load(here, split="test")[5].sha256()
+    )
+    assert verify(locate(f"s3://{bucket}/d", whole=True), quick=True).ok
+
+
+def test_a_server_that_stays_away_ends_the_run_in_one_line_and_loses_nothing(
+    ceph: Ceph, bucket: str, here: Path, tmp_path: Path
+) -> None:
+    run = Run(tmp_path, f"s3://{bucket}/d")
+    there = wait_for(bucket, 20)
+    ceph.kill()
+    said = run.ends(1)
+    assert f"s3://{bucket}/d/" in said
+    assert "the store does not answer" in said
+    assert "give the same command again to go on" in said
+    ceph.begin()
+    assert wait_for(bucket, there) < SHARDS
+    Run(tmp_path, f"s3://{bucket}/d").ends(0)
+    assert objects(bucket) == files(here)
+
+
+def test_a_full_store_and_refused_credentials_name_the_shard_and_lose_nothing(
+    ceph: Ceph, bucket: str, here: Path, tmp_path: Path
+) -> None:
+    cases: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
+        "the store is full (QuotaExceeded)": (
+            lambda: [
+                ceph.admin(
+                    "quota", "set", "--quota-scope=bucket", "--bucket", bucket, "--max-size=200000"
+                ),
+                ceph.admin("quota", "enable", "--quota-scope=bucket", "--bucket", bucket),
+            ],
+            lambda: ceph.admin("quota", "disable", "--quota-scope=bucket", "--bucket", bucket),
+        ),
+        "the store refuses the credentials (UserSuspended)": (
+            lambda: ceph.admin("user", "suspend", "--uid", USER),
+            lambda: ceph.admin("user", "enable", "--uid", USER),
+        ),
+    }
+    for told, (refuse, allow) in cases.items():
+        run = Run(tmp_path, f"s3://{bucket}/d")
+        wait_for(bucket, wait_for(bucket, 0) + 8)
+        refuse()
+        said = run.ends(1)
+        assert told in said
+        assert f"s3://{bucket}/d/" in said
+        assert any(f"{split}-0" in said for split in ("train", "val", "test"))
+        allow()
+    Run(tmp_path, f"s3://{bucket}/d").ends(0)
+    assert objects(bucket) == files(here)
+
+
+def test_two_drivers_at_once_and_a_killed_one_end_with_equal_bits(
+    bucket: str, here: Path, tmp_path: Path
+) -> None:
+    killed = Run(tmp_path, f"s3://{bucket}/d")
+    wait_for(bucket, 5)
+    killed.process.send_signal(signal.SIGKILL)
+    killed.process.communicate()
+    runs = [Run(tmp_path, f"s3://{bucket}/d") for _ in range(2)]
+    for run in runs:
+        run.ends(0)
+    assert objects(bucket) == files(here)
+
+
+@pytest.mark.parametrize("on", ["rank", "ray"])
+def test_other_executors_write_the_same_there(
+    on: str, bucket: str, here: Path, tmp_path: Path
+) -> None:
+    """Without a folder that they share: each has the bucket alone."""
+    if on == "ray":
+        pytest.importorskip("ray")
+        Run(tmp_path, f"s3://{bucket}/d", "--on", on).ends(0)
+    else:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("SCENEGEN_WORLD_SIZE", "2")
+            for rank in range(2):
+                patch.setenv("SCENEGEN_RANK", str(rank))
+                Run(tmp_path, f"s3://{bucket}/d", "--on", on).ends(0)
+    assert objects(bucket) == files(here)
+
+
+def test_nodes_open_it_for_themselves(bucket: str, here: Path, cache: Path, tmp_path: Path) -> None:
+    """Commands give there what they give of a folder, and read what they read from the bucket."""
+    cluster_utils = pytest.importorskip("ray.cluster_utils")
+    everywhere.make(tmp_path)
+    Run(tmp_path, f"s3://{bucket}/d").ends(0)
+    theirs = tmp_path / "theirs"
+    shutil.copytree(cache / "scenegen" / "kernels", theirs / "scenegen" / "kernels")
+    head = {"num_cpus": 0, "include_dashboard": False}
+    cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=head)
+    cluster.add_node(num_cpus=2, env_vars={"SCENEGEN_CACHE": str(theirs)})
+
+    def leaves(out: str, words: tuple[object, ...], dataset: object, *more: object) -> Any:
+        writes = () if words[0] == "verify" else ("-o", out)
+        command = [str(dataset) if word == "d" else str(word) for word in (*words, *writes, *more)]
+        environment = os.environ | {"RAY_ADDRESS": cluster.address, "OMP_NUM_THREADS": "1"}
+        run = [sys.executable, "-m", "scenegen", *command]
+        done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return everywhere.contents(tmp_path / out) if writes else everywhere.checks(done.stdout)
+
+    try:
+        for words in (
+            everywhere.COMPLETE,
+            ("convert", "d", "--to", "npz"),
+            ("verify", "d", "--json"),
+        ):
+            there = leaves(f"{words[0]}-there", words, f"s3://{bucket}/d", "--on", "ray://auto")
+            assert there == leaves(f"{words[0]}-here", words, here, "--workers", 1)
+            read = {path.name for path in (theirs / "scenegen" / "places").rglob("*.h5")}
+            assert len(read) == (2 if words[0] == "complete" else SHARDS)
+    finally:
+        cluster.shutdown()
+
+
+def test_commands_read_it(bucket: str, here: Path, cache: Path, tmp_path: Path) -> None:
+    Run(tmp_path, f"s3://{bucket}/d").ends(0)
+    train = (
+        "train",
+        f"s3://{bucket}/d",
+        "--epochs",
+        "1",
+        "--width",
+        "1",
+        "--out",
+        "run",
+        "--device",
+        "cpu",
+        "--quiet",
+    )
+    for words in (
+        ("inspect", f"s3://{bucket}/d", "--json"),
+        ("verify", f"s3://{bucket}/d", "--json"),
+        train,
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "scenegen", *words], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        assert SECRET not in done.stdout + done.stderr
+        if "--json" in words and words[0] == "inspect":
+            found = json.loads(done.stdout)
+            assert found["digest"] == json.loads((here / "dataset.json").read_text())["digest"]
+    kept = b"".join(
+        path.read_bytes()
+        for home in (tmp_path, cache)
+        for path in home.rglob("*")
+        if path.is_file()
+    )
+    assert SECRET.encode() not in kept
+    assert KEY.encode() not in kept
+    assert os.environ["AWS_SECRET_ACCESS_KEY"] == SECRET

@@ -1,0 +1,82 @@
+"""A dataset at a place, worked on by other machines: each opens the place for itself."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scenegen.dataset.locate import locate
+from scenegen.errors import PlaceError
+from scenegen.run import EXECUTORS
+from tests.command_line import run
+from tests.conftest import Once
+from tests.scenegen.run import everywhere
+from tests.scenegen.run.backwards import Bare
+from tests.scenegen.stores.conftest import forget
+from tests.scenegen.stores.kept import Kept
+
+NAME = "s3://lab/d"
+BARE = ("--on", "bare")
+Shell = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def everything(once: Once) -> Path:
+    """A dataset and a network, made before the cache is another one."""
+    return once("everywhere", everywhere.make)
+
+
+@pytest.fixture
+def here(everything: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to stand in, with the dataset there and in the store."""
+    for name in ("d", "n.safetensors"):
+        (tmp_path / name).symlink_to(everything / name)
+    shutil.copytree(everything / "d", store / "lab" / "d")
+    everywhere.stand(tmp_path, monkeypatch)
+    monkeypatch.setitem(EXECUTORS.known, "bare", "tests.scenegen.run.backwards:Bare")
+    forget()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("verify", "d", "--json", "--quick"), *everywhere.COMMANDS[1:4]],
+    ids=lambda words: words[0],
+)
+def test_a_command_gives_the_same_where_nothing_is_copied_yet(
+    here: Path, capsys: Shell, words: tuple
+) -> None:
+    local = everywhere.outcome(capsys, here, words, "out", "--workers", 1)
+    there = tuple(NAME if word == "d" else word for word in words)
+    assert everywhere.outcome(capsys, here, there, "out", *BARE) == local
+
+
+def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
+    here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, asked = Kept.read, list[str]()
+
+    def fail(self: Kept, name: str, *more: Any) -> Any:
+        asked.append(name)
+        if asked.count("val-00000.h5") == 2:  # the command itself copies everything, too
+            raise PlaceError(f"{self.name}/{name}: the store does not answer")
+        return read(self, name, *more)
+
+    monkeypatch.setattr(Kept, "read", fail)
+    code, said, complaint = run(capsys, "verify", NAME, "--quick", "--json", *BARE)
+    assert (code, said, complaint.count("\n")) == (1, "", 1)
+    assert "val-00000.h5: the store does not answer (on " in complaint
+
+
+def test_a_dataset_that_changes_meanwhile_is_not_mixed_with_the_first(
+    here: Path, store: Path, capsys: Shell
+) -> None:
+    folder = locate(NAME)
+    manifest = store / "lab" / "d" / "dataset.json"
+    manifest.write_text(json.dumps(json.loads(manifest.read_text())))  # the same, written otherwise
+    with pytest.raises(
+        PlaceError, match=rf"{NAME}: has changed since the command was given.* \(on "
+    ):
+        list(Bare("", 1)(str, [folder], lambda: None))

@@ -1,0 +1,148 @@
+"""Which part an index takes, and which samples a batch: laws of numbers, for which nothing is
+drawn."""
+
+import json
+from collections import Counter
+from fractions import Fraction
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import scenegen
+from scenegen.errors import DatasetError
+from scenegen.source import DrawnWorlds
+from scenegen.streams.component import Component
+from scenegen.streams.mixture import Mixture
+from scenegen.streams.stream import Stream
+from tests.conftest import small_recipe
+from tests.scenegen.streams.test_stream import same
+
+VIEWPOINTS = (1, 2, 3, 5, 6)
+COMPONENTS = {
+    count: Component(label=str(count), recipe=recipe, source=DrawnWorlds(recipe))
+    for count in VIEWPOINTS
+    for recipe in [small_recipe(flight={"viewpoints": count})]
+}
+
+
+def mixed(weights: dict[int, Any], samples: int = 10**6) -> Stream:
+    mixture = Mixture([COMPONENTS[count] for count in weights], list(weights.values()))
+    return Stream(mixture, seed=0, split="train", samples=samples, workers=0, cache=None)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.dictionaries(st.sampled_from(VIEWPOINTS), st.integers(1, 9), min_size=1, max_size=3))
+def test_parts_come_in_order_whole_and_in_proportion(weights: dict[int, int]) -> None:
+    stream, counts = mixed(weights), list(weights)
+    whole = sum(weights.values())
+    seen: Counter[int] = Counter()
+    for index in range(400):
+        part, number = stream.part(index)
+        assert number == seen[part]  # each part by itself is a dataset from its beginning on
+        seen[part] += 1
+        if seen[part] % counts[part]:
+            assert stream.part(index + 1) == (part, number + 1)  # a flight is not torn apart
+        for k, weight in enumerate(weights.values()):
+            share = (index + 1) * weight / whole
+            assert abs(seen[k] - share) <= 2 * max(counts)
+    # the rule, by counting: the flight whose place is the least comes next
+    flown: Counter[int] = Counter()
+    index = 0
+    units = [Fraction(weight, count) for count, weight in weights.items()]
+    while index < 400:
+        rounds = [Fraction(2 * flown[k] + 1, 2) / units[k] for k in range(len(units))]
+        part = rounds.index(min(rounds))
+        assert stream.part(index)[0] == part
+        index, flown[part] = index + counts[part], flown[part] + 1
+
+
+def test_decimal_weights_are_meant_as_they_are_written() -> None:
+    one, other = mixed({1: 0.7, 2: 0.3}), mixed({1: 7, 2: 3})
+    assert one.digest == other.digest
+    assert [one.part(n) for n in range(99)] == [other.part(n) for n in range(99)]
+
+
+def test_a_mixtures_part_is_that_parts_own_stream() -> None:
+    recipes = [small_recipe("pillar"), small_recipe("geometric")]
+    mixture, alone = (
+        scenegen.stream([(recipes[0], 2), recipes[1]]),
+        [scenegen.stream(recipe) for recipe in recipes],
+    )
+    for index in (0, 4, 5, 8, 11):
+        part, number = mixture.part(index)
+        assert same(mixture[index], alone[part][number])
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.dictionaries(st.sampled_from(VIEWPOINTS), st.integers(1, 3), min_size=1, max_size=2),
+    st.integers(1, 4),
+    st.integers(1, 3),
+    st.integers(1, 3),
+)
+def test_batches_hold_each_sample_once_and_share_no_flight(
+    weights: dict[int, int], each: int, ranks: int, loaders: int
+) -> None:
+    size = each * ranks
+    stream = mixed(weights)
+    row = stream.mixture.row
+    stream = mixed(weights, samples=row * size * loaders * 3)
+    batches = stream.batches(size, loaders=loaders)
+    everything = list(batches)
+    assert len(everything) == len(batches)
+    assert sorted(index for batch in everything for index in batch) == list(range(len(stream)))
+    for batch in everything:
+        assert len(batch) == size
+        assert len({index // row for index in batch}) == size
+    by_rank = [
+        list(stream.batches(size, rank=rank, ranks=ranks, loaders=loaders)) for rank in range(ranks)
+    ]
+    rows_of: dict[int, set[tuple[int, int]]] = {}
+    for number, batch in enumerate(everything):
+        shares = [theirs[number] for theirs in by_rank]
+        assert sorted(index for share in shares for index in share) == sorted(batch)
+        for rank, share in enumerate(shares):
+            assert share == batch[rank::ranks]
+            for index in share:
+                rows_of.setdefault(index // row, set()).add((rank, number % loaders))
+    assert all(len(readers) == 1 for readers in rows_of.values())
+
+
+def test_batches_go_on_where_a_state_says_with_any_ranks() -> None:
+    stream = mixed({3: 1, 6: 2}, samples=600)
+    batches = stream.batches(4, loaders=2)
+    begun = [next(batches) for _ in range(7)]
+    state = json.dumps(batches.state_dict())
+    assert len(state) < 120
+    resumed = stream.batches(4, loaders=2)
+    resumed.load_state_dict(json.loads(state))
+    assert begun + list(resumed) == list(stream.batches(4, loaders=2))
+    assert list(resumed) == list(stream.batches(4, loaders=2)), "a pass that ended begins anew"
+    half = stream.batches(4, rank=1, ranks=2, loaders=2)
+    half.load_state_dict(json.loads(state))
+    assert next(half) == stream.batches(4, loaders=2)[7][1::2]
+    for other in (
+        stream.batches(8, loaders=2),
+        stream.batches(4),
+        mixed({3: 1, 6: 1}).batches(4, loaders=2),
+    ):
+        with pytest.raises(DatasetError, match="it is of another one"):
+            other.load_state_dict(json.loads(state))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"size": 0}, "size = 0: expected a whole number from 1"),
+        ({"size": 2.0}, "size = 2.0"),
+        ({"size": 4, "rank": 2, "ranks": 2}, "rank = 2: expected a whole number from 0 to 1"),
+        ({"size": 4, "ranks": 3}, "does not divide among 3 ranks"),
+        ({"size": 4, "loaders": 0}, "loaders = 0"),
+        ({"size": 100}, "fewer than one round of 300"),
+    ],
+)
+def test_batches_that_cannot_be_end_in_a_line(options: dict, said: str) -> None:
+    with pytest.raises(DatasetError, match=said):
+        mixed({3: 1}, samples=50).batches(**options)

@@ -1,0 +1,276 @@
+"""A stream is the dataset without a disk, whoever draws it and in whatever order."""
+
+import dataclasses
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scenegen
+from scenegen import SPLITS
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.draw import Unit
+from scenegen.errors import DatasetError, GenerationError, RecipeError, SceneError, ScenegenError
+from scenegen.recipe import Recipe, preset
+from scenegen.sample import SCHEMA, Sample
+from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.streams.component import Component
+from scenegen.worlds.noise import Noise
+from tests.conftest import picky_recipe, small_recipe
+
+SCENES = Path(__file__).parents[3] / "scenes"
+
+
+def same(one: Sample, other: Sample) -> bool:
+    """All fields, bit for bit and of the same type."""
+    pairs = [(np.asarray(getattr(one, name)), np.asarray(getattr(other, name))) for name in SCHEMA]
+    return all(
+        a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs
+    )
+
+
+def never(component: Component, unit: int) -> Unit:
+    raise AssertionError("drawn")
+
+
+@pytest.mark.parametrize("made_of", ["pillar", "geometric", "picky"])
+def test_its_first_samples_are_those_of_the_dataset(made_of: str, tmp_path: Path) -> None:
+    """The picky recipe rejects some draws of most units."""
+    recipe = picky_recipe() if made_of == "picky" else small_recipe(made_of)
+    counts = {"train": 8, "val": 2, "test": 4}
+    build(
+        plan_dataset(
+            tmp_path / "d", recipe, DrawnWorlds(recipe), seed=5, counts=counts, shard_samples=3
+        )
+    )
+    for split in SPLITS:
+        stored, drawn = (
+            scenegen.load(tmp_path / "d", split),
+            scenegen.stream(recipe, seed=5, split=split),
+        )
+        assert drawn.describe() == stored.describe()
+        order = np.random.default_rng(0).permutation(counts[split])
+        assert all(same(drawn[int(n)], stored[int(n)]) for n in order)
+    manifest = scenegen.load(tmp_path / "d").dataset.manifest
+    assert (made_of != "picky") or sum(manifest.rejected["worlds"].values()) > 0
+
+
+def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path: Path) -> None:
+    drawn, scenes, counts = (
+        DrawnWorlds(small_recipe()),
+        tmp_path / "scenes",
+        {"train": 1, "val": 1, "test": 2},
+    )
+    scenes.mkdir()
+    for number in range(4):
+        world = drawn.world("train", number, rng=np.random.default_rng(number))
+        (scenes / f"{number}.xml").write_bytes(world.mjcf)
+    build(
+        plan_dataset(
+            tmp_path / "d",
+            preset("scene"),
+            read_scenes(scenes, counts, seed=2),
+            seed=2,
+            counts=counts,
+        )
+    )
+    stream = scenegen.stream(str(scenes), seed=2, split="test")
+    stored = scenegen.load(tmp_path / "d", "test")
+    assert all(same(stream[n], stored[n]) for n in range(2))
+    (scenes / "0.xml").unlink()
+    (scenes / "1.xml").unlink()
+    with pytest.raises(SceneError, match="fewer than 3 worlds"):
+        scenegen.stream(scenes)
+
+
+def test_what_a_reader_does_to_a_sample_does_not_come_back() -> None:
+    stream = scenegen.stream(small_recipe())
+    first = stream[1]
+    expected = pickle.loads(pickle.dumps(first))
+    assert type(expected) is Sample
+    for name in ("observed", "free", "occupancy", "tudf", "ranges", "position"):
+        getattr(first, name)[:] = 0
+    assert same(stream[1], expected)
+
+
+def test_its_samples_know_their_sensor_and_the_stream_all_its_noise() -> None:
+    noisy = dataclasses.replace(small_recipe(), noise=Noise.parse("dropout:share=0.2"))
+    stream = scenegen.stream([small_recipe(), noisy])
+    assert len(stream[0].points()) == np.isfinite(stream[0].ranges).sum() > 0
+    assert stream.noises == ("", "dropout:share=0.2")
+
+
+def test_a_sample_depends_on_seed_split_and_number_alone() -> None:
+    recipe = small_recipe()
+    stream = scenegen.stream(recipe)
+    for other in (scenegen.stream(recipe, seed=1), scenegen.stream(recipe, split="val")):
+        assert other.digest != stream.digest
+        assert not same(other[0], stream[0])
+    assert scenegen.stream(recipe, seed=np.int64(0), samples=7, workers=1).digest == stream.digest
+    assert same(stream[123_456_789], scenegen.stream(recipe)[123_456_789])
+
+
+def test_workers_make_what_one_process_makes_and_the_dead_are_replaced() -> None:
+    recipe = small_recipe()
+    alone, helped = (
+        scenegen.stream(recipe, samples=60),
+        scenegen.stream(recipe, samples=60, workers=2),
+    )
+    order = [*range(9), 40, 3, 41, *range(20, 32)]
+    for index in order:
+        assert same(helped[index], alone[index])
+    assert helped._ahead is not None
+    for worker in helped._ahead._workers:
+        os.kill(worker.process.pid, signal.SIGKILL)
+    assert all(same(one, other) for one, other in zip(helped[30:60], alone[30:60], strict=True))
+    processes = [worker.process for worker in helped._ahead._workers]
+    assert same(pickle.loads(pickle.dumps(helped))[5], alone[5])
+    helped.close()
+    assert not any(process.is_alive() for process in processes)
+
+
+def test_neighbours_are_made_ahead_of_need_and_hopeless_draws_end_when_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    original = Component.draw
+
+    def draw(component: Component, unit: int) -> Unit:
+        if unit == 3:
+            raise GenerationError("train world 3: all draws rejected")
+        return original(component, unit)
+
+    monkeypatch.setattr(Component, "draw", draw)
+    stream = scenegen.stream(small_recipe(), workers=1)
+    stream[0]
+    assert stream._ahead is not None
+    assert 1 in stream._ahead
+    stream[8]  # while unit 3 fails
+    with pytest.raises(GenerationError, match="world 3"):
+        stream[9]
+    monkeypatch.setattr(Component, "draw", never)
+    stream.workers = 0
+    assert stream[7].viewpoint == 1  # kept
+    stream.close()
+
+
+def test_reading_goes_on_where_a_state_says() -> None:
+    stream = scenegen.stream(small_recipe(), samples=5)
+    reader = iter(stream)
+    begun = [next(reader) for _ in range(2)]
+    state = json.dumps(reader.state_dict())
+    assert len(state) < 100
+    resumed = iter(scenegen.stream(small_recipe(), samples=5))
+    resumed.load_state_dict(json.loads(state))
+    everything = [*begun, *resumed]
+    assert len(everything) == len(stream)
+    assert all(same(one, other) for one, other in zip(everything, stream, strict=True))
+    for wrong in (
+        {**json.loads(state), "samples": 6},
+        {**json.loads(state), "stream": "0"},
+        {},
+        None,
+        {"samples": -1},
+    ):
+        with pytest.raises(DatasetError, match=r"^state of a stream: "):
+            reader.load_state_dict(wrong)
+
+
+def test_a_stream_that_nobody_closes_ends_without_a_word() -> None:
+    """Also one that outlives the modules that it needs."""
+    code = "import numpy, scenegen; numpy.kept = scenegen.stream('pillar', seed=0, workers=2); numpy.kept[0]"
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
+
+
+def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe, cache = small_recipe(), tmp_path / "cache"
+    expected = scenegen.stream(recipe)[:6]
+    scenegen.stream(recipe, cache=cache)[:6]
+
+    def check() -> None:
+        assert all(
+            same(a, b)
+            for a, b in zip(scenegen.stream(recipe, cache=cache)[:6], expected, strict=True)
+        )
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Component, "draw", never)
+        check()
+        with pytest.raises(AssertionError):
+            scenegen.stream(recipe, seed=1, cache=cache)[0]
+    first, second = sorted(cache.rglob("*.unit"))
+    content = first.read_bytes()
+    flipped = bytearray(content)
+    flipped[-1] ^= 1
+    for wrong in (
+        b"",
+        content[:-1],
+        content + b"\0",
+        bytes(flipped),
+        second.read_bytes(),
+        content[:60],
+    ):
+        first.write_bytes(wrong)
+        check()
+        assert first.read_bytes() == content
+    first.unlink()
+    first.mkdir()
+    with pytest.raises(DatasetError, match="is not a regular file"):
+        check()
+
+
+@pytest.mark.parametrize(
+    ("asked", "options", "said"),
+    [
+        ("pilar", {}, "unknown kind 'pilar'.*'pillar'"),
+        ([], {}, "nothing to draw from"),
+        ({}, {}, "nothing to draw from"),
+        (3, {}, "expected a kind's name"),
+        ({"pillar": 0}, {}, "weight of pillar = 0: expected a number above 0"),
+        ({"pillar": -1}, {}, "weight of pillar = -1"),
+        ({"pillar": float("nan")}, {}, "weight of pillar = nan"),
+        ({"pillar": "2"}, {}, "weight of pillar = '2'"),
+        ({"pillar": 10**400}, {}, "weight of pillar"),
+        ({"pillar": 1e-9, "geometric": 1}, {}, "come round after 1000000001 flights"),
+        (["pillar", "pillar"], {}, "is there twice"),
+        (["pillar", small_recipe()], {}, "one grid"),
+        ("pillar", {"seed": -1}, "seed = -1: expected a whole number"),
+        ("pillar", {"seed": 0.5}, "seed = 0.5"),
+        ("pillar", {"split": "training"}, "has no split 'training'"),
+        ("pillar", {"samples": 0}, "samples = 0"),
+        ("pillar", {"workers": 10**6}, "workers = 1000000"),
+        ("pillar", {"engine": "cuda3"}, "cuda3"),
+        ("pillar", {"cache": __file__}, "expected a folder for the cache"),
+        (str(SCENES / "forest.xml"), {"split": "val"}, "no world of it is in the val split"),
+        ("absent.toml", {}, "cannot be read"),
+        (Path("absent"), {}, "no such file"),
+    ],
+)
+def test_what_cannot_be_ends_in_a_line(asked: object, options: dict, said: str) -> None:
+    with pytest.raises((RecipeError, SceneError, DatasetError), match=said) as caught:
+        scenegen.stream(asked, **options)
+    assert isinstance(caught.value, ScenegenError)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_index_that_is_none_ends_in_a_line(drawn: tuple[Recipe, DrawnWorlds]) -> None:
+    stream = scenegen.stream(drawn[0], samples=9)
+    for wrong in (-1, 9, 10**30):
+        with pytest.raises(IndexError, match=r"sample -?\d+: expected 0 to 8$"):
+            stream[wrong]
+    for wrong in (0.5, "1", None):
+        with pytest.raises(TypeError, match=r"expected a whole number$"):
+            stream[wrong]  # type: ignore[call-overload]
+    assert stream[5:4] == []
+    assert len(stream) == 9
+    assert len(scenegen.stream(drawn[0])) == 10**9

@@ -1,0 +1,28 @@
+"""One small dataset of each kind, made once a test process; tests change copies."""
+
+from pathlib import Path
+
+import pytest
+
+from scenegen.verification import Report, verify
+from tests.scenegen.verification import forge
+
+
+@pytest.fixture(scope="session")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("originals")
+    return {kind: forge.make(folder / kind, kind) for kind in ("pillar", "geometric")}
+
+
+@pytest.fixture
+def folder(originals: dict[str, Path], tmp_path: Path) -> Path:
+    """A dataset to plant faults in."""
+    return forge.copy(originals["pillar"], tmp_path / "pillar")
+
+
+def failed(folder: Path, **options: object) -> dict[str, str]:
+    """Checks that failed, and what they said."""
+    report: Report = verify(folder, **options)  # type: ignore[arg-type]
+    said = {check.name: check.detail for check in report.checks if not check.ok}
+    assert all("\n" not in line for line in said.values())
+    return said

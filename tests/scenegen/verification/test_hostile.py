@@ -1,0 +1,400 @@
+"""Files that mean harm end in a clear line, soon, in little memory, and write nothing."""
+
+import os
+import resource
+import struct
+import time
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from scenegen.dataset import manifest
+from scenegen.errors import BrokenError
+from scenegen.limits import MOST_DOCUMENT_BYTES
+from scenegen.worlds.screen import screen
+from tests.scenegen.verification import forge
+from tests.scenegen.verification.conftest import failed
+
+SHARD, WORLDS = "train-00000.h5", "train-00000.worlds.zip"
+SECONDS = 20.0
+"""Far more than any of these take, on the slowest machine; a hang or a bomb takes more."""
+
+
+@pytest.fixture(autouse=True)
+def soon_and_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> object:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    begin = time.monotonic()
+    # forked children begin with what this process has, and the figure is the largest of all that
+    # ever were
+    before = max(
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    yield
+    assert time.monotonic() - begin < SECONDS
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < before + (
+        1 << 20
+    )  # KB, so a gigabyte
+    assert list(elsewhere.iterdir()) == []
+    assert not (tmp_path / "evil").exists()
+
+
+def replace(folder: Path, name: str, put: Callable[[h5py.File], None]) -> None:
+    """Put something else in the place of a dataset of a shard."""
+    with h5py.File(folder / SHARD, "r+") as shard:
+        del shard[name]
+        put(shard)
+
+
+def external_link(shard: h5py.File) -> None:
+    shard["tudf"] = h5py.ExternalLink("/etc/passwd", "/x")
+
+
+def soft_link(shard: h5py.File) -> None:
+    shard["tudf"] = h5py.SoftLink("/occupancy")
+
+
+def external_storage(shard: h5py.File) -> None:
+    shard.create_dataset(
+        "tudf", (6, 24, 24, 16), "<f4", external=[("/etc/passwd", 0, 6 * 24 * 24 * 16 * 4)]
+    )
+
+
+def virtual(shard: h5py.File) -> None:
+    layout = h5py.VirtualLayout((6, 24, 24, 16), "<f4")
+    layout[:] = h5py.VirtualSource("/etc/passwd", "x", (6, 24, 24, 16))
+    shard.create_virtual_dataset("tudf", layout)
+
+
+def unknown_filter(shard: h5py.File) -> None:
+    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", chunks=(1, 24, 24, 16), compression="lzf")
+
+
+def absurd_shape(shard: h5py.File) -> None:
+    shard.create_dataset(
+        "tudf", (6, 10**6, 10**6, 10**6), "<f4", chunks=(1, 24, 24, 16), compression="gzip"
+    )
+
+
+def other_type(shard: h5py.File) -> None:
+    shard.create_dataset("tudf", (6, 24, 24, 16), "<f8", chunks=(1, 24, 24, 16))
+
+
+def other_chunks(shard: h5py.File) -> None:
+    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", chunks=(6, 24, 24, 16), compression="gzip")
+
+
+def contiguous(shard: h5py.File) -> None:
+    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", data=np.zeros((6, 24, 24, 16)))
+
+
+def nothing_stored(shard: h5py.File) -> None:
+    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", chunks=(1, 24, 24, 16), compression="gzip")
+
+
+def group(shard: h5py.File) -> None:
+    shard.create_group("tudf")
+
+
+def hidden(shard: h5py.File) -> None:
+    shard["more"] = np.zeros(3)
+    shard["tudf"] = np.zeros(3)
+
+
+def chunks(content: bytes) -> Callable[[h5py.File], None]:
+    """Every sample's distances are `content`, as they stand in the file."""
+
+    def put(shard: h5py.File) -> None:
+        made = shard.create_dataset(
+            "tudf", (6, 24, 24, 16), "<f4", chunks=(1, 24, 24, 16), compression="gzip"
+        )
+        for row in range(6):
+            made.id.write_direct_chunk((row, 0, 0, 0), content)
+
+    return put
+
+
+@pytest.mark.parametrize(
+    ("put", "said"),
+    [
+        (external_link, "tudf is a link to elsewhere"),
+        (soft_link, "tudf is a link to elsewhere"),
+        (external_storage, "tudf keeps its data in other files"),
+        (virtual, "tudf keeps its data in other files"),
+        (
+            unknown_filter,
+            "tudf has filters (32000,), expected only gzip (1), shuffle (2) and fletcher32 (3)",
+        ),
+        (
+            absurd_shape,
+            "tudf is float32 (6, 1000000, 1000000, 1000000), expected float32 (6, 24, 24, 16)",
+        ),
+        (other_type, "tudf is float64"),
+        (other_chunks, "tudf has other chunks than one a sample"),
+        (contiguous, "tudf has other chunks than one a sample"),
+        (nothing_stored, "tudf: 0 of 6 samples are stored"),
+        (group, "tudf is not a dataset"),
+        (hidden, "more: there or missing"),
+        (
+            chunks(zlib.compress(bytes(1 << 25))),
+            "sample 0: tudf cannot be unpacked",
+        ),  # a bomb: 32 MB in 33 KB
+        (chunks(b"nonsense"), "sample 0: tudf cannot be unpacked"),
+        (chunks(bytes(100_000)), "100000 bytes at byte"),
+    ],
+)
+def test_a_shard_that_is_not_plain_is_refused_before_it_is_read(
+    folder: Path, put: Callable[[h5py.File], None], said: str
+) -> None:
+    replace(folder, "tudf", put)
+    assert said in failed(folder)["layout"]
+
+
+def test_filters_that_the_format_allows_are_read(folder: Path) -> None:
+    arrays, _ = forge.load(folder, SHARD)
+    filters = {"compression": "gzip", "shuffle": True, "fletcher32": True}
+
+    def put(shard: h5py.File) -> None:
+        shard.create_dataset("tudf", data=arrays["tudf"], chunks=(1, 24, 24, 16), **filters)
+
+    replace(folder, "tudf", put)
+    forge.sign(folder)
+    assert failed(folder) == {}
+
+
+def test_a_shard_that_differs_from_the_list_is_told_once(folder: Path) -> None:
+    with h5py.File(folder / SHARD, "r+") as shard:
+        shard.attrs["rejected"] = "nonsense"
+    assert failed(folder, quick=True)["checksums"].count("SHA-256") == 1
+
+
+def test_truth_values_other_than_true_and_false_are_refused(folder: Path) -> None:
+    def put(shard: h5py.File) -> None:
+        kind = h5py.h5t.py_create(np.dtype(bool), logical=True)
+        plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plan.set_chunk((1, 24, 24, 16))
+        space = h5py.h5s.create_simple((6, 24, 24, 16))
+        made = h5py.h5d.create(shard.id, b"occupancy", kind, space, plan)
+        for row in range(6):
+            made.write_direct_chunk((row, 0, 0, 0), b"\2" * (24 * 24 * 16))
+
+    replace(folder, "occupancy", put)
+    assert "occupancy holds bytes other than 0 and 1" in failed(folder, quick=True)["layout"]
+
+
+@pytest.mark.parametrize("cut", [0, 7, 96, 2000, 20_000])
+def test_shards_cut_anywhere_are_named(folder: Path, cut: int) -> None:
+    (folder / SHARD).write_bytes((folder / SHARD).read_bytes()[:cut])
+    assert failed(folder, quick=True)["layout"].startswith(f"{SHARD}: is damaged")
+
+
+def test_shards_with_damage_anywhere_fail_and_nothing_else_happens(folder: Path) -> None:
+    whole = (folder / SHARD).read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(8):
+        damaged = bytearray(whole)
+        begin = int(rng.integers(len(whole) // 2))
+        damaged[begin : begin + 64] = rng.bytes(64)
+        (folder / SHARD).write_bytes(damaged)
+        assert "checksums" in failed(folder, quick=True)
+
+
+def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder: Path) -> None:
+    os.truncate(folder / SHARD, 1 << 40)  # a hole: a terabyte that takes no space
+    assert "samples take" in failed(folder, quick=True)["layout"]
+    os.truncate(folder / SHARD, 1_500_000)
+    assert "belong to no sample" in failed(folder, quick=True)["layout"]
+
+
+def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder: Path) -> None:
+    given = manifest.read(folder)
+    entries = given["shards"]
+    forge.edit_manifest(
+        folder,
+        shards=[entries[0] | {"samples": 10**5}, *entries[1:]],
+        counts=given["counts"] | {"train": 10**5},
+    )
+    found = failed(folder, quick=True)
+    assert "expected bool (100000, 24, 24, 16)" in found["layout"]
+    assert "its samples are of 0 to 33333" in found["archives"]
+
+
+@pytest.mark.parametrize("name", ["../train-00000.h5", "/etc/passwd", "train-0.h5", "val-00000.h5"])
+def test_files_outside_the_folder_are_not_opened(folder: Path, name: str) -> None:
+    entries = manifest.read(folder)["shards"]
+    forge.edit_manifest(folder, shards=[entries[0] | {"file": name}, *entries[1:]])
+    (folder.parent / SHARD).write_bytes((folder / SHARD).read_bytes())
+    found = failed(folder)
+    assert list(found) == ["manifest"]
+    assert f"'{name}'" in found["manifest"]
+
+
+def test_a_pipe_is_not_waited_for(folder: Path) -> None:
+    (folder / SHARD).unlink()
+    os.mkfifo(folder / SHARD)
+    assert f"{SHARD}: is missing, or no file" in failed(folder, quick=True)["layout"]
+
+
+def world(document: bytes) -> Callable[[dict[str, bytes]], None]:
+    return lambda members: members.update({"000000.xml": document})
+
+
+def geoms(count: int, more: str = "") -> bytes:
+    return b"<mujoco>%s<worldbody>%s</worldbody></mujoco>" % (
+        more.encode(),
+        b'<geom size="1"/>' * count,
+    )
+
+
+MANY = " ".join(f"a{n}='1'" for n in range(101))
+LAUGHS = (
+    b'<!DOCTYPE m [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><mujoco model="&b;"/>'
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda m: m.update({"../evil.xml": b""}),
+            "member '../evil.xml': expected a plain file name",
+        ),
+        (lambda m: m.update({"/tmp/evil": b""}), "member '/tmp/evil': expected a plain file name"),
+        (lambda m: m.update({"a\\..\\evil": b""}), "expected a plain file name"),
+        (lambda m: m.update({"world.xml": b""}), "member 'world.xml': expected a world's number"),
+        (
+            lambda m: m.update({"000009.xml": geoms(1)}),
+            "holds worlds 0 to 9 (3), its samples are of 0 to 1 (2)",
+        ),
+        (lambda m: m.pop("000001.xml"), "holds worlds 0 to 0 (1), its samples are of 0 to 1 (2)"),
+        (world(b" " * (MOST_DOCUMENT_BYTES + 1)), f"expected {MOST_DOCUMENT_BYTES} at most"),
+        (world(b"<mujoco>"), "000000.xml: is not plain XML"),
+        (world(b""), "000000.xml: is not plain XML"),
+        (world(LAUGHS), "declares a document type or entities"),
+        (world(geoms(1, '<include file="/etc/passwd"/>')), "has <include>"),
+        (
+            world(geoms(1, '<asset><mesh file="/etc/passwd"/></asset>')),
+            "expected a file of the archive",
+        ),
+        (
+            world(geoms(1, '<asset><mesh file="../evil.obj"/></asset>')),
+            "expected a file of the archive",
+        ),
+        (world(geoms(1, '<compiler meshdir="/etc"/>')), "expected files beside the document"),
+        (
+            world(
+                geoms(
+                    1,
+                    '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
+                )
+            ),
+            "nrow times",
+        ),
+        (world(geoms(1, '<size memory="100G"/>')), "expected 1073741824 at most"),
+        (
+            world(geoms(1, '<custom><numeric name="a" size="2000000000"/></custom>')),
+            "expected 100000 at most",
+        ),
+        (world(geoms(1, '<extension><plugin plugin="x"/></extension>')), "has <extension>"),
+        (
+            world(
+                b"<mujoco><worldbody>"
+                + b"<body>" * 300
+                + b"</body>" * 300
+                + b"</worldbody></mujoco>"
+            ),
+            "200 levels",
+        ),
+        (world(geoms(1_000_000)[:MOST_DOCUMENT_BYTES]), "more than 50000 geoms"),
+        (
+            world(geoms(1, f"<worldbody>{'<site/>' * 5001}</worldbody>")),
+            "more than 5000 elements besides geom",
+        ),
+        (world(geoms(1, f"<size {MANY}/>")), "100 attributes of one"),
+        (
+            lambda m: m.update({f"{n:06d}.xml": geoms(1) for n in range(7)}),
+            "7 worlds, expected one a sample",
+        ),
+        (
+            lambda m: m.update(
+                {"a.png": b"\x89PNG\r\n\x1a\n" + bytes(8) + struct.pack(">II", 10**5, 10**5)}
+            ),
+            "an image of",
+        ),
+    ],
+)
+def test_an_archive_that_means_harm_is_named(
+    folder: Path, change: Callable[[dict[str, bytes]], None], said: str
+) -> None:
+    forge.rezip(folder / WORLDS, change)
+    forge.sign(folder)
+    found = failed(folder, quick=True)
+    assert found["archives"].startswith(WORLDS)
+    assert said in found["archives"]
+
+
+def test_what_passes_the_screen_but_is_no_world_is_named(folder: Path) -> None:
+    forge.rezip(
+        folder / WORLDS, world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>')
+    )
+    forge.sign(folder)
+    assert f"{WORLDS}: 000000.xml: MuJoCo cannot compile it" in failed(folder)["splits"]
+
+
+def test_archives_that_lie_about_their_members_are_named(folder: Path) -> None:
+    path = folder / WORLDS
+    whole = path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        size = archive.infolist()[0].file_size
+    lie = whole.replace(struct.pack("<I", size), struct.pack("<I", size // 2))
+    for content in (
+        lie,
+        whole[: len(whole) // 2] + b"PK\5\6" + bytes(18),
+        b"",
+        b"PK\5\6" + b"\xff" * 18,
+    ):
+        path.write_bytes(content)
+        assert failed(folder, quick=True)["archives"].startswith(WORLDS)
+
+
+def test_a_recipe_without_end_is_given_up(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import scenegen.verification.folder as module
+
+    monkeypatch.setattr(module, "SECONDS", 2.0)
+    monkeypatch.setattr(module, "SECONDS_A_SAMPLE", 0.0)
+    recipe = manifest.read(folder)["recipe"]
+    many = {"iterations": 20_000, "flights_per_world": 1000}
+    forge.sign(folder, recipe=recipe | {"flight": recipe["flight"] | many | {"iterations": 10**9}})
+    assert (
+        "iterations = 1000000000: expected a whole number" in failed(folder, workers=3)["manifest"]
+    )
+    nothing_will_do = {"accept": recipe["accept"] | {"min_returned_share": 1.0}}
+    forge.sign(folder, recipe=recipe | {"flight": recipe["flight"] | many} | nothing_will_do)
+    assert (
+        "train-00000.h5 or train-00000.worlds.zip: examining it took too long"
+        in failed(folder, workers=3)["examined"]
+    )
+
+
+def test_screening_takes_plain_worlds_and_knows_them_again() -> None:
+    box = b'<geom name="%s" rgba="1 0 0 1" size="1 1 1" type="box" pos="%s 0 0"/>'
+    first = (
+        b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"2") + b"</worldbody></mujoco>"
+    )
+    second = (
+        b"<mujoco><worldbody>" + box % (b"c", b"2") + box % (b"d", b"1") + b"</worldbody></mujoco>"
+    )
+    third = (
+        b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"3") + b"</worldbody></mujoco>"
+    )
+    one, two, three = (screen(document, {}, "w") for document in (first, second, third))
+    assert one == two != three
+    with pytest.raises(BrokenError, match="w: has <replicate>"):
+        screen(b"<mujoco><worldbody><replicate count='9'/></worldbody></mujoco>", {}, "w")

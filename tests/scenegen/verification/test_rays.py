@@ -1,0 +1,77 @@
+"""The audit of stored ranges: which engine makes it, where the rays point, how much of a difference
+is one."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from lidarsim import Lidar, MujocoEngine, Pose, cast
+from lidarsim.engines import ENGINES
+from lidarsim.pose import rotate
+from scenegen.verification.archive import auditor, compile_solids
+from scenegen.verification.rays import audit, disagrees, ray_directions
+
+WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/><geom type="sphere" size="1" pos="-3 1 0"/>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("made_with", "audits"), [("mujoco", "AnalyticEngine"), ("analytic", "MujocoEngine")]
+)
+def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(
+    made_with: str, audits: str
+) -> None:
+    engine = auditor(WORLD, {}, compile_solids(WORLD, {}, "w"), made_with=made_with)
+    assert type(engine).__name__ == audits
+    model = mujoco.MjModel.from_xml_string(WORLD.decode())
+    lidar, pose = Lidar(rows=8, columns=30, max_range_m=6.0), Pose.level((0.0, 0.0, 0.0), 0.4)
+    scan = cast(ENGINES.find(made_with).of(model), lidar, pose)
+    seen = [scan.ranges, pose.position, pose.quaternion]
+    numbers, found, gap = audit(*seen, engine, lidar, solids=2, rng=np.random.default_rng(0))
+    assert len(numbers) == 240
+    assert np.isfinite(found).sum() > 20
+    assert not disagrees(gap, found, 6.0).any()
+    seen[0] = scan.ranges + np.float32(1e-5)
+    assert (
+        disagrees(
+            *audit(*seen, engine, lidar, solids=2, rng=np.random.default_rng(0))[:0:-1], 6.0
+        ).sum()
+        > 20
+    )
+
+
+def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported() -> None:
+    engine = auditor(
+        WORLD, {}, compile_solids(WORLD, {}, "w"), made_with="nowhere_to_be_found:Engine"
+    )
+    assert isinstance(engine, MujocoEngine)
+
+
+@pytest.mark.parametrize("mount", ["tilt", "band"])
+@pytest.mark.parametrize("fov", [(60.0, 360.0), (30.0, 90.0)])
+@pytest.mark.parametrize("size", [(16, 120), (1, 1)])
+def test_directions_are_the_sensors(
+    mount: str, fov: tuple[float, float], size: tuple[int, int]
+) -> None:
+    lidar = Lidar(
+        rows=size[0],
+        columns=size[1],
+        vertical_fov_deg=fov[0],
+        horizontal_fov_deg=fov[1],
+        mount=mount,
+    )  # type: ignore[arg-type]
+    quaternion = np.array([0.5, -0.1, 0.7, 0.5])
+    quaternion /= np.linalg.norm(quaternion)
+    np.testing.assert_allclose(
+        ray_directions(lidar, quaternion), rotate(quaternion, lidar.directions_body), atol=1e-14
+    )
+
+
+def test_a_micrometre_and_a_half_is_too_much() -> None:
+    gap = np.array([0.9e-6, 2.5e-6, 0.01, np.nan])
+    assert disagrees(gap, np.array([1.0, 1.0, 10.0, 1.0]), 10.0).tolist() == [
+        False,
+        True,
+        True,
+        True,
+    ]

@@ -1,0 +1,87 @@
+"""Near-twins are found among many maps, and all of them: a slow comparison of all with all says
+so."""
+
+import numpy as np
+import pytest
+
+from scenegen.verification.twins import (
+    OBSERVED_IOU,
+    OCCUPIED_IOU,
+    candidates,
+    fold,
+    overlap,
+    signature,
+    standing_overlap,
+)
+
+
+@pytest.mark.parametrize("shape", [(24, 24, 16), (80, 80, 40), (7, 9, 3), (1, 1, 1)])
+def test_a_signature_counts_every_voxel_once(shape: tuple[int, int, int]) -> None:
+    occupancy = np.random.default_rng(0).random(shape) < 0.3
+    blocks = signature(occupancy)
+    assert blocks.shape == (320,)
+    assert blocks.sum() == occupancy.sum()
+
+
+def test_no_near_twin_is_missed() -> None:
+    rng = np.random.default_rng(1)
+    shape = (16, 16, 10)
+    maps = [rng.random(shape) < rng.uniform(0.02, 0.5) for _ in range(60)]
+    seen = [map_ & (rng.random(shape) < 0.3) for map_ in maps]
+    for n in range(
+        40
+    ):  # some of these are near enough to be twins, some only in one of the two ways
+        maps.append(maps[n] ^ (rng.random(shape) < rng.uniform(0.0, 0.08) * maps[n].mean()))
+        seen.append(seen[n] ^ (rng.random(shape) < rng.uniform(0.0, 1.2) * seen[n].mean()))
+    splits = rng.integers(0, 3, len(maps))
+    found, complete = candidates(
+        np.array([signature(map_) for map_ in maps]),
+        np.array([fold(map_) for map_ in seen]),
+        np.array([map_.sum() for map_ in seen]),
+        splits,
+    )
+    assert complete
+    pairs = {frozenset(map(int, pair)) for pair in found}
+    assert len(pairs) == len(found)
+    different = [(a, b) for a in range(len(maps)) for b in range(a) if splits[a] != splits[b]]
+    occupied = {
+        frozenset(pair) for pair in different if overlap(*(maps[n] for n in pair)) >= OCCUPIED_IOU
+    }
+    expected = {pair for pair in occupied if overlap(*(seen[n] for n in pair)) >= OBSERVED_IOU}
+    assert 5 < len(expected) < len(occupied)
+    assert expected <= pairs
+    assert len(pairs) < 2 * len(expected)  # of 3000 and more
+    assert all(splits[a] != splits[b] for a, b in found)
+
+
+def test_a_floor_alone_makes_no_twins() -> None:
+    floor = np.zeros((20, 20, 10), np.bool_)
+    floor[:, :, :4] = True
+    one, other = floor.copy(), floor.copy()
+    one[3:6, 3:6, 4:8] = True
+    other[12:15, 9:13, 4:8] = True
+    assert overlap(one, other) > OCCUPIED_IOU
+    assert standing_overlap(one, other) == 0.0
+    assert standing_overlap(one, one) == standing_overlap(floor, floor) == 1.0
+    other[:, :, 3] = False  # no floor in one of the two: it stands for itself
+    assert standing_overlap(one, other) < 0.1
+
+
+def test_empty_maps_are_no_twins() -> None:
+    found, complete = candidates(
+        np.zeros((4, 320), np.uint32),
+        np.zeros((4, 128), np.uint64),
+        np.zeros(4, np.int64),
+        np.array([0, 1, 2, 0]),
+    )
+    assert (len(found), complete) == (0, True)
+
+
+@pytest.mark.parametrize("most", [10_000, 10**6])
+def test_a_folder_full_of_the_same_map_is_not_compared_all_with_all(
+    monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    monkeypatch.setattr("scenegen.verification.twins.MOST_PAIRS", most)
+    same = np.ones((600, 320), np.uint32), np.ones((600, 128), np.uint64), np.full(600, 128)
+    found, complete = candidates(*same, np.arange(600) % 3)
+    assert (len(found), complete) == (5000, False)

@@ -1,0 +1,468 @@
+"""What is right passes, and every planted fault is caught by name, by forgers who rewrite all
+checksums, too."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from lidarsim import MujocoEngine, Pose, cast, voxelize
+from scenegen.dataset import manifest
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.manifest import NAME
+from scenegen.errors import DatasetError
+from scenegen.recipe import make_recipe
+from scenegen.sample import LABELS
+from scenegen.source import read_scenes
+from scenegen.truth import distance_field, rasterize
+from scenegen.verification import verify
+from scenegen.verification.checks import CHECKS
+from scenegen.worlds.world import compile_world
+from tests.conftest import SMALL, small_recipe
+from tests.scenegen.verification import forge
+from tests.scenegen.verification.conftest import failed
+
+SHARD = "train-00000.h5"
+SCENES = Path(__file__).parents[3] / "scenes"
+
+
+@pytest.mark.parametrize("kind", ["pillar", "geometric"])
+@pytest.mark.parametrize("quick", [False, True])
+def test_a_dataset_as_made_passes_every_check(
+    originals: dict[str, Path], kind: str, quick: bool
+) -> None:
+    told: list[int] = []
+    report = verify(
+        originals[kind], quick=quick, on_start=lambda n: told.append(-n), on_done=told.append
+    )
+    assert [check.detail for check in report.checks if not check.ok] == []
+    assert [check.name for check in report.checks] == [
+        check.name for check in CHECKS if (check.quick or not quick) and check.field not in LABELS
+    ]
+    assert not any(check.skipped for check in report.checks)
+    assert (report.ok, report.samples) == (True, 12)
+    assert sorted(told) == [-12, 3, 3, 6]
+    assert json.loads(json.dumps(report.to_json()))["checks"][-1]["name"] == report.checks[-1].name
+
+
+def test_nothing_in_the_folder_changes_and_nothing_appears_elsewhere(
+    originals: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {
+        path.name: (path.stat().st_mtime_ns, path.stat().st_size)
+        for path in originals["pillar"].iterdir()
+    }
+    monkeypatch.chdir(tmp_path)
+    assert verify(originals["pillar"]).ok
+    assert {
+        p.name: (p.stat().st_mtime_ns, p.stat().st_size) for p in originals["pillar"].iterdir()
+    } == before
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_compact_datasets_pass(tmp_path: Path) -> None:
+    report = verify(
+        forge.make(tmp_path / "d", compact=True, counts={"train": 3, "val": 0, "test": 0}),
+        workers=2,
+    )
+    assert report.failed == ()
+    assert {"tudf", "free"} & {check.name for check in report.checks} == set()
+    assert "regenerated" in {check.name for check in report.checks}
+
+
+@pytest.mark.parametrize("scene", ["forest.xml", "room_with_gap.xml"])
+def test_worlds_drawn_by_hand_pass(tmp_path: Path, scene: str) -> None:
+    counts = {"train": 5, "val": 0, "test": 0}
+    tables = {name: SMALL[name] for name in ("lidar", "grid")} | {"flight": {"viewpoints": 2}}
+    recipe = make_recipe("scene", tables, where="test")
+    plan = plan_dataset(
+        tmp_path / "d",
+        recipe,
+        read_scenes(SCENES / scene, counts, seed=0),
+        seed=0,
+        counts=counts,
+        shard_samples=4,
+    )
+    build(plan)
+    report = verify(tmp_path / "d")
+    assert [check.detail for check in report.checks if not check.ok or check.skipped] == []
+    (tmp_path / "d" / "train-00001.worlds.zip").write_bytes(
+        (tmp_path / "d" / "train-00000.worlds.zip").read_bytes()
+    )
+    forge.rezip(
+        tmp_path / "d" / "train-00001.worlds.zip",
+        lambda members: members.update(
+            {"000000.xml": members["000000.xml"].replace(b"pos=", b" pos=", 1)}
+        ),
+    )
+    forge.sign(tmp_path / "d")
+    assert (
+        "is not the world that the manifest's recipe.scenes names"
+        in failed(tmp_path / "d", quick=True)["archives"]
+    )
+
+
+def roll(arrays: forge.Arrays) -> None:
+    for name in ("observed", "free", "occupancy", "tudf"):
+        arrays[name][1] = np.roll(arrays[name][1], 1, axis=0)
+
+
+def move_a_return(arrays: forge.Arrays) -> None:
+    row, ray = 2, np.flatnonzero(np.isfinite(arrays["ranges"][2].ravel()))[0]
+    arrays["ranges"][row].ravel()[ray] -= 0.01
+
+
+def flip_rays(arrays: forge.Arrays) -> None:
+    arrays["ranges"] = np.ascontiguousarray(arrays["ranges"][:, :, ::-1])
+
+
+def scale_tudf(arrays: forge.Arrays) -> None:
+    arrays["tudf"] *= np.float32(1.01)
+
+
+def nudge_tudf(arrays: forge.Arrays) -> None:
+    arrays["tudf"][5, 0, 0, 0] = np.nextafter(arrays["tudf"][5, 0, 0, 0], np.float32(1))
+
+
+def free_the_observed(arrays: forge.Arrays) -> None:
+    arrays["free"][3] |= arrays["observed"][3]
+
+
+def lose_free(arrays: forge.Arrays) -> None:
+    arrays["free"][3][np.unravel_index(arrays["free"][3].argmax(), arrays["free"][3].shape)] = False
+
+
+def see_what_is_not_there(arrays: forge.Arrays) -> None:
+    arrays["observed"][0] |= ~arrays["occupancy"][0] & (
+        np.arange(arrays["observed"][0].size) % 97 == 0
+    ).reshape(arrays["observed"][0].shape)
+
+
+def fill_a_voxel(arrays: forge.Arrays) -> None:
+    """The distances are made to match."""
+    empty = np.argwhere(~arrays["occupancy"][4])[0]
+    arrays["occupancy"][4][tuple(empty)] = True
+    arrays["tudf"][4] = distance_field(arrays["occupancy"][4], small_recipe().grid)
+
+
+def move_the_grid(arrays: forge.Arrays) -> None:
+    arrays["origin"][4] += 1e-9
+
+
+def rename(arrays: forge.Arrays) -> None:
+    arrays["viewpoint"][[0, 1]] = arrays["viewpoint"][[1, 0]]
+
+
+def lengthen(arrays: forge.Arrays) -> None:
+    arrays["ranges"][0, 0, 0] = 10.5
+
+
+def not_a_number(arrays: forge.Arrays) -> None:
+    arrays["ranges"][0, 0, 0] = np.nan
+
+
+def stretch_the_attitude(arrays: forge.Arrays) -> None:
+    arrays["quaternion"][1] *= 1.001
+
+
+def change_everything_alike(arrays: forge.Arrays) -> None:
+    """One sample stands where another should: everything in it is true, of another viewpoint."""
+    for name, values in arrays.items():
+        if name not in ("world", "viewpoint"):
+            values[0] = values[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "check", "said", "quick"),
+    [
+        (roll, "voxels", "sample 1: observed is not what follows from ranges", False),
+        (roll, "occupancy", "sample 1: occupancy is not what follows from world 0", False),
+        (move_a_return, "rays", "sample 2: 1 of 192 rays differ", False),
+        (flip_rays, "rays", "rays differ", False),
+        (flip_rays, "voxels", "observed is not what follows from ranges", False),
+        (scale_tudf, "tudf", "sample 0: tudf is not what follows from occupancy", False),
+        (
+            nudge_tudf,
+            "tudf",
+            "sample 5: tudf is not what follows from occupancy: 1 voxels differ, at (0, 0, 0)",
+            False,
+        ),
+        (free_the_observed, "laws", "sample 3", False),
+        (
+            lose_free,
+            "free",
+            "sample 3: free is not what follows from ranges: 1 voxels differ",
+            False,
+        ),
+        (see_what_is_not_there, "laws", "observed voxels are not occupied", True),
+        (
+            fill_a_voxel,
+            "occupancy",
+            "sample 4: occupancy is not what follows from world 1: 1 voxels differ",
+            False,
+        ),
+        (
+            move_the_grid,
+            "centred",
+            "sample 4: origin is 1e-09 m from position less half the grid",
+            True,
+        ),
+        (stretch_the_attitude, "centred", "sample 1: quaternion has length 1.001", True),
+        (stretch_the_attitude, "free", "sample 1: pose: quaternion has length 1.001", False),
+        (rename, "names", "sample 0: is world 0, viewpoint 1, expected (0, 0)", True),
+        (lengthen, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
+        (not_a_number, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
+    ],
+)
+def test_a_forger_who_rewrites_every_digest_is_caught_by_name(
+    folder: Path, change: Callable[[forge.Arrays], None], check: str, said: str, quick: bool
+) -> None:
+    forge.edit(folder, SHARD, change)
+    found = failed(folder, quick=quick)
+    assert f"{SHARD}: " in found[check]
+    assert said in found[check]
+    assert set(found) & {"manifest", "checksums", "layout", "digest", "archives"} == set()
+
+
+def test_the_same_edits_without_the_digests_are_caught_by_the_digest(folder: Path) -> None:
+    arrays, attributes = forge.load(folder, SHARD)
+    move_a_return(arrays)
+    forge.store(folder, SHARD, arrays, attributes, digests=False)
+    assert (
+        "sample 2: its content does not have the digest stored beside it"
+        in failed(folder, quick=True)["digest"]
+    )
+
+
+def test_samples_that_are_true_but_not_the_seeds_are_caught(
+    originals: dict[str, Path], tmp_path: Path
+) -> None:
+    folder = forge.copy(originals["geometric"], tmp_path / "d")
+    forge.edit(folder, "val-00000.h5", change_everything_alike)
+    assert set(failed(folder)) == {"regenerated"}
+    assert (
+        "val-00000.h5: sample 0: observed is not what the seed gives"
+        in failed(folder)["regenerated"]
+    )
+
+
+def share_a_world(
+    folder: Path, disguise: Callable[[bytes], bytes] = lambda document: document
+) -> None:
+    """World 0 of test becomes world 0 of train, with the samples."""
+    arrays, _ = forge.load(folder, SHARD)
+    _, attributes = forge.load(folder, "test-00000.h5")
+    taken = {name: values[:3].copy() for name, values in arrays.items()}
+    members: dict[str, bytes] = {}
+    forge.rezip(folder / "train-00000.worlds.zip", members.update)
+    forge.rezip(
+        folder / "test-00000.worlds.zip",
+        lambda there: there.update({"000000.xml": disguise(members["000000.xml"])}),
+    )
+    forge.store(folder, "test-00000.h5", taken, attributes)
+
+
+def rename_and_reorder(document: bytes) -> bytes:
+    lines = document.decode().splitlines(keepends=True)
+    geoms = [n for n, line in enumerate(lines) if "<geom " in line and "type=" in line]
+    assert len(geoms) > 2
+    for n, line in zip(geoms, [lines[n] for n in reversed(geoms)], strict=True):
+        lines[n] = line.replace("<geom ", f'<geom name="renamed {n}" ', 1)
+    return "".join(lines).encode()
+
+
+@pytest.mark.parametrize("disguise", [lambda document: document, rename_and_reorder])
+@pytest.mark.parametrize("quick", [False, True])
+def test_a_world_in_two_splits_is_found_whatever_its_geoms_are_called(
+    folder: Path, disguise: Callable[[bytes], bytes], quick: bool
+) -> None:
+    share_a_world(folder, disguise)
+    found = failed(folder, quick=quick)
+    assert "world 0 of test has the same solids as world 0 of train" in found["splits"]
+    if not quick:
+        assert "test-00000.h5: sample" in found["near-twins"]
+        assert "expected another world" in found["near-twins"]
+        assert "regenerated" in found
+
+
+def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder: Path) -> None:
+    """Everything in the twin is true of its own world: only the two splits together are at
+    fault."""
+    members: dict[str, bytes] = {}
+    forge.rezip(folder / "train-00000.worlds.zip", members.update)
+    spec = mujoco.MjSpec.from_string(members["000000.xml"].decode())
+    for geom in spec.geoms:
+        geom.pos = [geom.pos[0] + 0.01, geom.pos[1], geom.pos[2]]
+    spec.compile()
+    world = compile_world(spec.to_xml().encode())
+    arrays, _ = forge.load(folder, SHARD)
+    _, attributes = forge.load(folder, "test-00000.h5")
+    twin = {name: values[:3].copy() for name, values in arrays.items()}
+    recipe = small_recipe()
+    for row in range(3):
+        scan = cast(
+            MujocoEngine.of(world.model),
+            recipe.lidar,
+            Pose(twin["position"][row], twin["quaternion"][row]),
+        )
+        seen = voxelize(scan, recipe.grid)
+        truth = rasterize(world.solids, recipe.grid, seen.origin)
+        new = (seen.observed, seen.free, truth, distance_field(truth, recipe.grid), scan.ranges)
+        for name, value in zip(
+            ("observed", "free", "occupancy", "tudf", "ranges"), new, strict=True
+        ):
+            twin[name][row] = value
+    forge.rezip(
+        folder / "test-00000.worlds.zip", lambda there: there.update({"000000.xml": world.mjcf})
+    )
+    forge.store(folder, "test-00000.h5", twin, attributes)
+    found = failed(folder)
+    assert set(found) == {"near-twins", "regenerated"}
+    assert (
+        f"shows the map of {SHARD}: sample" in found["near-twins"]
+        or "shows the map of test" in found["near-twins"]
+    )
+
+
+def test_a_truncated_shard_is_named(folder: Path) -> None:
+    (folder / SHARD).write_bytes((folder / SHARD).read_bytes()[:-1000])
+    found = failed(folder)
+    assert found["checksums"].startswith(f"{SHARD}: SHA-256")
+    assert found["layout"].startswith(f"{SHARD}: is damaged")
+
+
+def test_a_truncated_archive_is_named(folder: Path) -> None:
+    path = folder / "val-00000.worlds.zip"
+    path.write_bytes(path.read_bytes()[:-30])
+    assert "val-00000.worlds.zip: is not a whole zip file" in failed(folder, quick=True)["archives"]
+
+
+@pytest.mark.parametrize("resigned", [False, True])
+def test_swapped_shards_are_named(folder: Path, resigned: bool) -> None:
+    shutil.move(folder / "val-00000.h5", folder / "x")
+    shutil.move(folder / "test-00000.h5", folder / "val-00000.h5")
+    shutil.move(folder / "x", folder / "test-00000.h5")
+    if resigned:
+        forge.sign(folder)
+    found = failed(folder, quick=True)
+    assert "val-00000.h5: was written with split 'test', the manifest's is 'val'" in found["layout"]
+    assert ("val-00000.h5: SHA-256" in found.get("checksums", "")) is not resigned
+
+
+def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
+    (folder / "val-00000.h5").unlink()
+    (folder / "train-00007.h5").write_bytes(b"")
+    found = failed(folder, quick=True)
+    assert "val-00000.h5: is missing" in found["layout"]
+    assert "train-00007.h5: in the folder, but dataset.json does not list it" in found["manifest"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "check", "said"),
+    [
+        ({"seed": 1}, "manifest", f"{SHARD}: was written for other parameters than the manifest's"),
+        ({"digest": "0" * 64}, "digest", "dataset.json: digest 0000000000000000…"),
+        (
+            {"rejected": {"worlds": {"no_flight": 7}, "viewpoints": {}}},
+            "manifest",
+            "rejected.worlds = {'no_flight': 7}",
+        ),
+        (
+            {"counts": {"train": 7, "val": 3, "test": 3}},
+            "manifest",
+            "counts.train = 7, but its shards hold 6 samples",
+        ),
+        ({"complete": False}, "manifest", "complete is false"),
+        ({"seed": "0"}, "manifest", "seed = '0'"),
+        ({"seed": -1}, "manifest", "seed = -1"),
+        ({"fields": ["tudf"]}, "manifest", "fields = ['tudf']"),
+        ({"shards": [{"file": "../x"}]}, "manifest", "shards.0.file"),
+        (
+            {"grid": {"shape": [8000] * 3, "voxel": 0.2, "truncation": 2.0}},
+            "manifest",
+            "voxels at most",
+        ),
+        (
+            {"grid": {"shape": [24, 24, 16], "voxel": float("nan"), "truncation": 2.0}},
+            "manifest",
+            "grid.voxel = nan",
+        ),
+        (
+            {"grid": {"shape": [24, 24, 15], "voxel": 0.2, "truncation": 2.0}},
+            "layout",
+            f"{SHARD}: observed is bool",
+        ),
+        ({"lidar": {"rows": 10**9}}, "manifest", "rows = 1000000000"),
+        ({"lidar": {"rays": 4}}, "manifest", "unknown parameter 'rays'"),
+        ({"recipe": {"flight": {"speed": 1}}}, "manifest", "unknown parameter 'speed'"),
+        ({"kind": "scene"}, "manifest", "recipe.scenes = None"),
+    ],
+)
+def test_an_edited_manifest_is_named(
+    folder: Path, changes: dict[str, object], check: str, said: str
+) -> None:
+    forge.edit_manifest(folder, **changes)
+    assert said in failed(folder, quick=True)[check]
+
+
+def test_a_recipe_edited_with_every_shard_is_caught_by_what_the_seed_gives(folder: Path) -> None:
+    forge.sign(folder, seed=1)
+    found = failed(folder)
+    assert set(found) == {"regenerated"}
+    assert "train-00000.worlds.zip: 000000.xml is not the world that the seed gives" in found[
+        "regenerated"
+    ] or (
+        "train-00000.worlds.zip: 000001.xml is not the world that the seed gives"
+        in found["regenerated"]
+    )
+
+
+def test_other_software_is_said_and_fails_nothing(folder: Path) -> None:
+    there = manifest.read(folder)["software"] | {"mujoco": "9.9"}
+    forge.sign(folder, software=there)
+    assert verify(folder).ok  # the same bits came out all the same
+    forge.sign(folder, software=there, seed=1)
+    report = verify(folder)
+    (again,) = [check for check in report.checks if check.name == "regenerated"]
+    assert report.ok
+    assert again.skipped
+    assert 'mujoco is "9.9" there' in again.detail
+
+
+def test_what_is_audited_depends_on_the_seed_alone(originals: dict[str, Path]) -> None:
+    reports = [verify(originals["pillar"], seed=3, workers=workers).to_json() for workers in (1, 2)]
+    for report in reports:
+        for check in report["checks"]:
+            check.pop("seconds")
+    assert reports[0] == reports[1]
+
+
+def test_only_a_folder_without_a_dataset_raises(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="not a dataset"):
+        verify(tmp_path)
+    with pytest.raises(DatasetError, match="not a dataset"):
+        verify(tmp_path / "nowhere")
+    for content in (
+        "{",
+        "[" * 100_000,
+        "[1]",
+        '{"format": "other"}',
+        '{"format": "scenegen-dataset", "shards": 1}',
+    ):
+        (tmp_path / NAME).write_text(content)
+        with pytest.raises(DatasetError, match=NAME) as caught:
+            verify(tmp_path)
+        assert "\n" not in str(caught.value)
+    with open(tmp_path / NAME, "wb") as file:
+        os.truncate(file.fileno(), 3 << 30)
+    with pytest.raises(DatasetError, match="expected 67108864 at most"):
+        verify(tmp_path)
+    (tmp_path / NAME).unlink()
+    os.mkfifo(tmp_path / NAME)
+    with pytest.raises(DatasetError, match="is not a regular file"):
+        verify(tmp_path)

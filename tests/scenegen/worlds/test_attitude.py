@@ -1,0 +1,119 @@
+"""Laws of a leaning body: the acceleration against finite differences, the attitude against scipy
+and MuJoCo."""
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lidarsim import Pose
+from scenegen.draw import draw_unit
+from scenegen.source import DrawnWorlds
+from scenegen.worlds.attitude import GRAVITY, acceleration, leaning
+from scenegen.worlds.flight import Route
+from scenegen.worlds.mapping import Mapper
+from tests.conftest import small_recipe
+
+PATH = np.array(
+    [[0, 0, 2], [3, 0, 2], [3, 0, 2], [3, 4, 3], [1, 4, 5], [1, 4, 1.5], [-4, 2, 2]], dtype=float
+)
+SPEED, SETTLE = 2.5, 0.7
+
+
+def turned(pose: Pose) -> Rotation:
+    return Rotation.from_quat(pose.quaternion, scalar_first=True)
+
+
+def test_acceleration_is_the_second_derivative_of_the_smoothed_path() -> None:
+    route = Route(PATH)
+    step = 0.002
+    time = np.arange(-3 * SETTLE, route.ends[-1] / SPEED + 3 * SETTLE, step)
+    there = np.clip(time * SPEED, 0.0, route.ends[-1])  # it rests before and after
+    places = np.column_stack([np.interp(there, route.ends, PATH[:, axis]) for axis in range(3)])
+    window = np.maximum(0.0, 1.0 - np.abs(np.arange(-SETTLE, SETTLE + step / 2, step)) / SETTLE)
+    smooth = np.column_stack(
+        [np.convolve(places[:, axis], window / window.sum(), "same") for axis in range(3)]
+    )
+    expected = np.diff(smooth, 2, axis=0) / step**2
+    most = 0.0
+    for n in range(len(time) // 8, 7 * len(time) // 8, 50):
+        found = acceleration(*route.turns, time[n] * SPEED, speed_mps=SPEED, settle_s=SETTLE)
+        np.testing.assert_allclose(found, expected[n - 1], atol=0.05)
+        most = max(most, float(np.abs(found).max()))
+    assert most > 3.0
+
+
+def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        level, pull = Pose.level(rng.normal(size=3), rng.uniform(-3.1, 3.1)), rng.uniform(-4, 4, 3)
+        lean = leaning(level, tuple(pull), most_deg=80.0)
+        thrust = pull + np.array([0.0, 0.0, GRAVITY])
+        np.testing.assert_allclose(
+            turned(lean).apply([0, 0, 1]), thrust / np.linalg.norm(thrust), atol=1e-12
+        )
+        righting = turned(level).inv() * turned(lean)
+        assert (
+            abs(righting.as_rotvec()[2]) < 1e-12
+        )  # the shortest turn has no part about the vertical
+        np.testing.assert_array_equal(lean.position, level.position)
+
+
+def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the_bit() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        level = Pose.facing(rng.normal(size=3), rng.normal(size=2))
+        np.testing.assert_array_equal(
+            leaning(level, (0.0, 0.0, 0.0), most_deg=30.0).quaternion, level.quaternion
+        )
+        lean = leaning(level, tuple(rng.uniform(-300, 300, 3)), most_deg=30.0)
+        up = turned(lean).apply([0, 0, 1])
+        assert np.degrees(np.arccos(up[2])) <= 30.0 + 1e-6
+    forward = leaning(Pose.level((0, 0, 0), 0.0), (3.0, 0.0, 0.0), most_deg=30.0)
+    assert turned(forward).apply([1, 0, 0])[2] < 0.0, "to accelerate forward, the nose goes down"
+
+
+def test_no_speed_is_a_level_flight_with_the_bits_of_today() -> None:
+    plain, still = (
+        small_recipe(mapping=table) for table in ({}, {"tilt_mps": 0.0, "settle_s": 3.0})
+    )
+    one, other = (
+        draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=1)
+        for recipe in (plain, still)
+    )
+    assert [sample.sha256() for sample in one.samples] == [
+        sample.sha256() for sample in other.samples
+    ]
+    route = Route(PATH)
+    for flown in (0.0, 2.9, 8.0):
+        level, slow = (route.pose(flown, Mapper(tilt_mps=speed)) for speed in (0.0, 1e-9))
+        np.testing.assert_allclose(slow.quaternion, level.quaternion, atol=1e-9)
+
+
+def test_a_leaning_sensors_ranges_are_mujocos() -> None:
+    """Each ray by `mj_ray`, its direction by scipy from the stored attitude."""
+    recipe = small_recipe(mapping={"tilt_mps": 4.0, "scans": 2})
+    unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)
+    model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
+    data, leans = mujoco.MjData(model), []
+    mujoco.mj_forward(model, data)
+    geom = np.zeros(1, np.int32)
+    for sample in unit.samples:
+        for scan in sample.scans(recipe.lidar):
+            attitude = turned(scan.pose)
+            leans.append(np.degrees(np.arccos(attitude.apply([0, 0, 1])[2])))
+            rays = attitude.apply(recipe.lidar.directions_body.reshape(-1, 3).copy())
+            found = [
+                mujoco.mj_ray(
+                    model, data, scan.pose.position.copy(), ray, None, True, -1, geom, None
+                )
+                for ray in rays
+            ]
+            expected = np.where(
+                (np.array(found) >= 0) & (np.array(found) <= recipe.lidar.max_range_m),
+                found,
+                np.inf,
+            )
+            np.testing.assert_allclose(scan.ranges.reshape(-1), expected, atol=2e-6)
+    assert max(leans) == pytest.approx(30.0, abs=25.0), "no body leans: the test shows nothing"
+    assert len(set(np.round(leans, 6))) > 2

@@ -1,0 +1,323 @@
+"""Distances and motion checks against MuJoCo's own for primitives, and against triangles and
+winding numbers."""
+
+import itertools
+from collections.abc import Callable, Iterator
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lidarsim.solids.model import solids_of
+from scenegen.worlds.clearance import CAP_M, Clearance
+
+Floats = NDArray[np.float64]
+Distances = Callable[[Floats], Floats]
+Geom = mujoco.mjtGeom
+BOUNDS = np.array([[-3.0, -5.0, 0.0], [6.0, 2.5, 4.0]])
+"""Not a whole number of cells along either side, and not at the origin."""
+TINY_M = 1e-6
+"""Radius of the probe that stands for a point. (MuJoCo 4.0 finds a long thin capsule 0.2 m from a
+box that it crosses, so a probe of that kind cannot stand for a motion.)"""
+ROUNDING_M = 1e-5
+"""MuJoCo's distances are found by iteration, and its meshes hold float32 numbers."""
+SLACK_M = 2e-3
+"""What a motion check may be off by; its shortest step is half of it."""
+
+
+def seeds(all_of: int) -> pytest.MarkDecorator:
+    """Half of so many by default, and the others among the slow tests."""
+    few = all_of // 2
+    return pytest.mark.parametrize(
+        "seed",
+        [*range(few), *(pytest.param(n, marks=pytest.mark.slow) for n in range(few, all_of))],
+    )
+
+
+def primitive_world(seed: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Primitives of every kind at any attitude, within the bounds and around them; the last geom is
+    a probe."""
+    rng = np.random.default_rng(seed)
+    spec = mujoco.MjSpec()
+    shapes = (
+        Geom.mjGEOM_SPHERE,
+        Geom.mjGEOM_CAPSULE,
+        Geom.mjGEOM_ELLIPSOID,
+        Geom.mjGEOM_CYLINDER,
+        Geom.mjGEOM_BOX,
+    )
+    for n in range(30):
+        spec.worldbody.add_geom(
+            type=shapes[n % 5],
+            size=rng.uniform(0.1, 0.9, 3),
+            pos=rng.uniform(BOUNDS[0] - 1.2, BOUNDS[1] + 1.2),
+            quat=rng.normal(size=4),
+        )
+    spec.worldbody.add_geom(
+        type=Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, 0.2], quat=[1, 0.1, 0.1, 0]
+    )
+    # invisible, so that it is not among the solids
+    spec.worldbody.add_geom(type=Geom.mjGEOM_SPHERE, size=[TINY_M, 0, 0], rgba=[0, 0, 0, 0])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
+def distances_by_mujoco(model: mujoco.MjModel, data: mujoco.MjData, points: Floats) -> Floats:
+    """Distance from each point (n, 3) to the nearest geom but the probe; 0 within one, and at least
+    1.5 m is inf."""
+    probe, far_m = model.ngeom - 1, 1.5
+    found = np.full(len(points), np.inf)
+    gaps = (
+        np.linalg.norm(points[:, None] - data.geom_xpos[:probe], axis=2) - model.geom_rbound[:probe]
+    )
+    gaps[:, model.geom_type[:probe] == Geom.mjGEOM_PLANE] = 0.0
+    for n, geom in np.argwhere(gaps < far_m):
+        data.geom_xpos[probe] = points[n]
+        apart = mujoco.mj_geomDistance(model, data, geom, probe, far_m, None)
+        found[n] = min(found[n], max(apart + TINY_M, 0.0) if apart < far_m else np.inf)
+    return found
+
+
+def motions(rng: np.random.Generator, longest_m: float) -> Iterator[tuple[Floats, Floats]]:
+    """Segments within the bounds, a fifth of them along an axis."""
+    for n in itertools.count():
+        p = rng.uniform(BOUNDS[0], BOUNDS[1])
+        along = np.eye(3)[rng.integers(3)] if n % 5 == 0 else rng.normal(size=3)
+        q = p + rng.uniform(0.0, longest_m) * along / np.linalg.norm(along)
+        yield p, np.clip(q, BOUNDS[0], BOUNDS[1])
+
+
+def nearest_along(distances: Distances, p: Floats, q: Floats) -> float:
+    """Least distance from points of pq, 2 mm apart: sampled coarsely, then densely where the least
+    may lie, for a distance changes by no more than its point moves."""
+    coarse_m, fine_m, length = 0.05, 2e-3, float(np.linalg.norm(q - p))
+    coarse, fine = (np.linspace(0.0, 1.0, int(length / step) + 2) for step in (coarse_m, fine_m))
+    found = distances(p + coarse[:, None] * (q - p))
+    near = coarse[found <= found.min() + coarse_m]
+    beside = (np.abs(fine[:, None] - near) * length <= coarse_m).any(axis=1)
+    return float(distances(p + fine[beside, None] * (q - p)).min())
+
+
+def check_motions(
+    clearance: Clearance, distances: Distances, seed: int, *, count: int, longest_m: float
+) -> None:
+    """A motion is free where all its points are farther than the radius, and is not where one of
+    them is nearer."""
+    rng = np.random.default_rng(seed)
+    verdicts = []
+    for p, q in itertools.islice(motions(rng, longest_m), count):
+        nearest = nearest_along(distances, p, q)
+        # close to the verdict's edge as often as anywhere
+        radius = float(
+            np.clip(rng.choice([nearest + rng.normal(0, 0.01), rng.uniform(0.05, 0.6)]), 0.05, 0.9)
+        )
+        free = clearance.motion_is_free(tuple(p), tuple(q), radius)
+        if abs(nearest - radius) > SLACK_M:
+            assert free == (nearest > radius), (p, q, radius, nearest)
+            verdicts.append(free)
+    assert min(verdicts.count(True), verdicts.count(False)) > count / 8
+
+
+@seeds(4)
+def test_distances_to_primitives_are_those_of_mujoco(seed: int) -> None:
+    model, data = primitive_world(seed)
+    clearance = Clearance(solids_of(model), BOUNDS)
+    points = np.random.default_rng(seed).uniform(BOUNDS[0], BOUNDS[1], (250, 3))
+    expected = np.minimum(distances_by_mujoco(model, data, points), CAP_M)
+    found = np.array([clearance.at(*p) for p in points])
+    np.testing.assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
+    assert (found[expected == 0] == 0).all()
+    assert (
+        min(
+            (expected == 0).sum(),
+            (expected == CAP_M).sum(),
+            ((expected > 0) & (expected < CAP_M)).sum(),
+        )
+        > 5
+    )
+
+
+@seeds(4)
+def test_a_motion_among_primitives_is_free_where_its_points_keep_the_radius(seed: int) -> None:
+    model, data = primitive_world(seed)
+    clearance = Clearance(solids_of(model), BOUNDS)
+    check_motions(
+        clearance,
+        lambda points: distances_by_mujoco(model, data, points),
+        seed,
+        count=60,
+        longest_m=4.0,
+    )
+
+
+def torus(share: float = 1.0) -> trimesh.Trimesh:
+    """A ring; with a share below 1, its first faces alone, which enclose nothing."""
+    ring = trimesh.creation.torus(
+        major_radius=1.1, minor_radius=0.5, major_sections=14, minor_sections=7
+    )
+    return trimesh.Trimesh(ring.vertices, ring.faces[: round(share * len(ring.faces))])
+
+
+def hill() -> trimesh.Trimesh:
+    """A height field of 5 x 6 points over 2.4 x 3.6 m, written out as the solid that it is."""
+    height = ELEVATION * 1.5
+    y, x = np.meshgrid(np.linspace(-1.8, 1.8, 5), np.linspace(-1.2, 1.2, 6), indexing="ij")
+    corners = {}
+    faces = []
+    for i, j in np.ndindex(5, 6):
+        corners[i, j, 1] = (x[i, j], y[i, j], height[i, j])
+        corners[i, j, 0] = (x[i, j], y[i, j], -0.4)
+    for i, j in np.ndindex(4, 5):  # two prisms a cell; walls between neighbours cancel out
+        for ring in (((i, j), (i, j + 1), (i + 1, j + 1)), ((i, j), (i + 1, j + 1), (i + 1, j))):
+            a, b, c = ring
+            faces += [[(*a, 1), (*b, 1), (*c, 1)], [(*a, 0), (*c, 0), (*b, 0)]]
+            for u, v in ((a, b), (b, c), (c, a)):
+                faces += [[(*u, 1), (*u, 0), (*v, 1)], [(*v, 1), (*u, 0), (*v, 0)]]
+    soup = np.array([[corners[corner] for corner in face] for face in faces])
+    return trimesh.Trimesh(
+        soup.reshape(-1, 3), np.arange(3 * len(soup)).reshape(-1, 3), process=False
+    )
+
+
+ELEVATION = (
+    (np.random.default_rng(7).permutation(30).reshape(5, 6) / 29.0).astype(np.float32).astype(float)
+)
+"""From 0 to 1, both reached, or else MuJoCo would stretch it."""
+BENT = {"ring": torus(), "half a ring": torus(0.5), "hill": hill()}
+FILLED = ("ring", "hill")
+
+
+def bent_world(
+    names: tuple[str, ...], seed: int
+) -> tuple[Clearance, list[tuple[trimesh.Trimesh, bool]]]:
+    """Meshes and height fields at any attitude: their clearance, and each as triangles in the
+    world, filled or not."""
+    rng = np.random.default_rng(seed)
+    spec = mujoco.MjSpec()
+    shapes = []
+    for n, name in enumerate(names):
+        at = {"pos": rng.uniform(BOUNDS[0] + 1.0, BOUNDS[1] - 1.0), "quat": rng.normal(size=4)}
+        if name == "hill":
+            user = ELEVATION.ravel().tolist()
+            spec.add_hfield(name=f"{n}", nrow=5, ncol=6, size=[1.2, 1.8, 1.5, 0.4], userdata=user)
+            spec.worldbody.add_geom(type=Geom.mjGEOM_HFIELD, hfieldname=f"{n}", **at)
+        else:
+            mesh = spec.add_mesh(
+                name=f"{n}",
+                uservert=BENT[name].vertices.ravel(),
+                userface=BENT[name].faces.ravel().tolist(),
+            )
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            spec.worldbody.add_geom(type=Geom.mjGEOM_MESH, meshname=f"{n}", **at)
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat(at["quat"], scalar_first=True).as_matrix()
+        pose[:3, 3] = at["pos"]
+        shapes.append((BENT[name].copy().apply_transform(pose), name in FILLED))
+    return Clearance(solids_of(spec.compile()), BOUNDS), shapes
+
+
+def winding_number(triangles: Floats, points: Floats) -> Floats:
+    """How often a soup (T, 3, 3) winds around points (n, 3): the solid angle it shows there, over 4
+    pi (Van Oosterom and Strackee 1983)."""
+    a, b, c = (triangles[None, :, corner] - points[:, None] for corner in range(3))
+    la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
+    volume = np.einsum("nti,nti->nt", a, np.cross(b, c))
+    dots = [np.einsum("nti,nti->nt", *pair) for pair in ((a, b), (b, c), (c, a))]
+    return np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb).sum(
+        axis=1
+    ) / (2 * np.pi)
+
+
+def distances_to(shapes: list[tuple[trimesh.Trimesh, bool]], points: Floats) -> Floats:
+    """Distance from each point (n, 3) to the nearest of the shapes; 0 within a filled one."""
+    nearest = np.full(len(points), np.inf)
+    for shape, filled in shapes:
+        triangles = np.asarray(shape.triangles)
+        middle = triangles.mean(axis=1)
+        reach = np.linalg.norm(triangles - middle[:, None], axis=2).max(axis=1)
+        apart = np.linalg.norm(points[:, None] - middle, axis=2)
+        n, t = np.nonzero(apart - reach <= apart.min(axis=1, keepdims=True))
+        on = trimesh.triangles.closest_point(triangles[t], points[n])
+        outside = np.full(len(points), np.inf)
+        np.minimum.at(outside, n, np.linalg.norm(on - points[n], axis=1))
+        within = filled & (np.abs(winding_number(triangles, points)) > 0.5)
+        nearest = np.minimum(nearest, np.where(within, 0.0, outside))
+    return nearest
+
+
+@pytest.mark.parametrize(
+    "names", [("ring",), ("half a ring",), ("hill",), ("hill", "ring", "half a ring", "ring")]
+)
+def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(
+    names: tuple[str, ...],
+) -> None:
+    clearance, shapes = bent_world(names, seed=len(names[0]))
+    rng = np.random.default_rng(0)
+    corners = np.concatenate([np.asarray(shape.vertices) for shape, _ in shapes])
+    near = corners[rng.integers(0, len(corners), 500)] + rng.normal(0.0, 0.4, (500, 3))
+    points = np.clip(near, BOUNDS[0], BOUNDS[1])
+    expected = np.minimum(distances_to(shapes, points), CAP_M)
+    found = np.array([clearance.at(*p) for p in points])
+    np.testing.assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
+    assert (found[expected == 0] == 0).all()
+    assert ((expected > 0.05) & (expected < CAP_M)).sum() > 100
+    if names != ("half a ring",):
+        deep = (expected == 0) & (
+            distances_to([(shape, False) for shape, _ in shapes], points) > 0.05
+        )
+        assert deep.sum() > 20, "no point lies well within a filled shape: the test shows nothing"
+
+
+@seeds(2)
+def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius(seed: int) -> None:
+    clearance, shapes = bent_world(("hill", "ring", "half a ring"), seed)
+    check_motions(
+        clearance, lambda points: distances_to(shapes, points), seed, count=40, longest_m=1.5
+    )
+
+
+def test_a_motion_of_no_length_is_free_where_its_point_is() -> None:
+    model, _ = primitive_world(0)
+    clearance = Clearance(solids_of(model), BOUNDS)
+    for p in np.random.default_rng(0).uniform(BOUNDS[0], BOUNDS[1], (100, 3)):
+        assert clearance.motion_is_free(tuple(p), tuple(p), 0.3) == (clearance.at(*p) >= 0.3)
+
+
+def test_a_motion_may_be_blocked_at_its_ends_alone() -> None:
+    """A ball of 0.3 m against a thin plate, as near to either end as can be."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[0.01, 1, 1], pos=[0, 0, 2])
+    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
+    for length in (0.0005, 0.4, 3.0):
+        for gap, free in ((0.305, True), (0.295, False)):
+            at, away = (0.01 + gap, 0.0, 2.0), (0.01 + gap + length, 0.0, 2.0)
+            assert clearance.motion_is_free(at, away, 0.3) is free
+            assert clearance.motion_is_free(away, at, 0.3) is free
+    assert not clearance.motion_is_free((-1.0, 0.0, 2.0), (1.0, 0.0, 2.0), 0.3)
+    assert clearance.motion_is_free((-1.0, 1.4, 2.0), (1.0, 1.4, 2.0), 0.3)
+
+
+def test_a_motion_that_grazes_a_post_is_seen_wherever_its_steps_fall() -> None:
+    """A ball of 5 cm past a post of 2 cm: they meet over 4 cm of a long way, or pass with 3 mm
+    between them."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=Geom.mjGEOM_CYLINDER, size=[0.02, 1, 0], pos=[0, 0, 2])
+    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
+    for start in np.random.default_rng(0).uniform(-2.0, -0.5, 50):
+        for y, free in ((0.067, False), (0.073, True)):
+            assert clearance.motion_is_free((start, y, 2.0), (1.5, y, 2.0), 0.05) is free
+
+
+def test_a_world_without_solids_is_free_everywhere() -> None:
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=Geom.mjGEOM_SPHERE, size=[1, 0, 0], pos=[50, 50, 50])
+    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
+    assert {
+        clearance.at(*p) for p in np.random.default_rng(0).uniform(BOUNDS[0], BOUNDS[1], (50, 3))
+    } == {CAP_M}
+    assert clearance.motion_is_free(tuple(BOUNDS[0]), tuple(BOUNDS[1]), 0.9)

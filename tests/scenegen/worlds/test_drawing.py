@@ -1,0 +1,129 @@
+"""A drawn world's document is, byte for byte, the one that MuJoCo's own writer gives."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+
+from scenegen.errors import BrokenError
+from scenegen.limits import MOST_OTHERS
+from scenegen.recipe import preset
+from scenegen.recipes import kind_names
+from scenegen.worlds.drawing import MOST_WRITTEN, Drawing
+
+BOUNDS = np.array([[8.0, 8.0, 1.5], [32.0, 32.0, 4.25]])
+SHAPES = [
+    getattr(mujoco.mjtGeom, f"mjGEOM_{name}")
+    for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
+]
+
+
+def both(draw: Callable[[Drawing], None]) -> tuple[bytes, bytes, bool]:
+    """The document as it is written, MuJoCo's, and whether the first is not MuJoCo's, too."""
+    ours, theirs = Drawing(BOUNDS), Drawing(BOUNDS)
+    draw(ours)
+    assert theirs.geoms == []  # from here on, it is a MjSpec
+    draw(theirs)
+    return ours.mjcf(), theirs.mjcf(), ours._spec is None
+
+
+@pytest.mark.parametrize("kind", kind_names())
+def test_worlds_of_every_kind_are_written_as_mujoco_writes_them(kind: str) -> None:
+    world = preset(kind).world
+    assert world is not None
+    for seed in range(40):
+        ours, theirs, own = both(
+            lambda drawing, seed=seed: world.add_to(drawing, rng=np.random.default_rng(seed))
+        )
+        assert own
+        assert ours == theirs
+
+
+def awkward(rng: np.random.Generator) -> float:
+    """A number that six digits may not hold."""
+    digits = rng.integers(1, 9)
+    return float(np.round(rng.uniform(-1.0, 1.0), digits) * 10.0 ** rng.integers(-9, 7))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_any_solids_are_written_as_mujoco_writes_them(seed: int) -> None:
+    def draw(drawing: Drawing) -> None:
+        rng = np.random.default_rng(seed)
+        for _ in range(40):
+            more = {}
+            if rng.random() < 0.7:
+                turn = (
+                    rng.normal(size=4)
+                    if rng.random() < 0.8
+                    else np.eye(4)[rng.integers(4)] * rng.choice([-1, 1])
+                )
+                more["quat"] = turn / np.sqrt((turn**2).sum())
+            if rng.random() < 0.5:
+                more["rgba"] = [*rng.random(3).round(rng.integers(1, 9)), 1.0]
+            size = [abs(awkward(rng)) + 1e-3 for _ in range(3)]
+            place = [awkward(rng) * rng.integers(2) for _ in range(3)]
+            drawing.add_geom(SHAPES[rng.integers(len(SHAPES))], size, place, **more)
+
+    ours, theirs, _ = both(draw)
+    assert ours == theirs
+
+
+def test_many_solids_at_once_are_as_if_added_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    shapes, sizes, places = (
+        rng.choice([int(shape) for shape in SHAPES], 30),
+        rng.random((30, 3)),
+        rng.random((30, 3)),
+    )
+    quats = rng.normal(size=(30, 4))
+    quats /= np.sqrt((quats**2).sum(axis=1, keepdims=True))
+    for own in (True, False):
+        at_once, singly = Drawing(BOUNDS), Drawing(BOUNDS)
+        if not own:
+            assert at_once.geoms == singly.geoms == []  # MuJoCo writes
+        at_once.add_geoms(shapes, sizes, places, quats)
+        for shape, size, place, quat in zip(shapes, sizes, places, quats, strict=True):
+            singly.add_geom(mujoco.mjtGeom(shape), size, place, quat=quat)
+        assert at_once.mjcf() == singly.mjcf()
+        assert mujoco.MjModel.from_xml_string(singly.mjcf().decode()).ngeom == 30
+
+
+def test_what_is_not_written_here_is_left_to_mujoco() -> None:
+    def draw(drawing: Drawing, **more: object) -> None:
+        drawing.add_geom(SHAPES[0], [0.5, 0, 0], [1, 2, 3])
+        drawing.add_geom(mujoco.mjtGeom.mjGEOM_PLANE, [1, 1, 1], [0, 0, 0], **more)
+
+    for more in ({}, {"name": "floor"}):
+        ours, theirs, own = both(lambda drawing, more=more: draw(drawing, **more))
+        assert not own
+        assert ours == theirs
+    many = both(
+        lambda drawing: [
+            drawing.add_geom(SHAPES[0], [0.1, 0, 0], [n, 0, 0]) for n in range(MOST_WRITTEN + 1)
+        ]
+    )
+    assert many[0] == many[1]
+    assert not many[2]
+
+
+def test_a_kind_may_use_all_of_mujocos_spec() -> None:
+    drawing = Drawing(BOUNDS)
+    drawing.add_geom(SHAPES[0], [0.5, 0, 0], [1, 2, 3])
+    drawing.worldbody.add_geom(type=SHAPES[4], size=[1, 1, 1], name="by name")
+    drawing.add_geom(SHAPES[0], [0.25, 0, 0], [3, 2, 1])
+    model = mujoco.MjModel.from_xml_string(drawing.mjcf().decode())
+    assert model.ngeom == 3
+    assert model.geom("by name").size.tolist() == [1, 1, 1]
+    with pytest.raises(AttributeError):
+        _ = drawing.no_such_attribute
+
+
+@pytest.mark.parametrize("element", ["body", "site"])
+def test_a_kind_draws_nothing_that_readers_refuse(element: str) -> None:
+    drawing = Drawing(BOUNDS)
+    add = getattr(drawing.worldbody, f"add_{element}")
+    for n in range(MOST_OTHERS + 1):
+        add(name=str(n))
+    with pytest.raises(BrokenError, match=f"more than {MOST_OTHERS} elements"):
+        drawing.mjcf()

@@ -1,0 +1,313 @@
+"""Laws of flights: they keep the clearance and the bounds, end in bounded work, and are looked
+along by viewpoints."""
+
+import dataclasses
+import itertools
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lidarsim.pose import rotate
+from lidarsim.solids.model import solids_of
+from scenegen.errors import GenerationError
+from scenegen.worlds.clearance import Clearance
+from scenegen.worlds.flight import Flight, plan, viewpoints
+
+Floats = NDArray[np.float64]
+Geom = mujoco.mjtGeom
+BOUNDS = np.array([[1.0, 1.0, 0.5], [15.0, 13.0, 3.5]])
+FLIGHT = Flight(robot_radius_m=0.4, min_distance_m=5.0, step_m=2.0, iterations=1000)
+DIAGONAL_M = float(np.linalg.norm(BOUNDS[1] - BOUNDS[0]))
+
+
+def forest(seed: int) -> tuple[Floats, Clearance]:
+    """Round columns that reach from floor to ceiling: x, y and radius (n, 3), and the clearance
+    around them."""
+    rng = np.random.default_rng(seed)
+    columns = rng.uniform([0.0, 0.0, 0.2], [16.0, 14.0, 0.6], (30, 3))
+    spec = mujoco.MjSpec()
+    for x, y, radius in columns:
+        spec.worldbody.add_geom(type=Geom.mjGEOM_CYLINDER, size=[radius, 5, 0], pos=[x, y, 2])
+    return columns, Clearance(solids_of(spec.compile()), BOUNDS)
+
+
+class Counted(Clearance):
+    """Counts the motions that it is asked about."""
+
+    asked = 0
+
+    def motion_is_free(self, *motion: object) -> bool:
+        self.asked += 1
+        return super().motion_is_free(*motion)
+
+
+def wall(x: float, half_thickness: float) -> Counted:
+    """A wall across the whole flight space."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[half_thickness, 50, 50], pos=[x, 0, 0])
+    return Counted(solids_of(spec.compile()), BOUNDS)
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[tuple[Floats, Floats]]:
+    """The columns and the path of flights through several forests."""
+    found = []
+    for seed in range(12):
+        columns, clearance = forest(seed)
+        path = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(seed))
+        if path is not None:
+            found.append((columns, path))
+    assert len(found) >= 8
+    return found
+
+
+def test_a_whole_flight_keeps_the_clearance_and_the_bounds(
+    flights: list[tuple[Floats, Floats]],
+) -> None:
+    tight = []
+    for columns, path in flights:
+        assert path.shape[1] == 3
+        assert (path >= BOUNDS[0]).all()
+        assert (path <= BOUNDS[1]).all()
+        for a, b in itertools.pairwise(path):
+            points = a + np.linspace(0.0, 1.0, 2000)[:, None] * (b - a)
+            apart = np.linalg.norm(points[:, None, :2] - columns[:, :2], axis=2) - columns[:, 2]
+            tight.append(apart.min())
+            assert tight[-1] >= FLIGHT.robot_radius_m - 2e-3
+    assert min(tight) < FLIGHT.robot_radius_m + 0.1, (
+        "no flight passes close to a column: the test shows nothing"
+    )
+
+
+def test_legs_are_no_longer_than_a_step(flights: list[tuple[Floats, Floats]]) -> None:
+    for _, path in flights:
+        assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= FLIGHT.step_m + 1e-9
+
+
+def test_starts_and_goals_spread_over_the_whole_box(flights: list[tuple[Floats, Floats]]) -> None:
+    ends = np.array([end for _, path in flights for end in (path[0], path[-1])])
+    assert (np.ptp(ends, axis=0) > 0.6 * (BOUNDS[1] - BOUNDS[0])).all()
+
+
+@pytest.mark.parametrize(("asked_m", "least_m"), [(1.0, 1.0), (4.0, 4.0), (1e3, DIAGONAL_M / 3)])
+def test_start_and_goal_are_the_least_distance_apart_or_a_third_of_the_diagonal(
+    asked_m: float, least_m: float
+) -> None:
+    _, clearance = forest(0)
+    flight = dataclasses.replace(FLIGHT, min_distance_m=asked_m)
+    paths = [plan(clearance, BOUNDS, flight, rng=np.random.default_rng(seed)) for seed in range(60)]
+    lengths = [np.linalg.norm(path[-1] - path[0]) for path in paths if path is not None]
+    assert len(lengths) > 40
+    assert least_m - FLIGHT.goal_tolerance_m <= min(lengths) < least_m + 1.5
+
+
+def test_a_flight_depends_on_the_state_of_the_generator_alone() -> None:
+    _, clearance = forest(3)
+    first = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(3))
+    other = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(4))
+    again = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(3))
+    assert first is not None
+    assert len(first) > 2, "a straight flight shows nothing"
+    np.testing.assert_array_equal(first, again)
+    assert other is None or not np.array_equal(first, other)
+
+
+def test_the_search_uses_the_generator_too_not_its_ends_alone() -> None:
+    """With start and goal the same, another seed for OMPL gives another path."""
+    _, clearance = forest(3)
+
+    class Reseeded:
+        def __init__(self, seed: int):
+            self._rng, self._seed = np.random.default_rng(3), seed
+
+        def uniform(self, *arguments: object) -> Floats:
+            return self._rng.uniform(*arguments)
+
+        def integers(self, *bounds: int) -> int:
+            return self._seed
+
+    paths = [plan(clearance, BOUNDS, FLIGHT, rng=Reseeded(seed)) for seed in (1, 2)]
+    np.testing.assert_array_equal(paths[0][0], paths[1][0])
+    assert not np.array_equal(*paths)
+
+
+@pytest.mark.parametrize("iterations", [1, 40, 400])
+def test_a_divided_world_gives_up_after_its_iterations(iterations: int) -> None:
+    """Each side is too short for both ends of a flight, so one is drawn on either side."""
+    clearance = wall(8.0, half_thickness=2.5)
+    bounds = np.array([[2.0, 5.0, 1.0], [14.0, 5.5, 1.5]])
+    flight = dataclasses.replace(FLIGHT, min_distance_m=4.0, iterations=iterations)
+    for seed in range(5):
+        clearance.asked = 0
+        assert plan(clearance, bounds, flight, rng=np.random.default_rng(seed)) is None
+        assert 0.9 * iterations <= clearance.asked <= iterations
+
+
+def test_a_filled_world_has_no_flight() -> None:
+    clearance = wall(8.0, half_thickness=50.0)
+    assert plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(0)) is None
+    assert clearance.asked == 0
+
+
+def test_a_wall_with_a_gap_is_flown_through_by_what_is_thin_enough() -> None:
+    spec = mujoco.MjSpec()
+    for y in (-50.6, 50.6):  # leaves 1.2 m about y = 0
+        spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[0.2, 50, 50], pos=[8, y, 0])
+    bounds = np.array([[6.0, -0.5, 0.5], [10.0, 0.5, 1.5]])
+    clearance = Clearance(solids_of(spec.compile()), bounds)
+    crossed = {}
+    for radius in (0.3, 0.7):
+        flight = dataclasses.replace(
+            FLIGHT, robot_radius_m=radius, min_distance_m=1.4, goal_tolerance_m=0.05
+        )
+        paths = [
+            plan(clearance, bounds, flight, rng=np.random.default_rng(seed)) for seed in range(20)
+        ]
+        crossed[radius] = sum(
+            path is not None and (path[0, 0] - 8) * (path[-1, 0] - 8) < 0 for path in paths
+        )
+    assert crossed[0.3] > 5
+    assert crossed[0.7] == 0
+
+
+PATH = np.array(
+    [
+        [0, 0, 0],
+        [0, 0, 2],
+        [3, 0, 2],
+        [3, 4, 2],
+        [3, 4, 5],
+        [3, 4, 3],
+        [3, 1, 7],
+        [3, 1, 8],
+        [-2, -4, 8],
+    ],
+    dtype=float,
+)
+"""Climbs at once, turns left, climbs and sinks in between, turns back while climbing, climbs, and
+leaves to the south west."""
+HEADINGS = np.radians([0, 0, 90, 90, 90, -90, -90, -135])
+"""Of its legs: a leg straight up or down keeps the one before, and the first of all looks along
+x."""
+
+
+def leg_of(point: Floats, path: Floats) -> list[int]:
+    """The legs on which a point lies."""
+    found = []
+    for n, (a, b) in enumerate(itertools.pairwise(path)):
+        share = np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        if np.linalg.norm(a + share * (b - a) - point) < 1e-9:
+            found.append(n)
+    return found
+
+
+@pytest.mark.parametrize("spacing", [0.25, 1.0, 1.7])
+def test_viewpoints_lie_on_the_path_a_spacing_apart(spacing: float) -> None:
+    lengths = np.linalg.norm(np.diff(PATH, axis=0), axis=1)
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    firsts = []
+    for seed in range(20):
+        views = viewpoints(PATH, spacing, rng=np.random.default_rng(seed))
+        flown = np.sort(views.flown_m)
+        firsts.append(flown[0])
+        np.testing.assert_allclose(np.diff(flown), spacing, rtol=0, atol=1e-9)
+        assert 0 <= flown[0] < spacing
+        assert ends[-1] - spacing <= flown[-1] < ends[-1]
+        assert len(views) == len(views.positions) == len(views.headings) == len(flown)
+        for axis in range(3):
+            expected = np.interp(views.flown_m, ends, PATH[:, axis])
+            np.testing.assert_allclose(views.positions[:, axis], expected, rtol=0, atol=1e-9)
+    assert np.ptp(firsts) > 0.5 * spacing
+
+
+def test_viewpoints_look_along_their_leg_and_are_level() -> None:
+    seen = set()
+    for seed in range(5):
+        views = viewpoints(PATH, 0.2, rng=np.random.default_rng(seed))
+        for n in range(len(views)):
+            legs = leg_of(views.positions[n], PATH)
+            yaw = np.arctan2(views.headings[n, 1], views.headings[n, 0])
+            off = [np.abs(np.angle(np.exp(1j * (yaw - HEADINGS[leg])))) for leg in legs]
+            assert min(off) < 1e-9, (views.positions[n], yaw)
+            seen.update(legs)
+            pose = views.pose(n)
+            np.testing.assert_array_equal(pose.position, views.positions[n])
+            assert np.linalg.norm(pose.quaternion) == pytest.approx(1.0, abs=1e-12)
+            heading = HEADINGS[legs[int(np.argmin(off))]]
+            forward, up = rotate(pose.quaternion, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+            np.testing.assert_allclose(
+                forward, [np.cos(heading), np.sin(heading), 0.0], rtol=0, atol=1e-12
+            )
+            np.testing.assert_allclose(up, [0.0, 0.0, 1.0], rtol=0, atol=1e-12)
+    assert seen == set(range(len(HEADINGS)))
+
+
+def test_a_straight_climb_keeps_the_last_yaw_leg_by_leg() -> None:
+    """Each leg of the path on its own course, so that a wrong neighbour's yaw shows."""
+    path = np.array([[0, 0, 0], [1, 2, 0], [1, 2, 3], [1, 2, 1], [-1, 1, 1]], dtype=float)
+    views = viewpoints(path, 0.1, rng=np.random.default_rng(0))
+    climbing = (views.positions[:, :2] == [1, 2]).all(axis=1)
+    assert climbing.sum() > 40
+    yaws = np.arctan2(views.headings[climbing, 1], views.headings[climbing, 0])
+    np.testing.assert_allclose(yaws, np.arctan2(2, 1), rtol=0, atol=1e-12)
+
+
+def test_viewpoints_come_in_random_order_that_the_generator_alone_decides() -> None:
+    first, again, other = (
+        viewpoints(PATH, 0.5, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    for name in ("flown_m", "positions", "headings"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+    assert (np.argsort(first.flown_m) != np.arange(len(first))).any()
+    assert (np.argsort(first.flown_m) != np.argsort(other.flown_m)[: len(first)]).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("robot_radius_m", 0.0),
+        ("robot_radius_m", 1.0),
+        ("robot_radius_m", float("nan")),
+        ("altitude_m", (5.0, 1.5)),
+        ("altitude_m", (2.0, 2.0)),
+        ("viewpoints", 0),
+        ("iterations", 0),
+        ("flights_per_world", 0),
+        ("spacing_m", 0.0),
+        ("step_m", -1.0),
+        ("goal_tolerance_m", float("nan")),
+        ("margin_m", -0.1),
+        ("min_distance_m", -1.0),
+    ],
+)
+def test_bad_values_are_named(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name):
+        Flight(**{name: value})
+
+
+def test_the_margin_and_the_altitudes_bound_flights_through_a_drawn_world() -> None:
+    flight = Flight(margin_m=3.0, altitude_m=(1.0, 4.0))
+    np.testing.assert_array_equal(flight.bounds((20.0, 12.0, 9.0)), [[3, 3, 1], [17, 9, 4]])
+    for size in ((6.0, 12.0, 9.0), (20.0, 5.9, 9.0)):
+        with pytest.raises(ValueError, match="margin_m"):
+            flight.bounds(size)
+
+
+def test_a_flight_with_too_many_places_is_refused_before_they_take_memory() -> None:
+    path = np.array([[0.0, 0.0, 1.0], [1e6, 0.0, 1.0]])
+    with pytest.raises(
+        GenerationError, match=r"spacing_m = 0.001: more than 100000 places .* of 1000000 m"
+    ):
+        viewpoints(path, 0.001, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Flight)])
+@pytest.mark.parametrize(
+    "value", [-1e9, 1e30, math.nan, math.inf, True, "3", None, (3.0, 1.0), [[1.0]]]
+)
+def test_a_bad_value_is_named(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"^{name} = .*: expected"):
+        Flight(**{name: value})

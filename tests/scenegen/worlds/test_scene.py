@@ -1,0 +1,369 @@
+"""A stranger's MJCF: what MuJoCo makes of it is what is archived, and harm ends in one line, soon,
+without a trace."""
+
+import os
+import warnings
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+import scenegen.source
+from lidarsim import MujocoEngine
+from lidarsim.limits import MOST_TRIANGLES
+from lidarsim.solids.model import solids_of
+from scenegen.errors import BrokenError, SceneError
+from scenegen.source import read_scenes
+from scenegen.worlds.quiet import quiet_mujoco
+from scenegen.worlds.scene import Scene, load_scene
+from scenegen.worlds.screen import screen
+from scenegen.worlds.world import compile_world
+
+REACH_M = 100.0
+ONE = {"train": 1, "val": 0, "test": 0}
+HFIELD = '<mujoco><asset><hfield name="h" size="4 4 1 1" {}/></asset><worldbody><geom type="hfield" hfield="h"/>'
+HFIELD += "</worldbody></mujoco>"
+MESH = '<mujoco><asset><mesh name="m" {}/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
+ATTACHED = """<mujoco><asset>{assets}<model name="robot" file="sub/robot.xml"/></asset><worldbody>
+<geom type="box" size="1 2 3" pos="5 0 1.23456789"/>
+<frame pos="-4 1 2" euler="10 20 30"><attach model="robot" body="arm" prefix="r/"/></frame></worldbody></mujoco>"""
+ROBOT = """<mujoco><compiler meshdir="parts"/><asset><mesh name="arm" file="arm.obj" scale="1 1.2345678 1"/></asset>
+<worldbody><body name="arm" pos="0 0 1"><joint name="j"/><geom type="mesh" mesh="arm"/></body></worldbody></mujoco>"""
+
+
+@pytest.fixture(autouse=True)
+def no_trace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> object:
+    """Nothing is printed, nothing left in the working folder, no warning raised."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        warnings.filterwarnings(
+            "ignore", r"This process .* is multi-threaded"
+        )  # by pytest-xdist; Python 3.12 tells
+        yield
+    assert [str(warning.message) for warning in told] == []
+    assert "".join(capfd.readouterr()) == ""
+    assert list(elsewhere.iterdir()) == []
+
+
+def write(folder: Path, text: str, name: str = "world.xml") -> Path:
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def own_rays(path: Path, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """MuJoCo's own rays in MuJoCo's own model of a file, planes infinite."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    for skin in list(spec.skins):
+        spec.delete(skin)
+    model = spec.compile()
+    model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, :2] = 0
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    geom = np.zeros(1, np.int32)
+    found = [
+        mujoco.mj_ray(model, data, origin, ray, None, True, -1, geom, None) for ray in directions
+    ]
+    return np.where((np.array(found) < 0) | (np.array(found) > REACH_M), np.inf, found)
+
+
+def assert_as_mujoco_compiles_it(path: Path) -> Scene:
+    """The archived document gives MuJoCo's rays, from all around."""
+    scene = load_scene(path)
+    world = compile_world(scene.mjcf, scene.assets)
+    rng = np.random.default_rng(0)
+    for origin in rng.uniform(-10, 10, (8, 3)):
+        directions = rng.uniform(-6, 6, (100, 3)) - origin
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        ours = MujocoEngine.of(world.model).cast(origin[None], directions[None], REACH_M)[0]
+        np.testing.assert_allclose(ours, own_rays(path, origin, directions), rtol=0, atol=1e-5)
+    return scene
+
+
+def test_an_attached_model_keeps_its_own_mesh_beside_a_namesake(tmp_path: Path) -> None:
+    (tmp_path / "sub" / "parts").mkdir(parents=True)
+    trimesh.creation.torus(1.0, 0.3).export(tmp_path / "sub" / "parts" / "arm.obj")
+    trimesh.creation.box((3, 3, 3)).export(tmp_path / "arm.obj")
+    write(tmp_path, ROBOT, "sub/robot.xml")
+    for assets in ("", '<mesh name="other" file="arm.obj"/>'):
+        scene = assert_as_mujoco_compiles_it(write(tmp_path, ATTACHED.format(assets=assets)))
+        assert len(scene.assets) == 1
+        assert scene.notes == (
+            "world.xml: joints (1) stay in their reference position: nothing moves",
+        )
+    (tmp_path / "arm.obj").unlink()
+    assert_as_mujoco_compiles_it(write(tmp_path, ATTACHED.format(assets="")))
+
+
+def test_every_kind_of_geom_lies_where_mujoco_puts_it(tmp_path: Path) -> None:
+    trimesh.creation.torus(1.5, 0.4).export(tmp_path / "ring.stl")
+    heights = np.random.default_rng(0).random((9, 7)).astype(np.float32)
+    (tmp_path / "hill.bin").write_bytes(np.array([9, 7], np.int32).tobytes() + heights.tobytes())
+    path = write(
+        tmp_path,
+        """<mujoco><compiler angle="radian" eulerseq="zyx"/><default><geom rgba="1 0 0 1"/></default>
+        <asset><mesh name="ring" file="ring.stl" scale="0.7 1.3 1" refpos="0.1 0.2 0.3"/>
+        <hfield name="hill" file="hill.bin" size="3 2 1 0.3"/><material name="glass" rgba="0 0 0 0"/></asset>
+        <worldbody><geom type="plane" size="1 1 1" pos="0 0 -4" euler="0.1 0.2 0"/>
+        <body pos="1 2 3" euler="0.3 0.4 0.5"><joint type="ball"/><geom type="capsule" fromto="0 0 0 1 2 1" size="0.3"/>
+        <body pos="-2.123456789 0 0.1" quat="1 2 3 4"><geom type="mesh" mesh="ring"/>
+        <geom type="box" mesh="ring"/></body></body>
+        <geom type="ellipsoid" size="1 2 0.5" pos="-5 0 0" axisangle="1 1 0 0.7"/>
+        <geom type="hfield" hfield="hill" pos="0 -4 0" euler="0.2 0 0"/>
+        <geom name="pane" type="sphere" size="3" pos="0 0 8" material="glass"/>
+        <replicate count="5" offset="1 0 0.1"><geom type="cylinder" size="0.2 1" pos="-2 5 0"/></replicate>
+        </worldbody></mujoco>""",
+    )
+    scene = assert_as_mujoco_compiles_it(path)
+    assert scene.unseen == ("pane",)
+    screen(scene.mjcf, scene.assets, "what generate archives, verify takes")
+
+
+def test_what_only_dresses_geoms_is_not_needed(tmp_path: Path) -> None:
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.stl")
+    sides = " ".join(
+        f'file{side}="absent.png"' for side in ("right", "left", "up", "down", "front", "back")
+    )
+    scene = load_scene(
+        write(
+            tmp_path,
+            f"""<mujoco><compiler strippath="true"/><asset><mesh name="m" file="/no/such/folder/box.stl"/>
+            <texture name="t" type="cube" {sides}/><material name="seen" texture="t" rgba="1 1 1 0.5"/>
+            <material name="hidden" texture="t" rgba="1 1 1 0"/></asset><deformable><skin name="s" file="dog.skn"/>
+            </deformable><worldbody><geom type="mesh" mesh="m" material="seen"/><geom name="ghost" size="1"
+            material="hidden"/></worldbody></mujoco>""",
+        )
+    )
+    assert scene.unseen == ("ghost",)
+    assert scene.notes == (
+        "world.xml: skins (1) are left out: they dress bodies, and rays do not see them",
+    )
+    assert [name.rpartition("-")[2] for name in scene.assets] == ["m.msh"]
+
+
+def test_memory_that_a_file_asks_for_beside_its_geoms_is_not_taken(tmp_path: Path) -> None:
+    """MuJoCo would fill gigabytes, for as long as a reader's limits let it."""
+    path = tmp_path / "w.xml"
+    path.write_text(
+        '<mujoco><size nuserdata="2000000000" nkey="100000000"/><worldbody>'
+        '<geom type="box" size="1 1 1"/></worldbody></mujoco>'
+    )
+    assert len(compile_world(load_scene(path).mjcf).solids) == 1
+
+
+def test_plugins_that_move_things_are_left_out_of_what_is_archived(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        '<mujoco><extension><plugin plugin="mujoco.pid"/></extension><compiler '
+        'settotalmass="3"/><worldbody><body>'
+        '<joint name="j"/><geom size="1"/></body></worldbody><actuator><plugin joint="j" '
+        'plugin="mujoco.pid"/>'
+        "</actuator></mujoco>",
+    )
+    (scene,) = read_scenes(path, ONE, seed=0).scenes["train"]
+    screen(scene.mjcf, scene.assets, "taken")
+    assert b"plugin" not in scene.mjcf
+
+
+def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_path: Path) -> None:
+    one, other = trimesh.creation.box((2, 2, 2)), trimesh.creation.box((2, 2, 2))
+    other.apply_translation((2, 2, 0))
+    touching = trimesh.util.concatenate([one, other])
+    touching.merge_vertices()
+    touching.export(tmp_path / "touching.obj")
+    trimesh.Trimesh(one.vertices, one.faces[2:]).export(tmp_path / "open.obj")
+    path = write(
+        tmp_path,
+        '<mujoco><asset><mesh name="touching" file="touching.obj"/><mesh name="open" '
+        'file="open.obj" inertia="shell"/>'
+        '</asset><worldbody><geom type="mesh" mesh="touching"/><geom type="mesh" mesh="open" '
+        'pos="9 0 0"/></worldbody>'
+        "</mujoco>",
+    )
+    scene = load_scene(path)
+    solids = compile_world(scene.mjcf, scene.assets).solids
+    assert solids.mesh_filled.tolist() == [True, False]
+    assert len(scene.notes) == 1
+    assert "mesh open is not closed" in scene.notes[0]
+    from lidarsim import GridSpec
+    from scenegen.truth import rasterize
+
+    # a mesh's own frame is about its centre, a corner of each box
+    inside = rasterize(
+        solids, GridSpec(shape=(8, 8, 4), voxel_m=0.5), solids.triangles[:24].min(axis=(0, 1))
+    )
+    assert inside[:4, :4].all()
+    assert inside[4:, 4:].all()
+    assert not inside[5:, :3].any()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            '<geom size="1" pos="nan 0 0"/>',
+            "<geom pos='nan 0 0'>: 'nan', expected numbers up to 1e+06",
+        ),
+        (
+            '<geom size="1"pos=\'nan 0 0\'type="box"/>',
+            "<geom pos='nan 0 0'>: 'nan', expected numbers up to 1e+06",
+        ),
+        ('<geom size="1" pos="&#110;an 0 0"/>', "has numbers that are NaN"),
+        (
+            '<geom size="1" quat="1 0 NaN 0"/>',
+            "<geom quat='1 0 NaN 0'>: 'NaN', expected finite numbers",
+        ),
+        ('<body pos="0 0 -inf"><geom size="1"/></body>', "<body pos='0 0 -inf'>"),
+        ('<geom size="1e7"/>', "<geom size='1e7'>: '1e7', expected numbers up to 1e+06"),
+        (
+            '<body pos="9e5 0 0"><geom name="far" size="1" pos="9e5 0 0"/></body>',
+            "geom far: pos = [1800000.0, 0.0, 0.0]",
+        ),
+        (
+            '<replicate count="1000000000" offset="1 0 0"><geom size="1"/></replicate>',
+            "more than 50000 geoms",
+        ),
+        ('<geom size=".1"/>' * 50_001, "more than 50000 geoms"),
+        ('<include file="pipe.xml"/>', "pipe.xml: is not a regular file"),
+        ('<include file="/dev/zero"/>', "/dev/zero: is not a regular file"),
+        ('<geom size="1"/>', None),
+    ],
+)
+def test_numbers_and_files_that_no_world_can_have_are_named(
+    tmp_path: Path, text: str, said: str | None
+) -> None:
+    os.mkfifo(tmp_path / "pipe.xml")
+    path = write(tmp_path, f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+    if said is None:
+        assert read_scenes(path, ONE, seed=0).notes == ()
+        return
+    with pytest.raises(SceneError) as caught:
+        read_scenes(path, ONE, seed=0)
+    assert said in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (MESH.format('vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="nan 1 1"'), "<mesh scale='nan 1 1'>"),
+        (
+            MESH.format('builtin="supersphere" params="30000 1 1"'),
+            "<mesh params='30000 1 1'>: expected 300 at most",
+        ),
+        (HFIELD.format('file="nan.bin"'), "a height field's heights: expected finite numbers"),
+        (HFIELD.format('file="huge.bin"'), ""),
+        (
+            HFIELD.format('nrow="65536" ncol="65536"'),
+            "<hfield>: nrow times ncol is more than 16777216",
+        ),
+        (HFIELD.format('nrow="1200" ncol="1200"'), f"expected {MOST_TRIANGLES} at most"),
+        (MESH.format('file="pipe.stl"'), "reading it took too long; 1.5 s and 1 GB are allowed"),
+    ],
+)
+def test_meshes_and_height_fields_that_mean_harm_end_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, said: str
+) -> None:
+    heights = np.zeros((16, 16), np.float32)
+    heights[3, 3] = np.nan
+    (tmp_path / "nan.bin").write_bytes(np.array([16, 16], np.int32).tobytes() + heights.tobytes())
+    (tmp_path / "huge.bin").write_bytes(
+        np.array([65536, 65536], np.int32).tobytes() + heights.tobytes()
+    )
+    os.mkfifo(tmp_path / "pipe.stl")
+    monkeypatch.setattr(scenegen.source, "SCENE_BYTES", 1 << 30)
+    if "pipe" in text:
+        monkeypatch.setattr(scenegen.source, "SCENE_SECONDS", 1.5)
+    with pytest.raises(SceneError, match=r"world\.xml: ") as caught:
+        read_scenes(write(tmp_path, text), ONE, seed=0)
+    assert said in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_parts_of_a_folder_are_no_worlds(tmp_path: Path) -> None:
+    folder = tmp_path / "worlds"
+    write(folder, '<mujocoinclude><geom size="1"/></mujocoinclude>', "part.xml")
+    write(folder, '<mujoco><asset><material name="m"/></asset></mujoco>', "assets.xml")
+    for n in range(2):
+        body = f'<include file="part.xml"/><geom type="box" size="1 1 1" material="m" pos="{n + 3} 0 0"/>'
+        text = f'<mujoco><include file="assets.xml"/><worldbody>{body}</worldbody></mujoco>'
+        write(folder, text, f"world{n}.xml")
+    source = read_scenes(folder, {"train": 1, "val": 0, "test": 1}, seed=0)
+    assert sorted(scene.name for scenes in source.scenes.values() for scene in scenes) == [
+        "world0.xml",
+        "world1.xml",
+    ]
+    assert source.notes == (
+        f"{folder}: assets.xml, part.xml left out: parts, which other files include",
+    )
+    with pytest.raises(SceneError, match="holds parts alone"):
+        read_scenes(folder / "part.xml", ONE, seed=0)
+
+
+def test_one_world_alone_says_how_to_measure_on_it(tmp_path: Path) -> None:
+    path = write(tmp_path, '<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
+    with pytest.raises(
+        SceneError,
+        match=r"folder of 2 worlds or more, or leave --test out and .* \(bench --split train",
+    ):
+        read_scenes(path, {"train": 1, "val": 0, "test": 1}, seed=0)
+
+
+def test_the_truth_takes_no_numbers_that_a_kernel_cannot() -> None:
+    model = mujoco.MjModel.from_xml_string(HFIELD.format('nrow="3" ncol="3"'))
+    model.hfield_data[4] = np.nan
+    with pytest.raises(ValueError, match="heights: expected finite numbers"):
+        solids_of(model)
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom name="g" size="1" pos="1 2 3"/></worldbody></mujoco>'
+    )
+    model.geom_pos[0, 1] = np.nan
+    with pytest.raises(ValueError, match=r"geom g: pos = \[nan, nan, nan\]"):
+        solids_of(model)
+
+
+@pytest.mark.parametrize(
+    ("element", "said"),
+    [
+        ('<geom size="1" pos="0 nan 0"/>', "<geom pos='0 nan 0'>"),
+        ('<geom size="1 2000000"/>', "'2000000', expected numbers up to 1e+06"),
+        ('<mesh name="m" builtin="supersphere" params="3000 1 1"/>', "expected 300 at most"),
+        (
+            '<hfield name="h" file="f.bin" size="1 1 1 1"/>',
+            "65536 rows and 65536 columns in 12 bytes",
+        ),
+    ],
+)
+def test_the_screen_refuses_what_generate_refuses(element: str, said: str) -> None:
+    assets = {"f.bin": np.array([65536, 65536, 0], np.int32).tobytes()}
+    with pytest.raises(BrokenError) as caught:
+        screen(f"<mujoco>{element}</mujoco>".encode(), assets, "w")
+    assert said in str(caught.value)
+
+
+def test_a_users_own_handler_of_warnings_comes_back() -> None:
+    before = mujoco.get_mju_user_warning()
+    own: list[str] = []
+    try:
+        mujoco.set_mju_user_warning(own.append)
+        with quiet_mujoco() as told:
+            with quiet_mujoco():
+                pass
+            mujoco.MjModel.from_xml_string(
+                '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
+            )
+        assert len(told) >= 1
+        assert own == []
+        mujoco.MjModel.from_xml_string(
+            '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
+        )
+        assert own
+    finally:
+        mujoco.set_mju_user_warning(before)
