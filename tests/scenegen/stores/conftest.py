@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from scenegen import places
+from scenegen import stores
 from scenegen.stores import cache
 from tests.scenegen.stores.kept import HOME
 
@@ -16,13 +16,13 @@ def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     home.mkdir()
     monkeypatch.setenv(HOME, str(home))
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "copies"))
-    monkeypatch.setitem(places.PLACES.known, "s3", "tests.scenegen.stores.kept:Kept")
+    monkeypatch.setitem(stores.PLACES.known, "s3", "tests.scenegen.stores.kept:Kept")
     forget()
     return home
 
 
 def forget() -> None:
     """Have this process be as a new one: nothing is opened or seen."""
-    places._opened.cache_clear()
-    places._seen.clear()
+    stores._opened.cache_clear()
+    stores._seen.clear()
     cache._noted.cache_clear()

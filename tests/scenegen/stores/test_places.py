@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from lidarsim import BeamTable
-from scenegen import load, places
+from scenegen import load, stores
 from scenegen.dataset.build import Summary, build, plan_dataset
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
@@ -61,7 +61,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def asked() -> list[str]:
     """What this process asked of the dataset's place."""
-    return places.place_of(NAME).log  # type: ignore[attr-defined]
+    return stores.place_of(NAME).log  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("path", ["./s3:/b", "./s3://b", "S3://b/x", "data", "", "a b://c", "s3:"])
@@ -234,7 +234,7 @@ def test_two_drivers_of_different_datasets_never_mix(store: Path, made: Path) ->
     with pytest.raises(DatasetError, match="holds another dataset: seed is 3 there, 4 asked for"):
         build(plan(folder_of(NAME), seed=4))
     shutil.rmtree(store / "lab" / "pillar")
-    home = places.place_of(NAME)
+    home = stores.place_of(NAME)
     begin, theirs = (
         home.put_if,
         (made / "dataset.json").read_bytes().replace(b'"seed": 3', b'"seed": 4'),
