@@ -327,7 +327,7 @@ def test_other_bytes_than_the_manifests_are_refused_and_not_kept(store: Path, ma
         locate(NAME, whole=True)
 
 
-@pytest.mark.parametrize("level", ["", "scenegen", "scenegen/places", "scenegen/stores/{place}"])
+@pytest.mark.parametrize("level", ["", "scenegen", "scenegen/places", "scenegen/places/{place}"])
 @pytest.mark.parametrize("what", ["open to others", "another user's"])
 def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
     level: str, what: str, store: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
