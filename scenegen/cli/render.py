@@ -107,9 +107,9 @@ def draw(
 def _world(path: Path, seed: int | None) -> Any:
     import numpy as np
 
-    from scenegen.display.pictures import draw_world
     from scenegen.display.panels import plain
-    from scenegen.single import poses_in_flight, read_world
+    from scenegen.display.pictures import draw_world
+    from scenegen.draw import poses_in_flight, read_world
 
     world = read_world(path)
     flight = (
@@ -161,7 +161,7 @@ def _archived(found: "Dataset", split: str, index: int, title: str) -> Any:
     """The world that a sample is of, with the map's box, and all viewpoints in it."""
     import numpy as np
 
-    from scenegen.dataset.archived import compile_archived
+    from scenegen.dataset.extract import compile_archived
     from scenegen.display.pictures import draw_world
 
     samples = found.split(split)
