@@ -23,10 +23,10 @@ from scenegen.display.colours import (
     path_colours,
 )
 from scenegen.display.figures import FIGURES
-from scenegen.display.landscape import CUT, see
 from scenegen.display.look import Guess, Look, Route, looks
 from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
-from scenegen.display.still import draw_sample, draw_turn, to_bytes
+from scenegen.display.panels import to_bytes
+from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
 from scenegen.draw import read_world
 from scenegen.errors import DatasetError
 from scenegen.worlds.world import compile_world
