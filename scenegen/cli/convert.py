@@ -135,14 +135,16 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
 
 
 def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Path) -> None:
-    from scenegen.dataset.extract import compile_archived as archived
+    from scenegen.dataset.extract import compile_archived
     from scenegen.display.exchange.glb import encode_world
     from scenegen.draw import read_world
     from scenegen.files import write_result
 
-    alone = number is None
-    found = read_world(Path(dataset)) if alone else archived(_opened(dataset), split, number)
-    write_result(out, encode_world(found))
+    if number is None:
+        content = encode_world(read_world(Path(dataset)))
+    else:
+        content = encode_world(compile_archived(_opened(dataset), split, number))
+    write_result(out, content)
 
 
 def _opened(dataset: Path | str, *, shown: bool = True) -> "Dataset":
