@@ -38,7 +38,7 @@ from scenegen.model.evaluation.statistics import figure
 from scenegen.model.evaluation.tables import head, interval, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
-from scenegen.run.checkout import commit
+from scenegen.run.software import commit
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, read_scenes
 

@@ -69,13 +69,14 @@ def main() -> None:
 FORGET = """
 import sys
 from pathlib import Path
-from scenegen.dataset import manifest, noted
+from scenegen.dataset import manifest
+from scenegen.dataset.noted import write_note
 from scenegen.dataset.trust import load
 folder = Path(sys.argv[1])
 there = load(folder)
 manifest.write(folder, manifest.assemble(there.parameters, [], complete=False))
 if sys.argv[2] == "noted":
-    noted.write(folder, there.fingerprint, [folder / entry.file for entry in there.shards], there.shards)
+    write_note(folder, there.fingerprint, [folder / entry.file for entry in there.shards], there.shards)
 """
 """Takes the list of shards out of a manifest, and writes it down as one job's of many, if asked
 to."""

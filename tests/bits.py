@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from lidarsim import Lidar
 from lidarsim.solids.model import solids_of
-from scenegen.chance import attitudes, log_uniform, normal
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
+from scenegen.recipes.kind import attitudes, log_uniform, normal
 from scenegen.source import DrawnWorlds, Source, read_scenes
 from scenegen.worlds.flight import viewpoints
 

@@ -106,13 +106,14 @@ def _chance() -> None:
 
 
 def _twins() -> None:
-    from scenegen.verification import twins
+    from scenegen.verification.checks import between_splits
 
     maps = np.ones((2, 16, 16, 10), np.bool_)
     signatures, folds = (
-        np.array([each(one) for one in maps]) for each in (twins.signature, twins.fold)
+        np.array([each(one) for one in maps])
+        for each in (between_splits.signature, between_splits.fold)
     )
-    twins.candidates(signatures, folds, maps.sum(axis=(1, 2, 3)), np.arange(2))
+    between_splits.candidates(signatures, folds, maps.sum(axis=(1, 2, 3)), np.arange(2))
 
 
 def _plans() -> None:

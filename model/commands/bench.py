@@ -149,7 +149,7 @@ def run_bench(
     from scenegen.model.evaluation.predicted import Predicted
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
-    from scenegen.run.checkout import commit
+    from scenegen.run.software import commit
 
     for name in REPORTS:
         check_ours(out / name)

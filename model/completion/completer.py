@@ -20,7 +20,7 @@ from torch import Tensor
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import described, differences
-from scenegen.dataset.sensor import entry_of
+from scenegen.dataset.rules import sensor_entry
 from scenegen.errors import needs, printable
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
@@ -247,10 +247,10 @@ def unlike(
     """
     plain = described(Mapper())
     learned = (
-        about.get("lidar") or entry_of(Lidar()),
+        about.get("lidar") or sensor_entry(Lidar()),
         {"mapping": about.get("mapping") or plain["mapping"]},
     )
-    met = (entry_of(lidar), plain if mapping is None else described(mapping))
+    met = (sensor_entry(lidar), plain if mapping is None else described(mapping))
     sensor, maps = (differences(*both) for both in zip(learned, met, strict=True))
     if sensor and any(
         "sensor" in one for one in (learned[0], met[0])

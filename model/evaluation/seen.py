@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim import AnalyticEngine
 from lidarsim.solids.shapes import Solids
-from scenegen.dataset.archived import compile_archived
+from scenegen.dataset.extract import compile_archived
 from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.protocol import Prediction
 from scenegen.sample import Sample

@@ -33,7 +33,7 @@ from scenegen.model.training.device import choose_device
 from scenegen.model.training.loop import Watcher, train
 from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder
 from scenegen.recipe import make_recipe
-from scenegen.run.checkout import commit
+from scenegen.run.software import commit
 from scenegen.run.workers import run as run_workers
 from scenegen.source import DrawnWorlds
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import GridSpec, Sensor
-from scenegen.dataset.gather.survey import check_disjoint
+from scenegen.dataset.gather import check_disjoint
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.model.inputs import SYMMETRIES, channels, turned

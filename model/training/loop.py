@@ -18,7 +18,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences, mapping_entry
-from scenegen.dataset.sensor import entry_of
+from scenegen.dataset.rules import sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import locate, open_network
@@ -46,8 +46,7 @@ from scenegen.model.training.device import (
 )
 from scenegen.model.training.run_folder import LEVEL, Progress, RunFolder
 from scenegen.model.training.validation import validate
-from scenegen.run.checkout import commit
-from scenegen.run.software import installed, software
+from scenegen.run.software import commit, installed, software
 from scenegen.worlds.mapping import Mapper
 
 PACKAGES = ("torch", "safetensors")
@@ -293,7 +292,7 @@ def origin(maps: Maps, command: str, device: torch.device) -> dict[str, Any]:
     versions |= {name: installed(name) for name in PACKAGES}
     source = maps.sources[0]
     about = {"command": command, "commit": commit(), "versions": versions}
-    about |= {"device": device_name(device), "lidar": entry_of(source.lidar)}
+    about |= {"device": device_name(device), "lidar": sensor_entry(source.lidar)}
     noises = {noise for one in maps.sources for noise in getattr(one, "noises", ("",))}
     about |= {"noise": sorted(noises)} if any(noises) else {}
     return about | mapping_entry(getattr(source, "mapping", Mapper()))

@@ -22,7 +22,7 @@ def doctor(as_json: bool) -> None:
     if not as_json:
         announce_compilation()
     from lidarsim.jit import cache_trouble
-    from scenegen.doctor import examine
+    from scenegen.cli.examine import examine
 
     found = examine()
     if as_json:

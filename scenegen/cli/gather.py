@@ -20,8 +20,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.progress import Progress
 from scenegen.cli.types import Ranges, Written
-from scenegen.dataset.figures import FIGURES
-from scenegen.dataset.gather.choose import NUMBERS, Choice, Condition
+from scenegen.dataset.choose import FIGURES, NUMBERS, Choice, Condition
 
 if TYPE_CHECKING:
     from scenegen.dataset.state import Plan
@@ -71,7 +70,7 @@ def take(
     Samples stay as they are, bit for bit, and the manifest says where they are from. Given again
     after a stop, it goes on where it was.
     """
-    from scenegen.dataset.gather.plan import plan_take
+    from scenegen.dataset.gather import plan_take
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
 
@@ -98,7 +97,7 @@ def merge(datasets: tuple[Path | str, ...], **options: Any) -> None:
     Samples stay as they are, bit for bit, and in their splits; the manifest says where they are
     from. Given again after a stop, it goes on where it was.
     """
-    from scenegen.dataset.gather.plan import plan_merge
+    from scenegen.dataset.gather import plan_merge
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
 

@@ -20,7 +20,7 @@ from scenegen.cli.show import show_table
 from scenegen.share.licence import USUAL
 
 if TYPE_CHECKING:
-    from scenegen.share.run import Published
+    from scenegen.share.upload import Published
 
 
 @click.command()
@@ -65,9 +65,9 @@ def publish(
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
-    from scenegen.run.checkout import commit
-    from scenegen.share.run import publish as run_publish
+    from scenegen.run.software import commit
     from scenegen.share.stage import Request
+    from scenegen.share.upload import publish as run_publish
 
     request = Request(
         dataset=locate(dataset, shown=talk, whole=True),

@@ -109,7 +109,7 @@ def _world(path: Path, seed: int | None) -> Any:
 
     from scenegen.display.landscape import draw_world
     from scenegen.display.still import plain
-    from scenegen.single import poses_in_flight, read_world
+    from scenegen.draw import poses_in_flight, read_world
 
     world = read_world(path)
     flight = (
@@ -160,7 +160,7 @@ def _archived(found: "Dataset", split: str, index: int, title: str) -> Any:
     """The world that a sample is of, with the map's box, and all viewpoints in it."""
     import numpy as np
 
-    from scenegen.dataset.archived import compile_archived
+    from scenegen.dataset.extract import compile_archived
     from scenegen.display.landscape import draw_world
 
     samples = found.split(split)

@@ -54,12 +54,12 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
 
 
 def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Path) -> None:
-    from scenegen.dataset.archived import compile_archived
+    from scenegen.dataset.extract import compile_archived
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
     from scenegen.display.exchange.glb import encode_world
+    from scenegen.draw import read_world
     from scenegen.files import write_result
-    from scenegen.single import read_world
 
     if number is None:
         found = read_world(Path(dataset))

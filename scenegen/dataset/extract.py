@@ -1,11 +1,12 @@
-"""One world out of a dataset, as files that MuJoCo opens: the document, and what it refers to in a
-folder beside it."""
+"""Worlds out of a dataset: compiled again, or as files that MuJoCo opens, with what a document
+refers to in a folder."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
-from scenegen.errors import DatasetError
+from scenegen.dataset.read import Dataset
+from scenegen.errors import BrokenError, DatasetError, SceneError
 from scenegen.files import (
     check_ours,
     disk_error,
@@ -15,6 +16,25 @@ from scenegen.files import (
     write_whole,
 )
 from scenegen.limits import MOST_ASSET_BYTES
+from scenegen.worlds.screen import screen
+from scenegen.worlds.world import World, compile_world
+
+
+def compile_archived(dataset: Dataset, split: str, number: int) -> World:
+    """World `number` of a split, compiled; the document is screened before MuJoCo sees it.
+
+    Raises DatasetError where there is none, or it cannot be compiled.
+    """
+    files = dataset.world(split, number)
+    document, name = files.pop(DOCUMENT), f"{number:06d}.xml"
+    try:
+        screen(document, files, name)
+        return compile_world(document, files, name=name)
+    except (BrokenError, SceneError) as error:
+        raise DatasetError(
+            f"{dataset.folder}: {error}; copy the dataset again, or generate it"
+        ) from None
+
 
 DOCUMENT = "world.xml"
 """What `Dataset.world` calls the document."""

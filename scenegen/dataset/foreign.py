@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.dataset.hdf5 import walk
-from scenegen.dataset.messages import (
+from scenegen.dataset.hdf5 import (
     ELSEWHERE,
     LINK,
     NO_DATASET,
@@ -20,6 +19,7 @@ from scenegen.dataset.messages import (
     Hdf5Error,
     Index,
     Stored,
+    walk,
 )
 from scenegen.errors import DatasetError, GuardError, printable
 from scenegen.files import open_bounded

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Sensor
 from scenegen.dataset.foreign import read_index
-from scenegen.dataset.messages import Hdf5Error, Stored
+from scenegen.dataset.hdf5 import Hdf5Error, Stored
 from scenegen.errors import BrokenError, DatasetError, printable, short
 from scenegen.files import open_bounded
 from scenegen.sample import FIELDS, shape_of, whole

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
-from scenegen.dataset import noise
-from scenegen.dataset.sensor import entry_of
+from scenegen.dataset.rules import noise_entry, sensor_entry
 from scenegen.errors import MOST_TOLD, DatasetError, PlaceError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
@@ -63,7 +62,7 @@ def parameters(
 ) -> dict[str, Any]:
     """The part of the manifest that is known before anything is drawn, and decides everything
     after."""
-    more = noise.entry_of(recipe.noise, recipe.lidar.max_range_m)
+    more = noise_entry(recipe.noise, recipe.lidar.max_range_m)
     if recipe.labels is not None:
         more["labels"] = _plain(dataclasses.asdict(recipe.labels))
     more |= mapping_entry(recipe.mapping)
@@ -87,7 +86,7 @@ def parameters(
                 if name != RARE or recipe.grid.hollow
             }
         ),
-        "lidar": entry_of(recipe.lidar),
+        "lidar": sensor_entry(recipe.lidar),
         **more,
         "shard_samples": shard_samples,
         **({} if engine == MUJOCO else {"engine": engine}),

@@ -16,11 +16,11 @@ from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 
-PATTERN = f"dataset.part-{'[0-9a-f]' * 12}.json"
+NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""
 
 
-def write(
+def write_note(
     folder: Path, parameters: str, part: Sequence[Path], reports: Sequence[ShardReport]
 ) -> None:
     """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
@@ -33,11 +33,11 @@ def write(
     write_whole(folder / f"dataset.part-{name}.json", content.encode())
 
 
-def read(folder: Path, parameters: str) -> dict[str, Entry]:
+def read_notes(folder: Path, parameters: str) -> dict[str, Entry]:
     """All that jobs wrote down of this dataset's shards, by file. What is damaged counts as not
     there."""
     found: dict[str, Entry] = {}
-    for path in folder.glob(PATTERN):
+    for path in folder.glob(NOTES):
         with suppress(OSError, ValueError, RecursionError, BrokenError, DatasetError):
             said = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
             check(said, {"parameters": DIGEST, "shards": LIST}, "")
@@ -47,7 +47,7 @@ def read(folder: Path, parameters: str) -> dict[str, Entry]:
     return found
 
 
-def remove(folder: Path) -> None:
+def remove_notes(folder: Path) -> None:
     """Delete them: the manifest lists everything."""
-    for path in folder.glob(PATTERN):
+    for path in folder.glob(NOTES):
         path.unlink(missing_ok=True)

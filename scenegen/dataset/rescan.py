@@ -1,5 +1,5 @@
 """A dataset scanned again: the worlds and poses of one that is there, seen by another sensor, or
-with its faults."""
+with other noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,24 +9,103 @@ from typing import Any
 import numpy as np
 
 from lidarsim import Pose, Sensor
-from lidarsim.engines import ENGINES
+from lidarsim.engines import ENGINES, EngineFactory
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR, SPLITS
-from scenegen.dataset import manifest, noise
+from scenegen.dataset import manifest
 from scenegen.dataset.build import divide
 from scenegen.dataset.extract import DOCUMENT
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.sensor import entry_of
+from scenegen.dataset.rules import noise_entry, sensor_entry
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
-from scenegen.draw import Unit
-from scenegen.errors import DatasetError, printable, short
+from scenegen.draw import Rejections, Unit, engine_of, flight_rng, sample_of, scans_from
+from scenegen.errors import DatasetError, GenerationError, printable, short
 from scenegen.recipe import Recipe
-from scenegen.rescan import fly_again, scan_again
 from scenegen.run.software import software
 from scenegen.sample import stored_fields
+from scenegen.truth import rasterize
+from scenegen.worlds.flight import plan, viewpoints
+from scenegen.worlds.noise import with_noise
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import World, compile_world
+
+
+def fly_again(
+    world: World, poses: Sequence[Pose], recipe: Recipe, *, seed: int, split: str, unit: int
+) -> list[list[Pose]]:
+    """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each
+    its own first: the unit's flight is planned again, and known by its passing all of them, to the
+    bit.
+
+    Raises GenerationError where no draw's flight does.
+    """
+    for attempt in range(recipe.accept.max_draws):
+        rng = flight_rng(seed, split, unit, attempt)
+        for _ in range(recipe.flight.flights_per_world):
+            path = plan(world.clearance, world.flight_bounds, recipe.flight, rng=rng)
+            if path is None:
+                continue
+            passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
+            places = [
+                np.flatnonzero((passed.positions == pose.position).all(axis=1)) for pose in poses
+            ]
+            if all(len(place) == 1 for place in places):
+                return [
+                    [pose, *passed.before(int(place[0]), recipe.mapping)]
+                    for pose, place in zip(poses, places, strict=True)
+                ]
+    raise GenerationError(
+        f"{split} flight {unit} comes out otherwise here, so that nobody knows where earlier "
+        f"scans were made; generate "
+        "the dataset with --scans, or scan it again with the software that made it"
+    )
+
+
+def scan_again(
+    world: World,
+    poses: Sequence[Sequence[Pose]],
+    recipe: Recipe,
+    *,
+    seed: int,
+    split: str,
+    unit: int,
+    names: tuple[int, int],
+    derived: bool = True,
+    engine: EngineFactory,
+) -> Unit:
+    """The unit whose flight through `world` had these sensor `poses`, as the recipe's sensor and
+    noise see it: of each sample its own, and then those of its earlier scans, the last one first.
+
+    `names` are the world's number and the first sample's viewpoint. Nothing is drawn but the noise,
+    and nothing is rejected. With what the unit was drawn with, the same samples come out, bit for
+    bit. Raises GenerationError.
+    """
+    caster = engine_of(engine, world)
+    number, first = names
+    samples = tuple(
+        sample_of(
+            with_noise(
+                scans_from(views, caster, recipe),
+                recipe.noise,
+                world,
+                caster,
+                seed=seed,
+                split=split,
+                unit=unit,
+                view=n,
+            ),
+            rasterize(world.solids, recipe.grid, recipe.mapping.origin(recipe.grid, views[0])),
+            recipe,
+            world,
+            number=number,
+            viewpoint=first + n,
+            derived=derived,
+        )
+        for n, views in enumerate(poses)
+    )
+    return Unit(number, world, samples, Rejections())
+
 
 MOST_WORLDS = 8
 """Worlds that a process keeps compiled: those from MJCF files come again and again."""
@@ -168,8 +247,8 @@ def plan_rescan(
     given |= {
         "generator": GENERATOR,
         "fields": list(stored_fields(compact, labels=labels, scans=mapper.scans)),
-        "lidar": entry_of(recipe.lidar),
-        **noise.entry_of(recipe.noise, recipe.lidar.max_range_m),
+        "lidar": sensor_entry(recipe.lidar),
+        **noise_entry(recipe.noise, recipe.lidar.max_range_m),
         **manifest.mapping_entry(mapper),
         "rescan": {"digest": found.digest},
         "engine": engine,

@@ -15,8 +15,9 @@ from typing import Any
 
 from lidarsim import GridSpec, Lidar, Sensor
 from scenegen import SPLITS
-from scenegen.dataset import manifest, noted, placed, trust
-from scenegen.dataset.sensor import RAYS, write_rays
+from scenegen.dataset import manifest, placed, trust
+from scenegen.dataset.noted import read_notes, remove_notes, write_note
+from scenegen.dataset.rules import RAYS, write_rays
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, names_in, open_bounded, remove_drafts
@@ -169,7 +170,7 @@ class State:
             return
         if any(shard.file.name not in listed for shard in unknown):
             listed = {
-                **noted.read(self.plan.folder, manifest.fingerprint(self.plan.parameters)),
+                **read_notes(self.plan.folder, manifest.fingerprint(self.plan.parameters)),
                 **listed,
             }
         tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
@@ -207,7 +208,7 @@ class State:
                 )
             for name in former:  # before the manifest that says whose they are
                 (folder / name).unlink(missing_ok=True)
-            noted.remove(folder)
+            remove_notes(folder)
         if not self.begun or not (folder / manifest.NAME).exists():
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
             self._listed = self._listed or {}
@@ -222,7 +223,7 @@ class State:
                 return  # a report lies beside each shard
             reports = [self.reports[shard.file] for shard in mine if shard.file in self.reports]
             parameters = manifest.fingerprint(self.plan.parameters)
-            noted.write(self.plan.folder, parameters, [shard.file for shard in mine], reports)
+            write_note(self.plan.folder, parameters, [shard.file for shard in mine], reports)
             return
         manifest.write(
             self.plan.folder, manifest.assemble(self.plan.parameters, self._known(), complete=False)
@@ -250,7 +251,7 @@ class State:
             if manifest.read(self.plan.folder) != final:
                 manifest.write(self.plan.folder, final)
             if final["complete"]:
-                noted.remove(self.plan.folder)
+                remove_notes(self.plan.folder)
             if whole or self.absent():
                 return final
 

@@ -15,7 +15,6 @@ from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
-from scenegen.dataset.noise import check_noise, is_ours, noise_of
 from scenegen.dataset.numbering import Numbering
 from scenegen.dataset.rules import (
     DIGEST,
@@ -24,15 +23,20 @@ from scenegen.dataset.rules import (
     TABLE,
     Rule,
     check,
+    check_noise,
     checked,
+    files_of,
+    is_ours,
     made,
+    noise_of,
     optional,
+    reach_of,
     ruled,
+    sensor_of,
     table_of,
     text,
     whole,
 )
-from scenegen.dataset.sensor import files_of, reach_of, sensor_of
 from scenegen.errors import BrokenError, DatasetError, NewerError, RecipeError, printable, short
 from scenegen.limits import (
     MOST_CLASSES,

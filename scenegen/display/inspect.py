@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
-from scenegen.dataset.figures import FIGURES
+from scenegen.dataset.choose import FIGURES
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.trust import load
@@ -224,7 +224,7 @@ def inspect_all(folder: Path) -> list[dict[str, Any]]:
 
 def inspect_world(path: Path) -> dict[str, Any]:
     """What stands in the world of an MJCF file. Raises SceneError for one that cannot serve."""
-    from scenegen.single import read_world  # which loads what compiles worlds
+    from scenegen.draw import read_world  # which loads what compiles worlds
 
     world = read_world(path)
     codes, counts = np.unique(world.solids.shape, return_counts=True)

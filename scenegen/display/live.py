@@ -133,9 +133,9 @@ class Live(ThreadingHTTPServer):
         """The surfaces of the world of a sample of dataset `number`, as
         `scenegen.display.page.packed_world` has them; or, under `error`, a line that says why there
         are none."""
-        from scenegen.dataset.archived import (
-            compile_archived,
-        )  # MuJoCo and trimesh are needed for worlds alone
+        from scenegen.dataset.extract import (
+            compile_archived,  # MuJoCo and trimesh are needed for worlds alone
+        )
         from scenegen.display.exchange.glb import surfaces
 
         if number >= len(self.splits):

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from lidarsim.parameters import number
 from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE
-from scenegen.chance import attitudes, log_uniform, normal
 from scenegen.limits import MOST_DRAWN_SOLIDS
-from scenegen.recipes.kind import Range, WorldKind, yaw_quaternion
+from scenegen.recipes.kind import Range, WorldKind, attitudes, log_uniform, normal, yaw_quaternion
 from scenegen.worlds.drawing import Drawing
 
 SHAPES = np.array([SPHERE, BOX, CYLINDER])

@@ -1,4 +1,5 @@
-"""What every kind of world has in common."""
+"""What every kind of world has in common, and random draws with the same bits on every
+processor."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -8,10 +9,52 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.elementary import sin_cos
+from lidarsim.elementary import exp, log, sin_cos
 from lidarsim.parameters import Bounds, check, shown
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
 from scenegen.worlds.drawing import Drawing
+
+
+def log_uniform(low: float, high: float, *, rng: np.random.Generator) -> float:
+    """One number between `low` and `high`, both above 0, whose logarithm is uniform."""
+    return float(exp(rng.uniform(*log([low, high]))))
+
+
+def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Standard normal numbers of any shape, two from each point of a disc (Marsaglia's polar
+    method)."""
+    count = int(np.prod(shape))
+    points, square = _disc((count + 1) // 2, rng=rng)
+    return (
+        (points * np.sqrt(-2.0 * log(square) / square)[:, None]).reshape(-1)[:count].reshape(shape)
+    )
+
+
+def attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Unit quaternions (count, 4), w x y z: uniform over all attitudes for a share (Marsaglia
+    1972), turned about the vertical alone for the rest."""
+    tilted = rng.random(count) < tilted_share
+    turn, square = _disc(count, rng=rng)
+    tilt, other = _disc(count, rng=rng)
+    tilt *= np.where(tilted, np.sqrt((1.0 - square) / other), 0.0)[:, None]
+    turn /= np.where(tilted, 1.0, np.sqrt(square))[:, None]
+    return np.stack([turn[:, 0], tilt[:, 0], tilt[:, 1], turn[:, 1]], axis=1)
+
+
+def _disc(
+    count: int, *, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points (count, 2) uniform in the unit disc less its centre, and their squared distances
+    (count,) from it."""
+    points, square = np.zeros((count, 2)), np.zeros(count)
+    missing = np.arange(count)
+    while len(missing):
+        drawn = 2.0 * rng.random((len(missing), 2)) - 1.0
+        points[missing] = drawn
+        square[missing] = drawn[:, 0] * drawn[:, 0] + drawn[:, 1] * drawn[:, 1]
+        missing = missing[(square[missing] >= 1.0) | (square[missing] == 0.0)]
+    return points, square
+
 
 Range = tuple[float, float]
 """A lower and an upper bound, both included; worlds or solids draw from between."""

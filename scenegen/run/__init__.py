@@ -40,7 +40,7 @@ EXECUTORS = Registry(
     "executor",
     {
         "local": "scenegen.run.local:Local",
-        "rank": "scenegen.run.rank:Rank",
+        "rank": "scenegen.run.local:Rank",
         "ray": "scenegen.run.ray:Ray",
         "slurm": "scenegen.run.slurm:Slurm",
     },

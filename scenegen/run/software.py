@@ -1,8 +1,9 @@
-"""What this process computes with: versions of all that the numbers depend on, and a digest of its
-source."""
+"""What this process computes with: versions, a digest of the sources, and the commit of the
+checkout."""
 
 import hashlib
 import platform
+import subprocess
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -42,3 +43,22 @@ def identity() -> dict[str, Any]:
     for path in sources(*(Path(str(package.__file__)).parent for package in (lidarsim, scenegen))):
         digest.update(path.read_bytes())
     return software() | {"generator": scenegen.GENERATOR, "source": digest.hexdigest()[:12]}
+
+
+def commit() -> str:
+    """The checkout's commit, with a + where it has changes; ``unknown`` outside of one, or in
+    another project's."""
+    here = Path(__file__).resolve().parents[1]
+    if _git("rev-parse", "--show-toplevel") != str(here):
+        return "unknown"
+    return _git("describe", "--always", "--dirty=+", "--abbrev=12") or "unknown"
+
+
+def _git(*words: str) -> str:
+    try:
+        here = Path(__file__).resolve().parent
+        return subprocess.run(
+            ["git", *words], cwd=here, capture_output=True, text=True, check=False
+        ).stdout.strip()
+    except OSError:  # git is not installed
+        return ""

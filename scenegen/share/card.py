@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from scenegen.display.statistics import FIGURES
-from scenegen.share.lock import LOCK
-from scenegen.share.publication import PAPER, Publication
+from scenegen.share.publication import LOCK, PAPER, Publication
 from scenegen.share.regenerate import ORIGINAL, source_file
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))

@@ -14,7 +14,7 @@ from lidarsim.engines import DEFAULT
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.sensor import entry_of, write_rays
+from scenegen.dataset.rules import sensor_entry, write_rays
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
 from scenegen.lidar import named_lidar
@@ -123,7 +123,7 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
         write_rays(dataset.lidar, path.parent)
         try:
             if found.rescan is not None:
-                ours = {"generator": GENERATOR, "lidar": entry_of(named_lidar(str(path)))}
+                ours = {"generator": GENERATOR, "lidar": sensor_entry(named_lidar(str(path)))}
                 _check_same(found, {name: found.parameters.get(name) for name in ours}, ours)
                 return
             recipe = read_recipe(path)

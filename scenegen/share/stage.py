@@ -22,8 +22,7 @@ from scenegen.share.card import card
 from scenegen.share.croissant import croissant
 from scenegen.share.folder import check_out, drafted, former_date, seal, take
 from scenegen.share.licence import USUAL, find_licence
-from scenegen.share.lock import LOCK, environment_lock
-from scenegen.share.publication import Publication
+from scenegen.share.publication import LOCK, Publication, environment_lock
 from scenegen.share.regenerate import check_kind, check_source, command, source_file
 
 MOST_FILES = 300

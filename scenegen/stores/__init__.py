@@ -138,7 +138,7 @@ def _opened(name: str, process: int) -> Place:
     ):
         raise DatasetError(f"{printable(name)[:200]}: expected a name such as s3://bucket/folder")
     if scheme not in PLACES.known:
-        from scenegen.stores.foreign import Foreign
+        from scenegen.stores.bucket import Foreign
 
         return Foreign(name)
     made: Place = PLACES.find(scheme)(name)

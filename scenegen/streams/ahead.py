@@ -1,15 +1,168 @@
-"""Results made by worker processes before they are asked for, for as long as anybody asks."""
+"""Units of a stream made before they are asked for: by worker processes, packed small, and kept in
+a folder."""
 
+import functools
+import hashlib
 import multiprocessing.connection
 import os
+import struct
 import sys
 import weakref
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic
 
-from scenegen.errors import GenerationError
+import isal.isal_zlib
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Sensor
+from scenegen.errors import DatasetError, GenerationError
+from scenegen.files import make_parent, read_bounded, remove_drafts, write_whole
 from scenegen.run.workers import MOST_REPLACED, Result, Task, Worker
+from scenegen.sample import FIELDS, LazySample, Sample, derive_tudf, fields_of, shape_of
+
+LEVEL = 1
+"""The level of compression, as in shards."""
+
+
+def record_type(grid: GridSpec, lidar: Sensor, scans: int = 1) -> np.dtype:
+    """The record of one sample of so many scans: grids as bits, everything else as it is stored on
+    disk. Distances follow from occupancy, and are ten times as large as all the rest: they are not
+    in it."""
+    columns: list[tuple[Any, ...]] = []
+    for name in fields_of(scans, labels=False):
+        if name != "tudf":
+            shape = shape_of(name, grid, lidar, scans)
+            bits = FIELDS[name]["axes"] == "grid"
+            columns.append(
+                (name, "u1", -(-int(np.prod(shape)) // 8))
+                if bits
+                else (name, FIELDS[name]["dtype"], shape)
+            )
+    return np.dtype(columns)
+
+
+def pack(sample: Sample, kind: np.dtype) -> bytes:
+    """A sample's record, compressed."""
+    record = np.zeros((), kind)
+    for name in kind.names or ():
+        value = getattr(sample, name)
+        record[name] = np.packbits(value) if FIELDS[name]["axes"] == "grid" else value
+    return isal.isal_zlib.compress(record.tobytes(), LEVEL)
+
+
+def unpack(packed: bytes, kind: np.dtype, grid: GridSpec, lidar: Sensor) -> Sample:
+    """The sample of a record; arrays of its own, which may be written to. Raises ValueError for
+    bytes that are none."""
+    try:
+        content = isal.isal_zlib.decompressobj().decompress(packed, kind.itemsize + 1)
+    except isal.isal_zlib.error as error:
+        raise ValueError(f"cannot be unpacked: {error}") from None
+    if len(content) != kind.itemsize:
+        raise ValueError(f"{len(content)} bytes, expected {kind.itemsize}")
+    return _Drawn.of(np.frombuffer(content, kind)[0], grid, lidar)
+
+
+class _Drawn(LazySample):
+    """A sample whose fields are unpacked, and whose distances derived, when first asked for."""
+
+    @classmethod
+    def of(cls, record: Any, grid: GridSpec, lidar: Sensor) -> Sample:
+        """The sample of a record."""
+        sample = cls.__new__(cls)
+        sample.__dict__.update(_record=record, _grid=grid, _lidar=lidar)
+        return sample
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `Sample.names`."""
+        return fields_of(2 if "earlier_ranges" in self._record.dtype.names else 1, labels=False)
+
+    def _sensor(self) -> Sensor:
+        return self._lidar
+
+    def find(self, name: str) -> Any:
+        """See `LazySample.find`."""
+        if name == "tudf":
+            return derive_tudf(self.occupancy, grid=self._grid)
+        value: NDArray[Any] = self._record[name]
+        if FIELDS[name]["axes"] == "grid":
+            count = int(np.prod(self._grid.shape))
+            return np.unpackbits(value, count=count).view(np.bool_).reshape(self._grid.shape)
+        return int(value) if FIELDS[name]["axes"] == "" else value.copy()
+
+
+HEAD = b"scenegen unit 1\n"
+IN_FOLDER = 1000
+"""Units in a folder."""
+
+
+@dataclass(frozen=True)
+class Cache:
+    """The units of one component.
+
+    A file holds `HEAD`, a SHA-256 of what follows and of whose unit it is, and the records, each
+    after its length. So a file that is cut off, changed, or another unit's under this name counts
+    as absent.
+    """
+
+    folder: Path
+    owner: str
+    """A digest of all that the units depend on, versions of software included."""
+    split: str
+    most_bytes: int
+    """A unit's file is no larger."""
+
+    def unit(self, number: int, make: Callable[[], tuple[bytes, ...]]) -> tuple[bytes, ...]:
+        """The records of a unit: those on disk, else what `make` gives, which then is on disk.
+
+        Raises DatasetError where the disk refuses, and what `make` raises.
+        """
+        path = self.path(number)
+        try:
+            return self._parse(read_bounded(path, self.most_bytes), number)
+        except (FileNotFoundError, ValueError):
+            pass
+        except (
+            DatasetError
+        ):  # too large, or no file at all: what writing says of it tells what to do
+            pass
+        records = make()
+        make_parent(path)
+        _tidy(path.parent)
+        body = b"".join(struct.pack("<I", len(record)) + record for record in records)
+        write_whole(path, HEAD + self._sum(body, number) + body)
+        return records
+
+    def path(self, number: int) -> Path:
+        """Where a unit lies."""
+        group, rest = divmod(number, IN_FOLDER)
+        return self.folder / self.owner[:16] / f"{self.split}-{group:07d}" / f"{rest:03d}.unit"
+
+    def _parse(self, content: bytes, number: int) -> tuple[bytes, ...]:
+        """The records in a file. Raises ValueError for one that is not as it was written."""
+        start = len(HEAD) + hashlib.sha256().digest_size
+        body = content[start:]
+        if content[:start] != HEAD + self._sum(body, number):
+            raise ValueError("damaged")
+        records, at = [], 0
+        while at < len(body):
+            (length,) = struct.unpack_from("<I", body, at)
+            records.append(body[at + 4 : at + 4 + length])
+            at += 4 + length
+        return tuple(records)
+
+    def _sum(self, body: bytes, number: int) -> bytes:
+        return hashlib.sha256(f"{self.owner} {self.split} {number} ".encode() + body).digest()
+
+
+@functools.lru_cache(maxsize=64)
+def _tidy(folder: Path) -> None:
+    """Delete, once a process, what writers that were killed left behind."""
+    remove_drafts(folder)
 
 
 class Ahead(Generic[Task, Result]):

@@ -1,14 +1,47 @@
-"""The order in which a network reads a stream: batches of different worlds, dealt so that no unit
-is drawn twice."""
+"""The order in which a network reads a stream, in batches of different worlds, and how far it has
+read."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_BATCH, MOST_WORKERS
-from scenegen.streams.place import Place
+
+
+class Place:
+    """A count of what was read, of what `of` says, in `unit`, up to `most`."""
+
+    def __init__(self, of: Mapping[str, Any], unit: str, most: int):
+        self._of, self._unit, self._most = dict(of), unit, most
+        self.done = 0
+
+    def state(self) -> dict[str, Any]:
+        """What JSON takes."""
+        return {**self._of, self._unit: self.done}
+
+    def load(self, state: Any) -> None:
+        """Go on from a `state`. Raises DatasetError for one of anything else."""
+        if not isinstance(state, Mapping):
+            raise DatasetError(
+                f"state of a stream: {short(state)}: expected what state_dict() gave"
+            )
+        for name, ours in self._of.items():
+            if state.get(name) != ours:
+                raise DatasetError(
+                    f"state of a stream: its {name} is {short(state.get(name))}, expected "
+                    f"{short(ours)}: it is of "
+                    "another one"
+                )
+        done = state.get(self._unit)
+        if type(done) is not int or not 0 <= done <= self._most:
+            raise DatasetError(
+                f"state of a stream: its {self._unit} = {short(done)}: expected a whole number "
+                f"from 0 to {self._most}"
+            )
+        self.done = done
+
 
 if TYPE_CHECKING:
     from scenegen.streams.stream import Stream

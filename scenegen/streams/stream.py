@@ -16,13 +16,9 @@ import numpy as np
 from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, describe_fields
-from scenegen.streams.ahead import Ahead
-from scenegen.streams.batches import Batches
-from scenegen.streams.cache import Cache
-from scenegen.streams.component import Component, component_of
-from scenegen.streams.mixture import Mixture, parts_of
-from scenegen.streams.place import Place
-from scenegen.streams.record import pack, record_type, unpack
+from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
+from scenegen.streams.batches import Batches, Place
+from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
 
 KEPT_BYTES = 256 << 20
 """Packed units that a process keeps in memory, those asked for last; with default maps, these are

@@ -1,27 +1,120 @@
-"""`verify` holds a dataset folder against the contract: every shard in a process of its own, then
-all together."""
+"""`verify` holds a dataset folder against the contract: every shard is walked in a process of its
+own, then the whole is."""
 
+import functools
+import os
 from collections import deque
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.sensor import files_of
+import numpy as np
+
+from lidarsim import AnalyticEngine, GridSpec, Lidar
+from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
+from scenegen.dataset.rules import files_of
+from scenegen.draw import draw_unit
+from scenegen.recipe import make_recipe
 from scenegen.run import Executor
 from scenegen.run.local import Local
 from scenegen.run.workers import Limited
+from scenegen.sample import FIELDS
+from scenegen.source import DrawnWorlds
 from scenegen.stores.cache import fetch_all, note_of
 from scenegen.verification.checks import CHECKS
-from scenegen.verification.checks.files import EXAMINED
-from scenegen.verification.contract import Contract, read_contract
-from scenegen.verification.regenerate import why_not_comparable, why_not_scanned
-from scenegen.verification.report import Ledger, Report
-from scenegen.verification.shard import Findings, examine
-from scenegen.verification.stages import Task
-from scenegen.verification.twins import MOST_TWINS
-from scenegen.verification.warm import warm_up
+from scenegen.verification.checks.between_splits import MOST_TWINS, candidates, fold, signature
+from scenegen.verification.checks.files import ARCHIVES, EXAMINED, LAYOUT
+from scenegen.verification.checks.repeated import why_not_comparable, why_not_scanned
+from scenegen.verification.contract import Contract, compile_solids, read_archive, read_contract
+from scenegen.verification.report import BrokenError, Ledger, Report
+from scenegen.verification.stages import Sample, Shard, SignedFile, Task, Worlds
+from scenegen.worlds.world import quiet_mujoco
+
+
+@functools.cache
+def warm_up() -> None:
+    """Run every kernel that verification needs, on next to nothing: tens of milliseconds once they
+    are compiled."""
+    field = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/>'
+    geoms = '<geom type="box" size="1 1 1"/><geom type="hfield" hfield="h"/>'
+    solids = compile_solids(
+        f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>".encode(),
+        {},
+        "warm-up",
+    )
+    grid, lidar = GridSpec(shape=(24, 24, 16)), Lidar(rows=4, columns=8)
+    tables = {
+        "flight": {"viewpoints": 1, "margin_m": 2.0, "min_distance_m": 4.0},
+        "world": {"size_m": (16.0, 16.0, 8.0)},
+        "accept": {"min_solids": 0.0, "min_occupied_share": 0.0, "min_returned_share": 0.0},
+        "grid": {"shape": grid.shape},
+        "lidar": {"rows": lidar.rows, "columns": lidar.columns},
+    }
+    recipe = make_recipe("pillar", tables, where="warm-up")
+    sample = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples[0]
+    AnalyticEngine(solids).cast([[0.0, 0.0, 5.0]], lidar.directions_body[None], 10.0)
+    blocks = signature(sample.occupancy)
+    folds = np.stack([fold(sample.observed)] * 2)
+    candidates(np.stack([blocks, blocks]), folds, np.array([1, 1]), np.array([0, 1]))
+
+
+@dataclass(eq=False)
+class Findings:
+    """What one shard's examination leaves for the whole folder's."""
+
+    number: int
+    samples: int
+    ledger: Ledger = field(default_factory=Ledger)
+
+
+@quiet_mujoco()
+def examine(task: Task) -> Findings:
+    """Make every check of one shard by itself. What is wrong with its files becomes faults in the
+    findings' ledger, and raises nothing."""
+    found = Findings(task.number, task.entry.samples)
+    ledger, contract, entry = found.ledger, task.contract, task.entry
+    checks = [check for check in CHECKS if check.applies(contract, quick=task.quick)]
+
+    def look(stage: str, at: Any) -> None:
+        """Make every check that looks at this stage."""
+        for check in checks:
+            if (examination := getattr(check, stage)) is not None:
+                with ledger.checking(check.name) as page:
+                    examination(at, page)
+
+    worlds, path = None, contract.folder / entry.worlds
+    with ledger.checking(ARCHIVES.name) as page, open_file(path) as file:
+        page.count(files=1)
+        worlds = Worlds(task, read_archive(file, path.name, entry.samples))
+        look("file", SignedFile(file, path.name, entry.worlds_sha256))
+        look("archive", worlds)
+    path = contract.folder / entry.file
+    with ledger.checking(LAYOUT.name) as page, open_file(path) as file:
+        if os.fstat(file.fileno()).st_size <= most_bytes(contract.layout, entry.samples):
+            look("file", SignedFile(file, path.name, entry.sha256))
+        opened = open_shard(file, path, entry.samples, contract.layout)
+        if opened.stray_bytes:
+            raise BrokenError(
+                f"{opened.name}: {opened.stray_bytes} of its bytes belong to no sample"
+            )
+        opened.check_origin(
+            split=entry.split, first_world=entry.first_world, worlds_sha256=entry.worlds_sha256
+        )
+        page.count(files=1)
+        shard = Shard(task, worlds, opened, opened.rejected())
+        look("shard", shard)
+        stored = [name for name in contract.fields if not (task.quick and FIELDS[name]["derived"])]
+        for row in range(entry.samples):
+            with ledger.checking(
+                LAYOUT.name
+            ) as page:  # a sample that cannot be unpacked does not end the walk
+                page.count(samples=1)
+                fields = {name: opened.value(name, row, read_only=task.quick) for name in stored}
+                look("sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes()))
+    return found
+
 
 SECONDS, SECONDS_A_SAMPLE, MOST_SECONDS = 120.0, 0.5, 24 * 3600.0
 """A shard whose examination takes longer than this and as much for every sample, or than a day, is

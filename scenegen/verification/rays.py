@@ -1,11 +1,78 @@
-"""A second opinion on stored ranges: the rays of a sample, cast anew by another engine."""
+"""A second opinion on stored ranges: rays cast anew by another engine, how far noise may move
+returns, and what rounding decides."""
 
+import itertools
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Engine, Lidar, Sensor
+from lidarsim import Engine, GridSpec, Lidar, ObservedGrid, Pose, Scan, Sensor, voxelize
+
+NUDGE_M = 1e-13
+"""More than the last bits of a direction move a point of a ray of some ten metres."""
+
+
+def as_rounded(
+    seen: ObservedGrid, scan: Scan, grid: GridSpec, stored: Mapping[str, NDArray[Any]]
+) -> ObservedGrid:
+    """`seen`, which is what `scan` gives, with the `stored` value of every voxel of `observed` and
+    `free` that changes when all rays move by `NUDGE_M` along some diagonal of the grid."""
+    observed, free = stored["observed"], stored.get("free", seen.free)
+    if np.array_equal(observed, seen.observed) and np.array_equal(free, seen.free):
+        return seen
+    open_observed, open_free = np.zeros(grid.shape, np.bool_), np.zeros(grid.shape, np.bool_)
+    for signs in itertools.product((-NUDGE_M, NUDGE_M), repeat=3):
+        pose = Pose(scan.pose.position + signs, scan.pose.quaternion)
+        moved = voxelize(Scan(scan.ranges, pose, scan.lidar), grid, seen.origin)
+        open_observed |= moved.observed != seen.observed
+        open_free |= moved.free != seen.free
+    return ObservedGrid(
+        np.where(open_observed, observed, seen.observed),
+        np.where(open_free, free, seen.free),
+        seen.origin,
+    )
+
+
+SLACK_M = 2e-6
+"""What float32 ranges and the slack of `occupancy` add to a bound."""
+
+
+def count_strays(
+    points: NDArray[np.float64],
+    occupancy: NDArray[np.bool_],
+    grid: GridSpec,
+    origin: NDArray[np.float64],
+    bound_m: float,
+) -> int:
+    """How many of the returns `points` (M, 3), in the world, lie in the map and farther than
+    `bound_m` from every occupied voxel, and from the map's faces, beyond which a solid may be."""
+    inside, most, voxel = points - origin, bound_m + SLACK_M, grid.voxel_m
+    extent = np.array(grid.shape) * voxel
+    left = inside[((inside >= most) & (inside <= extent - most)).all(axis=1)]
+    shape = np.array(grid.shape)
+    shells = range(math.ceil(min(most / voxel, max(grid.shape))) + 1)
+    for offset in itertools.chain.from_iterable(
+        map(_shell, shells)
+    ):  # nearest first: few points are left soon
+        if not len(left):
+            break
+        cells = np.floor(left / voxel).astype(np.int64) + offset
+        known = ((cells >= 0) & (cells < shape)).all(axis=1)
+        gaps = np.maximum(np.maximum(cells * voxel - left, left - (cells + 1) * voxel), 0.0)
+        near = known & ((gaps**2).sum(axis=1) <= most * most)
+        near[near] = occupancy[tuple(cells[near].T)]
+        left = left[~near]
+    return len(left)
+
+
+def _shell(reach: int) -> NDArray[np.int64]:
+    """The cells (n, 3) whose greatest coordinate is `reach`, whatever its sign."""
+    cells = np.indices((2 * reach + 1,) * 3).reshape(3, -1).T - reach
+    return np.asarray(cells[np.abs(cells).max(axis=1) == reach])
+
 
 TOLERANCE_M = 1e-6
 """How far a stored range may be from ours, and one part in 2^23 of it besides, which is what

@@ -15,10 +15,15 @@ from lidarsim.engines import ENGINES
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.trust import Entry, GatheredEntry
-from scenegen.verification.archive import Archive, archived_world, auditor, compile_solids
-from scenegen.verification.contract import Contract
+from scenegen.verification.contract import (
+    Archive,
+    Contract,
+    archived_world,
+    auditor,
+    compile_solids,
+)
+from scenegen.verification.rays import as_rounded
 from scenegen.verification.report import BrokenError
-from scenegen.verification.rounding import as_rounded
 from scenegen.worlds.world import World
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8

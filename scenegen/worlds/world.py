@@ -1,6 +1,8 @@
 """A world: an MJCF document, what it refers to, and the model compiled from exactly these bytes."""
 
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,7 +16,24 @@ from lidarsim.solids.shapes import Solids
 from scenegen.errors import SceneError, printable, short
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
-from scenegen.worlds.quiet import quiet_mujoco
+
+
+@contextmanager
+def quiet_mujoco() -> Iterator[list[str]]:
+    """While the block runs, MuJoCo's warnings go to the list that it gets, and to nothing else.
+
+    Left alone, MuJoCo prints them and appends them to a file in the working folder. Whoever else
+    uses MuJoCo in this process finds its own handler again afterwards.
+    """
+    told: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(told.append)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield told
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarsim.pose import rotate
-from scenegen.chance import attitudes, log_uniform, normal
+from scenegen.recipes.kind import attitudes, log_uniform, normal
 
 
 def distance(values: np.ndarray, distribution: np.ndarray) -> float:

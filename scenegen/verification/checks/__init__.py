@@ -2,9 +2,9 @@
 else."""
 
 from scenegen.verification.check import Check
-from scenegen.verification.checks import between_splits, derived, files, repeated, stored
+from scenegen.verification.checks import between_splits, files, repeated, stored
 
-GROUPS = (files, stored, derived, between_splits, repeated)
+GROUPS = (files, stored, between_splits, repeated)
 
 CHECKS: tuple[Check, ...] = tuple(
     sorted((check for group in GROUPS for check in group.CHECKS), key=lambda check: not check.quick)

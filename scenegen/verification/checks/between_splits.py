@@ -1,17 +1,169 @@
-"""Checks that splits share nothing: no world, and no map that looks nearly the same."""
+"""Checks that splits share nothing: no world, and no map that looks nearly the same; and the search
+for such near-"""
 
 import functools
+import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidarsim.jit import kernel
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
-from scenegen.verification import twins
 from scenegen.verification.check import Check
 from scenegen.verification.contract import Contract
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Sample, Worlds
 from scenegen.worlds.geometry import geometry_digest
+
+OCCUPIED_IOU = 0.9
+"""Two samples are near-twins only if the intersection over union of their occupied voxels is at
+least this."""
+OBSERVED_IOU = 0.5
+"""Two samples are near-twins only if the intersection over union of their observed voxels is at
+least this. The occupied voxels alone do not decide: two worlds with next to nothing on a flat floor
+have the same, but from another height and heading, rays hit other parts of that floor."""
+STANDING_IOU, FLOOR_SHARE = 0.5, 0.95
+"""Two samples are near-twins only if the intersection over union of what stands on their floor is
+at least the first number. A layer is floor where both maps fill at least the second number of it.
+Two floors that are nearly empty may by chance be observed alike, too; what stands on them then
+tells them apart."""
+MOST_PAIRS = 8_000_000
+"""The search keeps this many pairs of maps in memory at most."""
+MOST_COMPARED = 5_000
+"""This many pairs are compared voxel by voxel at most."""
+MOST_TWINS = 200_000
+"""This many samples are searched at most, evenly spread: each takes 2.4 KB of memory until all are
+seen."""
+_BITS = 13
+
+
+def signature(occupancy: NDArray[np.bool_]) -> NDArray[np.uint32]:
+    """Count the occupied voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
+    blocks = np.zeros(320, dtype=np.uint32)
+    _count(occupancy.view(np.uint8), blocks)
+    return blocks
+
+
+@kernel
+def _count(occupied, blocks):
+    nx, ny, nz = occupied.shape
+    a, b, c = -(-nx // 8), -(-ny // 8), -(-nz // 5)
+    for i in range(nx):
+        for j in range(ny):
+            row = ((i // a) * 8 + j // b) * 5
+            for block in range(-(-nz // c)):
+                total = np.uint32(0)
+                for value in occupied[i, j, block * c : min((block + 1) * c, nz)]:
+                    total += value
+                blocks[row + block] += total
+
+
+def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
+    """Scatter the observed voxels over 8192 bits by their number, (128,) words; two voxels may
+    share a bit."""
+    number = np.flatnonzero(observed).astype(np.uint32)
+    bits = np.zeros(1 << _BITS, dtype=np.bool_)
+    bits[(number * np.uint32(2654435761)) >> np.uint32(32 - _BITS)] = True
+    return np.packbits(bits).view(np.uint64)
+
+
+def candidates(
+    signatures: NDArray[np.uint32],
+    folds: NDArray[np.uint64],
+    observed: NDArray[np.int64],
+    splits: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], bool]:
+    """Find the pairs (P, 2) of the n samples that may be near-twins, and whether these are all:
+    then none is missed.
+
+    `signatures` (n, 320) and `folds` (n, 128) are of every sample, `observed` (n,) counts its
+    observed voxels, `splits` (n,) numbers its split. Voxels in which two maps differ are at least
+    as many as the sum of the differences of their blocks, so most pairs are ruled out by a few
+    numbers; sorted by how much is occupied, only neighbours are looked at. Of what is left, the
+    bits that two samples' observed voxels share tell almost all apart.
+    """
+    counts = signatures.sum(axis=1, dtype=np.int64)
+    order = np.argsort(counts, kind="stable")
+    coarse = signatures.reshape(-1, 2, 4, 2, 4, 5).sum(axis=(2, 4), dtype=np.int64).reshape(-1, 20)
+    pairs = np.empty((MOST_PAIRS, 2), np.int32)
+    found = _pairs(
+        counts[order],
+        splits[order],
+        coarse[order].astype(np.int32),
+        signatures[order].astype(np.int32),
+        1.0 - OCCUPIED_IOU,
+        pairs,
+    )
+    kept = order[pairs[: min(found, MOST_PAIRS)]]
+    lost = observed - np.bitwise_count(folds).sum(
+        axis=1, dtype=np.int64
+    )  # voxels whose bit another one has, too
+    alike = np.zeros(len(kept), dtype=np.bool_)
+    for begin in range(0, len(kept), 10_000):
+        a, b = kept[begin : begin + 10_000].T
+        shared = np.bitwise_count(folds[a] & folds[b]).sum(axis=1, dtype=np.int64) + np.minimum(
+            lost[a], lost[b]
+        )
+        # with s = |A| + |B| and IoU = |A and B| / (s - |A and B|), at least this many are in both
+        least = OBSERVED_IOU / (1.0 + OBSERVED_IOU) * (observed[a] + observed[b])
+        alike[begin : begin + 10_000] = shared >= least - 1e-6
+    chosen = kept[alike]
+    return chosen[:MOST_COMPARED], found <= MOST_PAIRS and len(chosen) <= MOST_COMPARED
+
+
+@kernel
+def _pairs(counts, splits, coarse, fine, share, pairs):
+    """Fill `pairs` with candidates and return how many there are; one more than fit where there are
+    more."""
+    found = 0
+    for i in range(len(counts)):
+        if counts[i] == 0:
+            continue  # an empty map has no twin
+        for j in range(i + 1, len(counts)):
+            if counts[i] < (1.0 - share) * counts[j]:
+                break
+            if splits[i] == splits[j]:
+                continue
+            # with d voxels that differ and s = |A| + |B|, the union is (s + d) / 2, so IoU >= 1 -
+            # share means this
+            most = math.floor(share * (counts[i] + counts[j]) / (2.0 - share) + 1e-9)
+            if _beyond(coarse[i], coarse[j], most) > most:
+                continue
+            if _beyond(fine[i], fine[j], most) > most:
+                continue
+            if found == len(pairs):
+                return found + 1
+            pairs[found, 0], pairs[found, 1] = i, j
+            found += 1
+    return found
+
+
+@kernel
+def _beyond(a, b, most):
+    """Return the sum of absolute differences, or some number above `most` as soon as the sum is
+    sure to be above it."""
+    total = 0
+    for begin in range(0, len(a), 20):
+        for n in range(begin, begin + 20):
+            total += abs(a[n] - b[n])
+        if total > most:
+            break
+    return total
+
+
+def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """Return the intersection over union of two maps; 0 where both are empty."""
+    return float(np.count_nonzero(a & b)) / max(float(np.count_nonzero(a | b)), 1.0)
+
+
+def standing_overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """Return `overlap` of two maps without the layers that are floor in both; 1 where nothing else
+    is there."""
+    floor = np.minimum(a.mean(axis=(0, 1)), b.mean(axis=(0, 1))) >= FLOOR_SHARE
+    a, b = a[:, :, ~floor], b[:, :, ~floor]
+    return overlap(a, b) if a.any() or b.any() else 1.0
+
 
 DIGEST_BYTES = 32
 """Length of a world's digest."""
@@ -76,7 +228,7 @@ def _keep_signature(sample: Sample, page: Page) -> None:
     if sample.shard.places[sample.row] % sample.shard.task.twins_of:
         return
     occupancy, observed = sample.fields["occupancy"], sample.fields["observed"]
-    signs = twins.signature(occupancy), twins.fold(observed), int(np.count_nonzero(observed))
+    signs = signature(occupancy), fold(observed), int(np.count_nonzero(observed))
     page.kept.append(((sample.shard.task.number, sample.row), *signs))
 
 
@@ -86,9 +238,7 @@ def _compare(contract: Contract, page: Page) -> None:
     places, signatures, folds, observed = zip(*page.kept, strict=True)
     page.count(samples=len(places))
     splits = np.array([SPLITS.index(contract.shards[number].split) for number, _ in places])
-    pairs, complete = twins.candidates(
-        np.array(signatures), np.array(folds), np.array(observed), splits
-    )
+    pairs, complete = candidates(np.array(signatures), np.array(folds), np.array(observed), splits)
     page.count(compared=len(pairs))
     found = 0
 
@@ -99,14 +249,12 @@ def _compare(contract: Contract, page: Page) -> None:
         return open_shard(open_file(path), path, entry.samples, contract.layout)
 
     for one, other in ((places[a], places[b]) for a, b in pairs):
-        seen = twins.overlap(
-            *(opened(number).value("observed", row) for number, row in (one, other))
-        )
-        if seen < twins.OBSERVED_IOU:
+        seen = overlap(*(opened(number).value("observed", row) for number, row in (one, other)))
+        if seen < OBSERVED_IOU:
             continue
         truths = [opened(number).value("occupancy", row) for number, row in (one, other)]
-        occupied = twins.overlap(*truths)
-        if occupied >= twins.OCCUPIED_IOU and twins.standing_overlap(*truths) >= twins.STANDING_IOU:
+        occupied = overlap(*truths)
+        if occupied >= OCCUPIED_IOU and standing_overlap(*truths) >= STANDING_IOU:
             found += 1
             page.fault(
                 f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "

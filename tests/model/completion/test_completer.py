@@ -9,7 +9,7 @@ import torch
 
 from lidarsim import GridSpec, Lidar
 from lidarsim.sensors import SENSORS
-from scenegen.dataset.sensor import entry_of
+from scenegen.dataset.rules import sensor_entry
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, unlike
 from scenegen.model.completion.protocol import PredictionError
@@ -193,7 +193,7 @@ def test_a_bundled_network_has_the_card_of_its_own_header(name: str) -> None:
 def test_a_network_says_where_a_sensor_is_not_that_of_its_training() -> None:
     """Networks of earlier commits name none: theirs was the paper's."""
     paper, own = Lidar(), Lidar(rows=8, max_range_m=30.0)
-    assert unlike("net", {}, paper) == unlike("net", {"lidar": entry_of(own)}, own) == ""
+    assert unlike("net", {}, paper) == unlike("net", {"lidar": sensor_entry(own)}, own) == ""
     said = unlike("net", {}, own)
     assert said.startswith("net was trained on another sensor")
     assert "rows is 16 in training, 8 here; max_range_m is 10.0 in training, 30.0 here" in said
@@ -205,7 +205,7 @@ def test_a_network_names_a_sensor_that_is_a_table_of_rays() -> None:
     assert said.endswith(
         "sensor is a raster of 16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here"
     )
-    said = unlike("net", {"lidar": entry_of(ouster)}, Lidar())
+    said = unlike("net", {"lidar": sensor_entry(ouster)}, Lidar())
     assert said.endswith(
         "sensor is ouster-os1-64 of 64 × 1024 rays in training, a raster of 16 × 120 rays here"
     )

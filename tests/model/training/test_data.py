@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from scenegen.dataset.build import build
-from scenegen.dataset.gather.choose import Choice
-from scenegen.dataset.gather.plan import plan_take
+from scenegen.dataset.choose import Choice
+from scenegen.dataset.gather import plan_take
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.training.data import LoaderError, Maps, TudfOf, epoch_batches, load, opened

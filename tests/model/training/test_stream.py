@@ -16,7 +16,7 @@ from scenegen.errors import DatasetError, GenerationError, StoppedError
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import Watcher
-from scenegen.streams.component import Component
+from scenegen.streams.mixture import Component
 from scenegen.streams.stream import Stream
 from tests.conftest import small_recipe
 from tests.model.training.runs import SMALL

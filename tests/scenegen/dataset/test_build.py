@@ -22,10 +22,11 @@ import pytest
 
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import build as module
-from scenegen.dataset import manifest, noted
+from scenegen.dataset import manifest
 from scenegen.dataset import shard as shards
 from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_dataset
 from scenegen.dataset.layout import ShardFile
+from scenegen.dataset.noted import NOTES, read_notes
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError, GenerationError
@@ -244,9 +245,9 @@ def test_the_job_that_completes_a_dataset_hashes_files_and_no_samples_of_others(
     parts = plan(tmp_path / "d")
     for first in range(4):
         build(parts, shard_range=(first, first + 1))
-    assert len(noted.read(tmp_path / "d", parts.shards[0].parameters)) == 4
-    assert noted.read(tmp_path / "d", "0" * 64) == {}
-    next((tmp_path / "d").glob(noted.PATTERN)).write_text("{")  # a note that is damaged is none
+    assert len(read_notes(tmp_path / "d", parts.shards[0].parameters)) == 4
+    assert read_notes(tmp_path / "d", "0" * 64) == {}
+    next((tmp_path / "d").glob(NOTES)).write_text("{")  # a note that is damaged is none
     checked = []
     check = ShardFile.check
     monkeypatch.setattr(

@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from scenegen.dataset.foreign import read_index
-from scenegen.dataset.hdf5 import walk
+from scenegen.dataset.hdf5 import ForeignError, Hdf5Error, Stored, walk
 from scenegen.dataset.layout import Layout, layout_of, open_shard
-from scenegen.dataset.messages import ForeignError, Hdf5Error, Stored
 from scenegen.errors import BrokenError
 from scenegen.sample import SCHEMA
 from tests.conftest import small_recipe

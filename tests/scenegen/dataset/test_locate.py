@@ -14,8 +14,8 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.completion.completer import locate as locate_network
-from scenegen.share.run import publish
 from scenegen.share.stage import Request
+from scenegen.share.upload import publish
 from tests.scenegen.hub import TOKEN, Hub, Repository
 
 NAME = "hf://ada/small-pillars"

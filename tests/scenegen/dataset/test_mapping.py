@@ -18,14 +18,13 @@ from lidarsim.noise.chain import Noise
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rescan import plan_rescan
+from scenegen.dataset.rescan import plan_rescan, scan_again
 from scenegen.display.inspect import inspect
 from scenegen.display.look import look_at
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.limits import MOST_SCANS
 from scenegen.recipe import Recipe, make_recipe, read_recipe
-from scenegen.rescan import scan_again
 from scenegen.sample import EARLIER, SCHEMA
 from scenegen.share.regenerate import check_source, source_file
 from scenegen.source import DrawnWorlds

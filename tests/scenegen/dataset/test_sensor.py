@@ -16,7 +16,7 @@ from lidarsim import BeamTable, Lidar
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.sensor import RAYS, entry_of, sensor_of, write_rays
+from scenegen.dataset.rules import RAYS, sensor_entry, sensor_of, write_rays
 from scenegen.draw import draw_unit
 from scenegen.errors import BrokenError, DatasetError, PublishError
 from scenegen.share.regenerate import check_source, source_file
@@ -137,7 +137,7 @@ def test_a_damaged_table_ends_in_one_line(tmp_path: Path, content: bytes, told: 
     import hashlib
 
     (tmp_path / RAYS).write_bytes(content)
-    entry = entry_of(BeamTable(rays=UNIT)) | {"sha256": hashlib.sha256(content).hexdigest()}
+    entry = sensor_entry(BeamTable(rays=UNIT)) | {"sha256": hashlib.sha256(content).hexdigest()}
     with pytest.raises(BrokenError) as caught:
         sensor_of(entry, tmp_path)
     assert told in str(caught.value)
@@ -166,9 +166,9 @@ def test_a_strangers_word_on_a_table_is_not_trusted(
 ) -> None:
     table = BeamTable(rays=UNIT)
     write_rays(table, tmp_path)
-    assert sensor_of(entry_of(table), tmp_path) == table
+    assert sensor_of(sensor_entry(table), tmp_path) == table
     with pytest.raises(BrokenError) as caught:
-        sensor_of(entry_of(table) | change, tmp_path)
+        sensor_of(sensor_entry(table) | change, tmp_path)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
 

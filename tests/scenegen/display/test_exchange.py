@@ -22,9 +22,9 @@ from scenegen.display.exchange import FORMATS
 from scenegen.display.exchange.choices import Choices
 from scenegen.display.exchange.convert import STATE, convert
 from scenegen.display.exchange.rerun import rerun as import_rerun
+from scenegen.draw import read_world
 from scenegen.errors import DatasetError
 from scenegen.sample import Sample
-from scenegen.single import read_world
 from tests.command_line import run
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 

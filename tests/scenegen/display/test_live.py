@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenegen.dataset.archived import compile_archived
+from scenegen.dataset.extract import compile_archived
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange.glb import surfaces
 from scenegen.display.live import Live

@@ -27,8 +27,8 @@ from scenegen.display.landscape import CUT, see
 from scenegen.display.look import Guess, Look, Route, looks
 from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
 from scenegen.display.still import draw_sample, draw_turn, to_bytes
+from scenegen.draw import read_world
 from scenegen.errors import DatasetError
-from scenegen.single import read_world
 from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, run
 
@@ -169,7 +169,7 @@ def test_the_command_draws_samples_sheets_and_worlds(
 
 
 def test_viewpoints_of_a_flight_are_in_order_and_in_the_open() -> None:
-    from scenegen.single import poses_in_flight
+    from scenegen.draw import poses_in_flight
 
     world = read_world(ROOT / "scenes" / "room_with_gap.xml")
     places = np.array([pose.position for pose in poses_in_flight(world, seed=1)])

@@ -13,7 +13,7 @@ import pytest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.run import EXECUTORS, executor
-from scenegen.run.rank import rank_of
+from scenegen.run.local import rank_of
 from scenegen.run.remote import Outcome, sent
 from scenegen.run.software import identity
 from scenegen.source import DrawnWorlds

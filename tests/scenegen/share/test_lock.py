@@ -2,7 +2,7 @@
 
 import importlib.metadata
 
-from scenegen.share.lock import closure, environment_lock
+from scenegen.share.publication import closure, environment_lock
 
 
 def test_it_pins_what_scenegen_needs_and_no_extras() -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from scenegen.errors import PublishError
-from scenegen.share.run import publish
 from scenegen.share.stage import Request, Staged
+from scenegen.share.upload import publish
 from tests.scenegen.conftest import Check
 from tests.scenegen.hub import TOKEN, Hub
 

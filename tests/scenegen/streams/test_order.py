@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 import scenegen
 from scenegen.errors import DatasetError
 from scenegen.source import DrawnWorlds
-from scenegen.streams.component import Component
-from scenegen.streams.mixture import Mixture
+from scenegen.streams.mixture import Component, Mixture
 from scenegen.streams.stream import Stream
 from tests.conftest import small_recipe
 from tests.scenegen.streams.test_stream import same

@@ -20,7 +20,7 @@ from scenegen.errors import DatasetError, GenerationError, RecipeError, SceneErr
 from scenegen.recipe import Recipe, preset
 from scenegen.sample import SCHEMA, Sample
 from scenegen.source import DrawnWorlds, read_scenes
-from scenegen.streams.component import Component
+from scenegen.streams.mixture import Component
 from scenegen.worlds.noise import Noise
 from tests.conftest import picky_recipe, small_recipe
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lidarsim import GridSpec
-from scenegen.verification.strays import SLACK_M, count_strays
+from scenegen.verification.rays import SLACK_M, count_strays
 
 
 @pytest.mark.parametrize("bound_m", [0.0, 0.05, 0.3, 1.1, 50.0])

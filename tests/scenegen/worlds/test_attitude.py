@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from lidarsim import Pose
 from scenegen.draw import draw_unit
 from scenegen.source import DrawnWorlds
-from scenegen.worlds.attitude import GRAVITY, acceleration, leaning
-from scenegen.worlds.flight import Route
+from scenegen.worlds.flight import GRAVITY, Route, acceleration, leaning
 from scenegen.worlds.mapping import Mapper
 from tests.conftest import small_recipe
 

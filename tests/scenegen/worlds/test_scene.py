@@ -16,10 +16,9 @@ from lidarsim.limits import MOST_TRIANGLES
 from lidarsim.solids.model import solids_of
 from scenegen.errors import BrokenError, SceneError
 from scenegen.source import read_scenes
-from scenegen.worlds.quiet import quiet_mujoco
 from scenegen.worlds.scene import Scene, load_scene
 from scenegen.worlds.screen import screen
-from scenegen.worlds.world import compile_world
+from scenegen.worlds.world import compile_world, quiet_mujoco
 
 REACH_M = 100.0
 ONE = {"train": 1, "val": 0, "test": 0}

@@ -13,8 +13,8 @@ import pytest
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.gather.choose import Choice, Condition
-from scenegen.dataset.gather.plan import plan_merge, plan_take
+from scenegen.dataset.choose import Choice, Condition
+from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.numbering import Numbering
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan

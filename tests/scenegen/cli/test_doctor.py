@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenegen import doctor
+from scenegen.cli import examine as doctor
 from scenegen.draw import Unit, draw_unit
 from scenegen.run.software import installed
 from scenegen.sample import Sample

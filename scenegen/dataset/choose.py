@@ -1,9 +1,9 @@
-"""Which samples of a dataset are taken: by split, world, number, and by what is measured of
-them."""
+"""Which samples of a dataset are taken: by split, world, number, and by what is measured of one
+sample."""
 
 import operator
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,12 +13,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen import SPLITS
-from scenegen.dataset.figures import FIGURES
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.trust import Entry
 from scenegen.errors import short
 from scenegen.limits import MOST_SAMPLES
 from scenegen.run.workers import run
+from scenegen.sample import Sample
+
+
+def _ranges(sample: Sample) -> NDArray[np.float32]:
+    """Those of all its scans."""
+    return np.array([sample.ranges, *getattr(sample, "earlier_ranges", ())])
+
+
+def _range_m(sample: Sample) -> float:
+    ranges = _ranges(sample)
+    hit = np.isfinite(ranges)
+    return float(ranges[hit].mean()) if hit.any() else float("nan")
+
+
+FIGURES: Mapping[str, Callable[[Sample], float]] = {
+    "occupied": lambda sample: float(sample.occupancy.mean()),
+    "observed": lambda sample: float(sample.observed.mean()),
+    "free": lambda sample: float(sample.free.mean()),
+    "returned": lambda sample: float(np.isfinite(_ranges(sample)).mean()),
+    "range_m": _range_m,
+    "tudf_m": lambda sample: float(sample.tudf.mean()),
+}
+"""Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
+none; and the mean distance of the map's voxels, metres."""
+
 
 NUMBERS = ("sample", "world", "viewpoint")
 """What can be asked of a sample without reading it: its number in the split, and who it is."""

@@ -1,0 +1,356 @@
+"""Datasets made of samples that are there: which may be one, what the new one is to hold, and its
+shards."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from io import BufferedReader
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen import SPLITS
+from scenegen.dataset import manifest
+from scenegen.dataset.archive import open_archive
+from scenegen.dataset.choose import Choice, Chosen, choose
+from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_file, open_shard
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.shard import ShardReport, ShardTask, put, read_report
+from scenegen.dataset.state import Plan
+from scenegen.dataset.trust import ALIKE, Entry, GatheredEntry, Manifest
+from scenegen.draw import Rejections
+from scenegen.errors import BrokenError, DatasetError, short
+from scenegen.files import write_whole
+from scenegen.limits import MOST_SHARDS, MOST_SOURCES
+from scenegen.run.workers import run
+
+KEPT = 8
+"""Bytes of each digest by which samples and worlds are told apart: among ten million samples, two
+that differ are taken for one with a probability of 3e-6."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One shard, to be looked at."""
+
+    number: int
+    folder: Path
+    entry: Entry
+    layout: Layout
+
+
+def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
+    """Raise DatasetError where `datasets` have a sample in common, or a world in different splits.
+
+    Samples are told apart by their own digests, worlds by the bytes of their MJCF and of the files
+    that it refers to.
+    """
+    tasks = [
+        _Task(n, dataset.folder, entry, dataset.manifest.layout)
+        for n, (dataset, entry) in enumerate(
+            (one, entry) for one in datasets for entry in one.manifest.shards
+        )
+    ]
+    with closing(run(_look, tasks, workers)) as results:
+        found = sorted(results, key=lambda one: one[0])
+    names = [f"{task.folder}/{task.entry.file}" for task in tasks]
+    splits = np.array([SPLITS.index(task.entry.split) for task in tasks])
+    for one, other in _twice([samples for _, samples, _ in found]):
+        raise DatasetError(
+            f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
+            f"datasets out"
+        )
+    for one, other in _twice([worlds for _, _, worlds in found]):
+        if splits[one] != splits[other]:
+            raise DatasetError(
+                f"{names[one]} and {names[other]}: samples of one world would be in two splits; "
+                f"take one split of "
+                "either, with `scenegen take --split`"
+            )
+
+
+def _look(task: _Task) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
+    """A shard's number, and the first bytes of the digests of its samples and of its worlds."""
+    path, archive, worlds = task.folder / task.entry.file, task.entry.worlds, b""
+    try:
+        with open_file(path) as file:
+            own = open_shard(file, path, task.entry.samples, task.layout).column(DIGEST)
+        with open_file(task.folder / archive) as file, open_archive(file, archive) as members:
+            for name in sorted(name for name in members if name.endswith(".xml")):
+                document, others = members.world(name)
+                digest = hashlib.sha256(document)
+                for other, content in sorted(others.items()):
+                    digest.update(other.encode() + hashlib.sha256(content).digest())
+                worlds += digest.digest()[:KEPT]
+    except BrokenError as error:
+        raise DatasetError(f"{task.folder}/{error}; verify the dataset, or copy it again") from None
+    return (
+        task.number,
+        np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0],
+        np.frombuffer(worlds, np.uint64),
+    )
+
+
+def _twice(digests: Sequence[NDArray[np.uint64]]) -> list[tuple[int, int]]:
+    """Pairs of shards that have a digest in common, one for each digest's neighbours."""
+    owner = np.repeat(np.arange(len(digests)), [len(one) for one in digests])
+    values = np.concatenate([*digests, np.empty(0, np.uint64)])
+    order = np.argsort(values, kind="stable")
+    same = np.flatnonzero(values[order][1:] == values[order][:-1])
+    return [(int(owner[order[n]]), int(owner[order[n + 1]])) for n in same]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part(ShardTask):
+    """A shard that is a part of one that is there."""
+
+    there: Path
+    """The folder of the dataset that it is of."""
+    entry: Entry
+    """The shard, as that dataset's manifest lists it."""
+    format: Layout
+    """What it holds."""
+    rows: tuple[int, ...] | None = None
+    """The samples that are taken, in order; None for all."""
+    source: int
+    """The place, among the new manifest's `sources`, of the dataset that the samples were made
+    for."""
+    start: int
+    stop: int
+    """The places there of the first and of one beyond the last sample."""
+    of_worlds: Sequence[int]
+    """Numbers there of the worlds of which the samples are, rising."""
+
+    @property
+    def layout(self) -> Layout:
+        """See `ShardTask`."""
+        return self.format
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """See `ShardTask`."""
+        return self.of_worlds
+
+    @property
+    def more(self) -> Mapping[str, int]:
+        """See `ShardTask`."""
+        return {"source": self.source, "start": self.start, "stop": self.stop}
+
+    def write(self) -> ShardReport:
+        """See `ShardTask`. Raises DatasetError where the shard there is no longer what its manifest
+        lists, or a sample that is taken has not its digest."""
+        path = self.there / self.entry.file
+        try:
+            with (
+                open_file(self.there / self.entry.worlds) as worlds,
+                open_file(path) as file,
+            ):
+                check_sum(worlds, self.entry.worlds, self.entry.worlds_sha256)
+                check_sum(file, self.entry.file, self.entry.sha256)
+                shard = open_shard(file, path, self.entry.samples, self.format)
+                shard.check_origin(
+                    split=self.split,
+                    worlds_sha256=self.entry.worlds_sha256,
+                    parameters=self.parameters,
+                )
+                for row in range(self.entry.samples) if self.rows is None else self.rows:
+                    shard.check(row)
+                return (
+                    self._copy(worlds, file)
+                    if self.rows is None
+                    else self._repack(worlds, shard, self.rows)
+                )
+        except BrokenError as error:
+            raise DatasetError(
+                f"{self.there}/{error}; verify the dataset, or copy it again"
+            ) from None
+
+    def _copy(self, *files: BufferedReader) -> ShardReport:
+        """The same files under other names: the worlds first, then the samples, which commit
+        them."""
+        for file, target in zip(files, (self.worlds_file, self.file), strict=True):
+            file.seek(0)
+            write_whole(target, file.read())
+        report = read_report(self, self.entry)
+        if report is None:
+            raise BrokenError(f"{self.entry.file}: is not the shard that its manifest describes")
+        return report
+
+    def _repack(
+        self, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]
+    ) -> ShardReport:
+        """The `rows` packed anew, and the worlds that they are of."""
+        documents = dict[str, bytes]()
+        with open_archive(worlds, self.entry.worlds) as members:
+            for member in (f"{number:06d}.xml" for number in self.of_worlds):
+                if member not in members:
+                    raise BrokenError(f"{self.entry.worlds}: has no member {member}")
+                document, others = members.world(member)
+                documents |= {member: document, **others}
+
+        def stored() -> Iterator[tuple[Callable[[str], Any], bytes]]:
+            for row in rows:
+                yield partial(shard.value, row=row), shard.value(DIGEST, row).tobytes()
+
+        # what was rejected on the way to the whole shard cannot be told apart; the source's own
+        # manifest has it
+        return put(self, stored(), documents, Rejections())
+
+
+EMPTY: Mapping[str, Any] = {
+    "kind": manifest.SEVERAL,
+    "engine": manifest.SEVERAL,
+    "seed": None,
+    "recipe": {},
+    "software": {},
+}
+"""What a manifest says where the datasets differ that its samples were made for."""
+
+
+def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 1) -> Plan:
+    """Plan in `folder` the samples of `dataset` that `choice` lets through, in their order. Raises
+    DatasetError."""
+    pieces = ((dataset, one) for one in choose(dataset, choice, workers=workers))
+    nothing = (
+        f"{dataset.folder}: no sample is as asked for ({choice}); ask for others"
+        if str(choice)
+        else (f"{dataset.folder}: holds no sample; take of another dataset")
+    )
+    return _plan(folder, pieces, taken=str(choice), nothing=nothing)
+
+
+def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -> Plan:
+    """Plan in `folder` all samples of `datasets`, split by split in the order in which these are
+    named.
+
+    Raises DatasetError for datasets that do not go together: of other grids, sensors or fields;
+    ones that have a sample in common; ones that share a world, unless both have it in the same
+    split.
+    """
+    for other in datasets[1:]:
+        _check_alike(datasets[0], other)
+    check_disjoint(datasets, workers=workers)
+    pieces = (
+        (dataset, one)
+        for split in SPLITS
+        for dataset in datasets
+        for one in choose(dataset, Choice(splits=(split,)))
+    )
+    return _plan(folder, pieces, taken="", nothing="the datasets hold no sample; merge others")
+
+
+def _check_alike(first: Dataset, other: Dataset) -> None:
+    ours, theirs = (manifest.completed(one.manifest.parameters) for one in (first, other))
+    for name in ALIKE:
+        ours_is, theirs_is = ours.get(name), theirs.get(name)
+        if ours_is == theirs_is:
+            continue
+        if isinstance(ours_is, dict) and isinstance(theirs_is, dict):
+            part = next(
+                key for key in (*ours_is, *theirs_is) if ours_is.get(key) != theirs_is.get(key)
+            )
+            name, ours_is, theirs_is = f"{name}.{part}", ours_is.get(part), theirs_is.get(part)
+        raise DatasetError(
+            f"{other.folder}: {name} is {short(theirs_is)} there, and {short(ours_is)} in "
+            f"{first.folder}; merge "
+            "datasets that share it"
+        )
+
+
+def _plan(
+    folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str, nothing: str
+) -> Plan:
+    """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were
+    chosen, and `nothing` what is wrong where there is none."""
+    sources = _Sources()
+    counts = dict.fromkeys(SPLITS, 0)
+    parts: list[Part] = []
+    index = dict.fromkeys(SPLITS, 0)
+    dataset: Dataset | None = None
+    for dataset, chosen in pieces:
+        if dataset.folder.resolve() in (folder.resolve(), *folder.resolve().parents):
+            raise DatasetError(
+                f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
+            )
+        source, home, split = *sources.add(dataset, chosen, taken), chosen.entry.split
+        start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
+        numbering = home.numbering(split)
+        cut = stop - start > len(chosen.places)
+        worlds = numbering.worlds(start, stop - start)  # most often a range, which is small
+        if cut:
+            worlds = sorted(set(numbering.name(chosen.places)[0].tolist()))
+        rows = None if len(chosen.rows) == chosen.entry.samples else tuple(chosen.rows.tolist())
+        parts.append(
+            Part(
+                folder=folder,
+                split=split,
+                index=index[split],
+                samples=len(chosen.rows),
+                parameters=home.fingerprint,
+                there=dataset.folder,
+                entry=chosen.entry,
+                format=dataset.manifest.layout,
+                rows=rows,
+                source=source,
+                start=start,
+                stop=stop,
+                of_worlds=worlds,
+            )
+        )
+        counts[split] += len(chosen.rows)
+        index[split] += 1
+    if dataset is None:
+        raise DatasetError(nothing)
+    if max(index.values()) > MOST_SHARDS:
+        raise DatasetError(
+            f"{folder}: {max(index.values())} shards of a split, expected {MOST_SHARDS} at most"
+        )
+    given = sources.parameters(counts, max(part.samples for part in parts))
+    return Plan(folder=folder, parameters=given, shards=tuple(parts), lidar=dataset.lidar)
+
+
+class _Sources:
+    """The datasets that samples were made for, each once, in the order in which they are met."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str], tuple[Manifest, list[str]]] = {}
+
+    def add(self, dataset: Dataset, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
+        """The number of the dataset for which what is `chosen` was made, and its manifest. Raises
+        DatasetError."""
+        it = dataset.manifest
+        home, before = it.home(chosen.entry), [""]
+        if isinstance(chosen.entry, GatheredEntry):
+            before = it.parameters["sources"][chosen.entry.source]["taken"] or before
+        key = home.fingerprint, str(home.digest)
+        ways = self._found.setdefault(key, (home, []))[1]
+        ways += [
+            way
+            for old in before
+            if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways
+        ]
+        if len(self._found) > MOST_SOURCES:
+            raise DatasetError(
+                f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
+            )
+        return list(self._found).index(key), home
+
+    def parameters(self, counts: Mapping[str, int], shard_samples: int) -> dict[str, Any]:
+        """Those of the new dataset's manifest."""
+        each = [manifest.completed(home.parameters) for home, _ in self._found.values()]
+        first = each[0]
+        given = {name: first[name] for name in ALIKE if name in first}
+        for name, instead in EMPTY.items():
+            given[name] = first[name] if all(one[name] == first[name] for one in each) else instead
+        if all(one.get("rescan") == first.get("rescan") is not None for one in each):
+            given["rescan"] = first["rescan"]
+        given |= {"counts": dict(counts), "shard_samples": shard_samples}
+        given["sources"] = [
+            {"digest": home.digest, "taken": ways, "parameters": dict(home.parameters)}
+            for home, ways in self._found.values()
+        ]
+        return given | {"version": manifest.version_of(given)}
