@@ -8,12 +8,14 @@ from typing import Any
 
 from lidarsim import Sensor
 from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.state import Plan
 from scenegen.errors import RecipeError
 from scenegen.lidar import named_lidar
 from scenegen.recipe import preset, read_recipe
 from scenegen.source import DrawnWorlds, Source, read_scenes
+from scenegen.stores import folder_of, is_remote
 from scenegen.worlds.labels import By, labels_by
 
 
@@ -47,7 +49,7 @@ def generate(
     """
     plan = plan_generation(kind, n, out=out, **options)
     build(plan, workers=workers, force=force)
-    return Dataset(plan.folder)
+    return Dataset(locate(str(plan.folder)))
 
 
 def plan_generation(
@@ -122,5 +124,7 @@ def plan_generation(
         asked = dataclasses.replace(asked, labels=labels_by(labels, source.class_names(labels)))
     # data/Towers for my_worlds:Towers
     name = path.stem if path is not None else asked.kind.rpartition(":")[2]
-    folder = Path("data", name) if out is None else Path(out)
+    folder = (
+        Path("data", name) if out is None else folder_of(str(out)) if is_remote(out) else Path(out)
+    )
     return plan_dataset(folder, asked, source, seed=seed, counts=counts, **more)
