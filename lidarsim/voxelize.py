@@ -131,6 +131,11 @@ def crossed(
     return free
 
 
+STILL = 1e-300
+"""A ray whose direction has less than this along an axis stands still there: a voxel would take it
+an infinite way, and infinity times no way at all is NaN."""
+
+
 @kernel
 def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, free):
     """Mark `free` along every ray and `observed` at its end."""
@@ -153,7 +158,7 @@ def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, 
 def _slab(start, direction, count, voxel_m):
     """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it
     enters and leaves."""
-    if direction == 0.0:
+    if abs(direction) < STILL:
         inside = 0 <= start < count
         return 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
     pace = voxel_m / direction

@@ -10,7 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -177,6 +177,11 @@ grids = st.sampled_from(
 
 @settings(max_examples=250, deadline=None, derandomize=True)
 @given(rays=st.lists(st.tuples(ray, reach), min_size=1, max_size=4), position=place, grid=grids)
+@example(
+    rays=[((1.0, -5e-324, 1.0), np.inf)],
+    position=(0.0, 0.0, 0.0),
+    grid=GridSpec(shape=(8, 8, 8), voxel_m=0.25),
+)
 def test_special_rays_on_small_grids_match_rational_arithmetic(
     rays: list, position: tuple, grid: GridSpec
 ) -> None:
