@@ -1,13 +1,12 @@
 """How many small faults in the code the tests find: mutants drawn by a fixed seed, each tested.
 
-    pip install cosmic-ray && python benchmarks/mutants.py --count 200 --out mutants.json
+    python benchmarks/mutants.py --count 200 --out mutants.json
 
 A mutant is one operator, number or branch changed, as cosmic-ray draws them. It is made in a copy of
 the checkout, and killed if the tests of its room fail. Given again with the same `--out`, a run
 that was stopped goes on. `--whole` runs the whole suite on those that survived.
 """
 
-import argparse
 import ast
 import json
 import os
@@ -18,6 +17,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+import measuring
 
 ROOT = Path(__file__).parents[1]
 ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -120,13 +121,13 @@ def tested(copy: Path, mutant: dict[str, Any], whole: bool) -> str:
 
 def main() -> None:
     """Draw, test, and print the share that was killed, and the survivors."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = measuring.options(__doc__)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("mutants.json"))
     parser.add_argument("--whole", action="store_true")
     parser.add_argument("--rooms", nargs="*", default=list(ROOMS))
-    given = parser.parse_args()
+    given = measuring.parse(parser, count=len(ROOMS), rooms=["losses"])
     held = (
         json.loads(given.out.read_text()) if given.out.exists() else drawn(given.count, given.seed)
     )
