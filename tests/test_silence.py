@@ -314,10 +314,10 @@ def main() -> None:
 
     from scenegen import __main__ as cli
     from scenegen.cli import examine as doctor
-    from scenegen.display import landscape, still
+    from scenegen.display import panels, pictures
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for
-    landscape.PIXELS, still.DPI = 200, 50  # pictures have their own tests
+    pictures.PIXELS, panels.DPI = 200, 50  # pictures have their own tests
     for words in json.load(sys.stdin):
         sys.argv = ["scenegen", *words]
         begin = time.process_time()

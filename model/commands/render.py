@@ -29,15 +29,15 @@ def render(
 
 def _others(path: Path) -> Any:
     """The figure of a scan, a completion of one, or a run; None for anything else."""
-    from scenegen.display.still import plain
+    from scenegen.display.panels import plain
     from scenegen.model.completion.points import READERS, read_points
 
     if path.suffix in READERS:
-        from scenegen.display.cloud import draw_cloud
+        from scenegen.display.pictures import draw_cloud
 
         return draw_cloud(read_points(path), title=plain(path.name))
     if path.suffix == ".h5":
-        from scenegen.display.cloud import draw_completion
+        from scenegen.display.pictures import draw_completion
         from scenegen.model.completion.predictions import read_completion
 
         return draw_completion(read_completion(path), title=plain(path.name))

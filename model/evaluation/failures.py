@@ -40,7 +40,7 @@ def draw_failures(
     from PIL import Image
 
     from scenegen.display.figures import draw_paths
-    from scenegen.display.still import to_bytes
+    from scenegen.display.panels import to_bytes
 
     shown = [
         method

@@ -21,7 +21,7 @@ EXTRAS = {
     "torch": "train",
     "safetensors": "train",
     "matplotlib": "view",
-    "mcap": "mcap",
+    "mcap_ros2": "mcap",
     "rerun": "rerun",
 }
 """Packages that commands need beyond the core, and the extra that brings each."""

@@ -16,8 +16,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.types import Named
-from scenegen.display.exchange import FORMATS
-from scenegen.display.exchange.choices import Choices
+from scenegen.display.exchange import FORMATS, Choices
 
 
 @click.command()
@@ -69,7 +68,6 @@ def convert(
 
     found = Dataset(locate(dataset, shown=not quiet), partial=True)
     choices = Choices(**taken(Choices, options))
-    form = FORMATS.find(to)(choices)
     chosen = splits or SPLITS
     target = out or Path(f"{found.folder.name}-{to.rpartition(':')[2]}")
     if not found.manifest.complete:
@@ -79,7 +77,6 @@ def convert(
             found,
             target,
             to=to,
-            form=form,
             choices=choices,
             splits=chosen,
             execute=executor(on, workers),

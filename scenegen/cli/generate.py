@@ -1,6 +1,5 @@
 """`scenegen generate`: from options to a plan, and from a plan to a dataset."""
 
-import dataclasses
 import json
 import time
 from pathlib import Path
@@ -132,23 +131,31 @@ def generate(
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
-    scene: Path | None = options["scene"]
-    single = scene is not None and not scene.is_dir()
-    counts = {
-        "train": n,
-        "val": val if val is not None else 0 if single else max(n // 10, 1),
-        "test": test if test is not None else 0 if single else max(n // 5, 1),
-    }
+    given = [name for name in ("kind", "scene", "recipe") if options[name] is not None]
+    if not given:
+        raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
+    if {"kind", "scene"} <= set(given):
+        raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
     from scenegen.dataset.build import build, check_folder
+    from scenegen.dataset.generation import plan_generation
     from scenegen.run import executor
     from scenegen.run.workers import keep_memory
 
     keep_memory()
 
-    plan = _plan(counts, options, talk=talk)
+    asked = [*("kind", "scene", "recipe", "out", "lidar", "noise", "labels", "seed", "engine")]
+    asked += ["compact", "shard_samples", "allow_unseen"]
+    plan = plan_generation(
+        n=n,
+        val=val,
+        test=test,
+        mapping=mapping_given(options),
+        tell=note if talk else lambda line: None,
+        **{name: options[name] for name in asked},
+    )
     shard_range = options["split_range"]
     if shard_range and shard_range[1] > len(plan.shards):
         raise click.UsageError(
@@ -196,54 +203,6 @@ def generate(
         )
     elif talk:
         show_summary(summary, time.perf_counter() - begin)
-
-
-def _plan(counts: dict[str, int], options: dict[str, Any], *, talk: bool) -> "Plan":
-    """What the options ask for, resolved."""
-    from scenegen.dataset.build import plan_dataset
-    from scenegen.lidar import named_lidar
-    from scenegen.recipe import preset, read_recipe
-    from scenegen.source import DrawnWorlds, Source, read_scenes
-    from scenegen.worlds.labels import labels_by
-
-    kind, scene, file, seed, by = (
-        options[name] for name in ("kind", "scene", "recipe", "seed", "labels")
-    )
-    if kind is None and scene is None and file is None:
-        raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
-    if kind is not None and scene is not None:
-        raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
-    named = kind if scene is None else "scene"
-    lidar = None if options["lidar"] is None else named_lidar(options["lidar"])
-    own: dict[str, Any] = {
-        "lidar": lidar,
-        "noise": options["noise"],
-        "mapping": mapping_given(options),
-    }
-    recipe = preset(named, **own) if file is None else read_recipe(file, named, **own)
-    source: Source
-    if scene is not None:
-        source = read_scenes(
-            scene,
-            counts,
-            seed=seed,
-            allow_unseen=options["allow_unseen"],
-            materials=by == "material",
-        )
-        for line in source.notes if talk else ():
-            note(line)
-    elif recipe.world is None:
-        raise click.UsageError(f'{file}: kind "scene" needs the worlds, too: give --scene')
-    else:
-        source = DrawnWorlds(recipe)
-    if by is not None:
-        recipe = dataclasses.replace(recipe, labels=labels_by(by, source.class_names(by)))
-    name = (
-        scene.stem if scene is not None else recipe.kind.rpartition(":")[2]
-    )  # data/Towers for my_worlds:Towers
-    out = options["out"] or Path("data") / name
-    more = {option: options[option] for option in ("compact", "shard_samples", "engine")}
-    return plan_dataset(out, recipe, source, seed=seed, counts=counts, **more)
 
 
 def _show_plan(plan: "Plan", as_json: bool) -> None:

@@ -87,7 +87,7 @@ def draw(
         raise ModuleNotFoundError("matplotlib", name="matplotlib")
     from scenegen.cli.progress import note
     from scenegen.cli.show import say
-    from scenegen.display.still import to_bytes
+    from scenegen.display.panels import to_bytes
     from scenegen.files import check_ours, write_result
 
     check_ours(out)
@@ -107,8 +107,8 @@ def draw(
 def _world(path: Path, seed: int | None) -> Any:
     import numpy as np
 
-    from scenegen.display.landscape import draw_world
-    from scenegen.display.still import plain
+    from scenegen.display.panels import plain
+    from scenegen.display.pictures import draw_world
     from scenegen.draw import poses_in_flight, read_world
 
     world = read_world(path)
@@ -135,7 +135,8 @@ def _samples(
     from scenegen.dataset.read import Dataset
     from scenegen.display.figures import FIGURES as DRAWN
     from scenegen.display.look import looks, spread
-    from scenegen.display.still import draw_sample, draw_sheet, draw_turn, plain
+    from scenegen.display.panels import plain
+    from scenegen.display.pictures import draw_sample, draw_sheet, draw_turn
 
     found = Dataset(locate(source, shown=not quiet), partial=True)
     guess, methods = (
@@ -161,7 +162,7 @@ def _archived(found: "Dataset", split: str, index: int, title: str) -> Any:
     import numpy as np
 
     from scenegen.dataset.extract import compile_archived
-    from scenegen.display.landscape import draw_world
+    from scenegen.display.pictures import draw_world
 
     samples = found.split(split)
     sample = samples[index]

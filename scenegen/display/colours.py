@@ -1,4 +1,4 @@
-"""Colours of heights and of distances, as a few anchors between which they are linear."""
+"""Colours of heights, distances, errors and paths, as red, green and blue from 0 to 255."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Anchors = tuple[tuple[int, int, int], ...]
+Rgb = tuple[int, int, int]
+Anchors = tuple[Rgb, ...]
+"""A scale: colours at equal steps, linear between them."""
 
 HEIGHTS: Anchors = (
     *((48, 18, 59), (65, 70, 172), (71, 118, 238), (58, 163, 252), (27, 208, 213)),
@@ -15,28 +17,23 @@ HEIGHTS: Anchors = (
 )
 """Turbo at 15 places, from low to high; within 9 of 255 of it everywhere."""
 DISTANCES: Anchors = (
-    (33, 60, 160),
-    (104, 160, 220),
-    (246, 244, 224),
-    (238, 140, 70),
-    (178, 16, 36),
+    *((33, 60, 160), (104, 160, 220), (246, 244, 224), (238, 140, 70), (178, 16, 36)),
 )
 """From blue at 0 to red at the truncation, over a light middle: people who confuse red and green
 tell these apart."""
-SENSOR = (214, 20, 60)
+SENSOR: Rgb = (214, 20, 60)
 MISSED, INVENTED = (222, 30, 150), (36, 36, 36)
 """Errors of a prediction: a magenta and a black, which Turbo has not, and which differ in
 brightness, too."""
-
 START, GOAL = (0, 128, 96), (214, 20, 60)
-"""Balls at the ends of a path, as in the paper."""
+"""Ends of a path, as in the paper."""
 PATHS = {"tudf": (0, 96, 200), "occ": (240, 140, 0), "proposed": (214, 20, 60)}
 """Colours of paths by the names of the paper's networks, as in its figures."""
 OTHER_PATHS = ((0, 140, 90), (130, 60, 170), (110, 80, 40), (0, 150, 170))
 """Colours of other methods' paths, the first of them green, in turn."""
 
 
-def path_colours(names: Sequence[str]) -> list[tuple[int, int, int]]:
+def path_colours(names: Sequence[str]) -> list[Rgb]:
     """A colour for each of the methods called `names`."""
     others = [name for name in names if name not in PATHS]
     return [PATHS.get(name) or OTHER_PATHS[others.index(name) % len(OTHER_PATHS)] for name in names]
@@ -45,6 +42,10 @@ def path_colours(names: Sequence[str]) -> list[tuple[int, int, int]]:
 def colour(shares: NDArray[Any], anchors: Anchors) -> NDArray[np.float64]:
     """Colours of values from 0 to 1: any shape to that shape by 3, each channel from 0 to 1."""
     at = np.linspace(0, 1, len(anchors))
-    return np.stack(
-        [np.interp(shares, at, np.array(anchors)[:, n] / 255) for n in range(3)], axis=-1
-    )
+    channels = np.array(anchors).T / 255
+    return np.stack([np.interp(shares, at, channel) for channel in channels], axis=-1)
+
+
+def rgb(colour: Rgb) -> tuple[float, ...]:
+    """A colour as matplotlib takes it, each channel from 0 to 1."""
+    return tuple(value / 255 for value in colour)

@@ -12,11 +12,20 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
-from scenegen.display.colours import DISTANCES, GOAL, HEIGHTS, INVENTED, MISSED, START, path_colours
+from scenegen.display.colours import (
+    DISTANCES,
+    GOAL,
+    HEIGHTS,
+    INVENTED,
+    MISSED,
+    START,
+    path_colours,
+    rgb,
+)
 from scenegen.display.look import Guess, Look
 from scenegen.display.oblique import VIEW, View
-from scenegen.display.still import (
-    INK,
+from scenegen.display.panels import (
+    Place,
     add_bar,
     add_legend,
     ball,
@@ -27,6 +36,8 @@ from scenegen.display.still import (
     frame_box,
     line,
     plain,
+    put_ball,
+    put_title,
     say_unread,
 )
 from scenegen.errors import DatasetError
@@ -39,117 +50,132 @@ apart."""
 OTHER_STYLES: tuple[Any, ...] = ((0, (8, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
 WIDE, TALL = 3.05, 2.6
 """A panel with voxels, inches."""
+TO_NEAREST = "to the nearest occupied / m"
+
+
+class Grid:
+    """A figure of panels in rows and columns, with a bar at its right and a legend below."""
+
+    def __init__(self, rows: int, columns: int, title: str, scale: float = 1.0):
+        self._rows, self._wide, self._tall = rows, scale * WIDE, scale * TALL
+        self.width = max(self._wide * columns + 0.95, 6.5)
+        self.height = self._tall * rows + 0.85
+        self.figure = blank(self.width, self.height, title)
+
+    def place(self, row: int, column: int, inset: Place = (0, 0, 1, 1)) -> Place:
+        """The place of a panel, or of a part of it: `inset` in shares of the panel."""
+        left, down, wide, tall = inset
+        panel_left = 0.05 + self._wide * column
+        panel_down = 0.4 + self._tall * (self._rows - 1 - row)
+        panel_wide, panel_tall = 0.98 * self._wide, 0.92 * self._tall
+        return (
+            (panel_left + left * panel_wide) / self.width,
+            (panel_down + down * panel_tall) / self.height,
+            wide * panel_wide / self.width,
+            tall * panel_tall / self.height,
+        )
+
+    def panel(self, row: int, column: int, inset: Place = (0, 0, 1, 1)) -> Any:
+        """The axes at that place."""
+        return self.figure.add_axes(self.place(row, column, inset))
+
+    def levels(self, row: int, look: Look, columns: Sequence[tuple[int, str, Any]]) -> None:
+        """Distances at the sensor's height: panels of (column, title, distances)."""
+        height = math.ceil((look.position[2] - look.origin[2]) / look.grid.voxel_m) - 1
+        level = int(np.clip(height, 0, look.grid.shape[2] - 1))
+        for column, title, tudf in columns:
+            panel = self.panel(row, column, (0.2, 0.15, 0.73, 0.74))
+            draw_level(panel, look, level, tudf)
+            put_title(panel, title)
+
+    def finish(self, looks: Sequence[Look], handles: Sequence[Any], *, distances: bool) -> Figure:
+        """Adds the bar, of distances or of heights, and the legend."""
+        high = min(2.4, self.height - 1.2) / self.height
+        place = (1 - 0.8 / self.width, 0.5 - high / 2, 0.13 / self.width, high)
+        if distances:
+            add_bar(self.figure, place, DISTANCES, (0, looks[0].grid.truncation_m), TO_NEAREST)
+        else:
+            highest = max(look.grid.extent_m[2] for look in looks)
+            add_bar(self.figure, place, HEIGHTS, (0, highest), "height over the map's floor / m")
+        add_legend(self.figure, handles)
+        return self.figure
 
 
 def draw_completions(looks: Sequence[Look], *, title: str) -> Figure:
-    """A row for each sample: its scan, the truth, and each method's prediction, with what it missed
-    and invented in colours of their own; under a single sample, the distances at the sensor's
-    height. (The paper's comparison.)
+    """Draws a row for each sample: its scan, the truth, and each method's prediction, with what it
+    missed and invented in colours of their own; under a single sample, the distances at the
+    sensor's height. (The paper's comparison.)
 
     Raises DatasetError where nothing is predicted.
     """
     names = methods_of(looks)
     alone = len(looks) == 1
-    figure, places = _grid(len(looks) + alone, 2 + len(names), title)
+    grid = Grid(len(looks) + alone, 2 + len(names), title)
     for row, look in enumerate(looks):
-        for n, name in enumerate(("points", "occupancy")):
-            draw_panel(panel := figure.add_axes(places(row, n)), look, name, ticks=alone)
-            panel.set_title(("scan", "truth")[n] if row == 0 else "", color=INK, fontsize=10)
+        for n, (name, head) in enumerate((("points", "scan"), ("occupancy", "truth"))):
+            draw_panel(panel := grid.panel(row, n), look, name, ticks=alone)
+            put_title(panel, head if row == 0 else "")
         for guess in look.guesses:
-            _predicted(
-                figure.add_axes(places(row, 2 + names.index(guess.name))), look, guess, ticks=alone
-            )
+            panel = grid.panel(row, 2 + names.index(guess.name))
+            frame_box(panel, *look.corners, ticks=alone)
+            draw_voxels(panel, look, guess.occupied, truth=look.masks.get("occupancy"))
+            put_title(panel, plain(guess.name))
     if alone:
         (look,) = looks
-        columns = [
-            (1, "truth", look.tudf),
-            *((2 + names.index(one.name), one.name, one.tudf) for one in look.guesses),
-        ]
-        for column, name, tudf in columns:
-            left, down, wide, tall = places(1, column)
-            panel = figure.add_axes(
-                (left + 0.2 * wide, down + 0.14 * tall, 0.72 * wide, 0.74 * tall)
-            )
-            draw_level(panel, look, _level(look), tudf)
-            panel.set_title(f"distances, {plain(name)}", color=INK, fontsize=10)
-        add_bar(
-            figure,
-            _bar(places(1, 0), 0.55),
-            DISTANCES,
-            (0, look.grid.truncation_m),
-            "to the nearest occupied / m",
-        )
-    _finish(figure, looks, [ball("sensor"), *_errors()])
-    return figure
+        told = [(2 + names.index(one.name), one.name, one.tudf) for one in look.guesses]
+        columns = [(1, "truth", look.tudf), *told]
+        grid.levels(1, look, [(n, f"distances, {plain(name)}", tudf) for n, name, tudf in columns])
+        bar = grid.place(1, 0, (0.55, 0.14, 0.04, 0.74))
+        add_bar(grid.figure, bar, DISTANCES, (0, look.grid.truncation_m), TO_NEAREST)
+    missed = Patch(color=rgb(MISSED), label="missed: occupied, not predicted")
+    invented = Patch(color=rgb(INVENTED), label="invented: predicted, not occupied")
+    return grid.finish(looks, [ball("sensor"), missed, invented], distances=False)
 
 
 def draw_distances(looks: Sequence[Look], *, title: str) -> Figure:
-    """A row for each sample: the true distances at the sensor's height, and each method's. Raises
-    DatasetError where nothing is predicted."""
+    """Draws a row for each sample: the true distances at the sensor's height, and each method's.
+    Raises DatasetError where nothing is predicted."""
     names = methods_of(looks)
-    figure, places = _grid(len(looks), 1 + len(names), title)
+    grid = Grid(len(looks), 1 + len(names), title)
     for row, look in enumerate(looks):
-        columns = [
-            (0, "truth", look.tudf),
-            *((1 + names.index(one.name), one.name, one.tudf) for one in look.guesses),
-        ]
-        for column, name, tudf in columns:
-            left, down, wide, tall = places(row, column)
-            panel = figure.add_axes(
-                (left + 0.2 * wide, down + 0.16 * tall, 0.74 * wide, 0.74 * tall)
-            )
-            draw_level(panel, look, _level(look), tudf)
-            panel.set_title(plain(name) if row == 0 else "", color=INK, fontsize=10)
-    _finish(
-        figure,
-        looks,
-        [ball("sensor")],
-        DISTANCES,
-        (0, looks[0].grid.truncation_m),
-        "to the nearest occupied / m",
-    )
-    return figure
+        told = [(1 + names.index(one.name), one.name, one.tudf) for one in look.guesses]
+        columns = [(0, "truth", look.tudf), *told]
+        grid.levels(
+            row, look, [(n, plain(name) if row == 0 else "", tudf) for n, name, tudf in columns]
+        )
+    return grid.finish(looks, [ball("sensor")], distances=True)
 
 
 def draw_paths(looks: Sequence[Look], *, title: str) -> Figure:
-    """A panel for each sample: every method's path in the truth, which it may meet. (The paper's
-    comparison of paths.) Raises DatasetError where none was planned."""
+    """Draws a panel for each sample: every method's path in the truth, which it may meet. (The
+    paper's comparison of paths.) Raises DatasetError where none was planned."""
     names = methods_of(looks, paths=True)
     columns = min(len(looks), 3)
-    figure, places = _grid(
-        math.ceil(len(looks) / columns), columns, title, scale=1.45 if columns < 3 else 1.2
-    )
+    scale = 1.45 if columns < 3 else 1.2
+    grid = Grid(math.ceil(len(looks) / columns), columns, title, scale)
     for n, look in enumerate(looks):
-        panel = figure.add_axes(places(n // columns, n % columns))
-        _truth(panel, look, look.guesses, names, ticks=len(looks) == 1)
-        panel.set_title(look.name, color=INK, fontsize=10)
-    _finish(figure, looks, _path_legend(names))
-    return figure
+        panel = grid.panel(n // columns, n % columns)
+        _draw_paths_in(panel, look, look.guesses, names, ticks=len(looks) == 1)
+        put_title(panel, look.name)
+    return grid.finish(looks, _path_legend(names), distances=False)
 
 
 def draw_example(looks: Sequence[Look], *, title: str) -> Figure:
-    """A row for each sample: each method's prediction with its path, and last all paths in the
-    truth. (The paper's first figure.) Raises DatasetError where no path was planned."""
+    """Draws a row for each sample: each method's prediction with its path, and last all paths in
+    the truth. (The paper's first figure.) Raises DatasetError where no path was planned."""
     names = methods_of(looks, paths=True)
-    figure, places = _grid(len(looks), 1 + len(names), title)
+    grid = Grid(len(looks), 1 + len(names), title)
     for row, look in enumerate(looks):
         for guess in look.guesses:
-            panel = figure.add_axes(places(row, names.index(guess.name)))
+            panel = grid.panel(row, names.index(guess.name))
             masks = {**look.masks, "occupancy": guess.occupied}
-            _truth(
-                panel,
-                dataclasses.replace(look, masks=masks),
-                (guess,),
-                names,
-                ticks=False,
-                hits=False,
-            )
-            panel.set_title(plain(guess.name) if row == 0 else "", color=INK, fontsize=10)
-        panel = figure.add_axes(places(row, len(names)))
-        _truth(panel, look, look.guesses, names, ticks=False)
-        panel.set_title("truth" if row == 0 else "", color=INK, fontsize=10)
-    _finish(figure, looks, _path_legend(names))
-    return figure
+            believed = dataclasses.replace(look, masks=masks)
+            _draw_paths_in(panel, believed, (guess,), names, ticks=False, hits=False)
+            put_title(panel, plain(guess.name) if row == 0 else "")
+        panel = grid.panel(row, len(names))
+        _draw_paths_in(panel, look, look.guesses, names, ticks=False)
+        put_title(panel, "truth" if row == 0 else "")
+    return grid.finish(looks, _path_legend(names), distances=False)
 
 
 FIGURES: dict[str, Callable[..., Figure]] = {
@@ -175,14 +201,7 @@ def methods_of(looks: Sequence[Look], *, paths: bool = False) -> list[str]:
     return list(dict.fromkeys(guess.name for guess in guesses))
 
 
-def _predicted(panel: Any, look: Look, guess: Guess, *, ticks: bool) -> None:
-    low = look.origin
-    frame_box(panel, low, low + look.grid.extent_m, ticks=ticks)
-    draw_voxels(panel, look, guess.occupied, truth=look.masks.get("occupancy"))
-    panel.set_title(plain(guess.name), color=INK, fontsize=10)
-
-
-def _truth(
+def _draw_paths_in(
     panel: Any,
     look: Look,
     guesses: Sequence[Guess],
@@ -191,133 +210,46 @@ def _truth(
     ticks: bool,
     hits: bool = True,
 ) -> None:
-    """The occupied voxels with the paths of `guesses` before them."""
+    """Draws the occupied voxels with the paths of `guesses` before them, and where they hit."""
     view = VIEW if ticks else STEEP
-    frame_box(panel, look.origin, look.origin + look.grid.extent_m, ticks=ticks, view=view)
+    frame_box(panel, *look.corners, ticks=ticks, view=view)
     if (mask := look.masks.get("occupancy")) is None:
         say_unread(panel)
     else:
         draw_voxels(panel, look, mask, view=view)
+    styles = _path_styles(names)
     for n, guess in enumerate(guesses):
         if (route := guess.route) is None:
             continue
         for place, end in ((route.start, START), (route.goal, GOAL)):
-            panel.scatter(
-                *view.project(place),
-                s=60,
-                color=_rgb(end),
-                edgecolors="white",
-                linewidths=0.8,
-                zorder=9,
-            )
+            put_ball(panel, view.project(place), size=60, color=rgb(end), order=9)
         if route.points is not None:
-            style, shade = (
-                _style(guess.name, names),
-                _rgb(path_colours(names)[names.index(guess.name)]),
-            )
-            width = 2.0 + 3.0 * (len(guesses) - 1 - n) / max(
-                len(names) - 1, 1
-            )  # paths that coincide show all the same
+            # the first is the widest, so that paths that coincide show all the same
+            width = 2.0 + 3.0 * (len(guesses) - 1 - n) / max(len(names) - 1, 1)
             halo = [Stroke(linewidth=width + 2, foreground="white"), Normal()] if n == 0 else None
-            looks_so = {
-                "color": shade,
-                "linewidth": width,
-                "linestyle": style,
-                "zorder": 8,
-                "path_effects": halo,
-            }
-            panel.plot(*view.project(route.points).T, **looks_so)
+            style = {"linewidth": width, "zorder": 8, "path_effects": halo, **styles[guess.name]}
+            panel.plot(*view.project(route.points).T, **style)
         if route.hit is not None and hits:
-            panel.scatter(
-                *view.project(route.hit),
-                s=60,
-                marker="X",
-                color="black",
-                edgecolors="white",
-                zorder=10,
-            )
+            cross = {"marker": "X", "color": "black", "edgecolors": "white"}
+            panel.scatter(*view.project(route.hit), s=60, zorder=10, **cross)
 
 
 def _path_legend(names: Sequence[str]) -> list[Any]:
-    colours = path_colours(names)
     paths = [
-        line(plain(name), _rgb(colours[n]), 2.2, _style(name, names))
-        for n, name in enumerate(names)
+        line(plain(name), style["color"], 2.2, style["linestyle"])
+        for name, style in _path_styles(names).items()
     ]
     cross = Line2D([], [], marker="X", linestyle="", color="black", label="meets an obstacle")
-    return [*paths, ball("start", _rgb(START)), ball("goal", _rgb(GOAL)), cross]
+    return [*paths, ball("start", rgb(START)), ball("goal", rgb(GOAL)), cross]
 
 
-def _style(name: str, names: Sequence[str]) -> Any:
-    others = [one for one in names if one not in STYLES]
-    return STYLES.get(name) or OTHER_STYLES[others.index(name) % len(OTHER_STYLES)]
-
-
-def _errors() -> list[Any]:
-    return [
-        Patch(color=_rgb(MISSED), label="missed: occupied, not predicted"),
-        Patch(color=_rgb(INVENTED), label="invented: predicted, not occupied"),
+def _path_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Colour and dashes of each method's path."""
+    others = [name for name in names if name not in STYLES]
+    dashes = [
+        STYLES.get(name) or OTHER_STYLES[others.index(name) % len(OTHER_STYLES)] for name in names
     ]
-
-
-def _rgb(colour: tuple[int, int, int]) -> tuple[float, ...]:
-    return tuple(value / 255 for value in colour)
-
-
-def _level(look: Look) -> int:
-    """The level of voxels just below the sensor."""
-    height = (look.position[2] - look.origin[2]) / look.grid.voxel_m
-    return int(np.clip(math.ceil(height) - 1, 0, look.grid.shape[2] - 1))
-
-
-Place = tuple[float, float, float, float]
-
-
-def _grid(
-    rows: int, columns: int, title: str, scale: float = 1.0
-) -> tuple[Figure, Callable[[int, int], Place]]:
-    """A figure of panels, and the place of the panel in a row and column: left, bottom, width and
-    height as shares."""
-    wide, tall = scale * WIDE, scale * TALL
-    width, height = wide * columns + 0.95, tall * rows + 0.85
-    figure = blank(max(width, 6.5), height, title)
-    width = max(width, 6.5)
-
-    def place(row: int, column: int) -> Place:
-        down = 0.4 + tall * (rows - 1 - row)
-        return (
-            (0.05 + wide * column) / width,
-            down / height,
-            0.98 * wide / width,
-            0.92 * tall / height,
-        )
-
-    return figure, place
-
-
-def _bar(place: Place, share: float) -> Place:
-    """Where a bar stands in a panel's place that holds nothing else."""
-    left, down, wide, tall = place
-    return left + share * wide, down + 0.14 * tall, 0.04 * wide, 0.74 * tall
-
-
-def _finish(
-    figure: Figure,
-    looks: Sequence[Look],
-    handles: Sequence[Any],
-    anchors: Any = HEIGHTS,
-    ends: tuple[float, float] | None = None,
-    label: str = "height over the map's floor / m",
-) -> None:
-    """The bar at the right, and the legend."""
-    wide, tall = figure.get_size_inches()
-    ends = ends or (0.0, max(look.grid.extent_m[2] for look in looks))
-    high = min(2.4, tall - 1.2)
-    add_bar(
-        figure,
-        (1 - 0.8 / wide, 0.5 - high / tall / 2, 0.13 / wide, high / tall),
-        anchors,
-        ends,
-        label,
-    )
-    add_legend(figure, handles)
+    return {
+        name: {"color": rgb(shade), "linestyle": dash}
+        for name, shade, dash in zip(names, path_colours(names), dashes, strict=True)
+    }

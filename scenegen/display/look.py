@@ -78,13 +78,17 @@ class Look:
     missing: tuple[str, ...] = ()
     """A line for each thing that could not be read."""
 
+    @property
+    def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Least and greatest corner of the grid (3,)."""
+        return self.origin, self.origin + self.grid.extent_m
+
     def figures(self) -> dict[str, str]:
         """Statistics in words, by name."""
-        found = {name: f"{100 * mask.mean():.2f} %" for name, mask in self.masks.items()}
-        if {"observed", "free"} <= self.masks.keys():
-            found["unknown"] = (
-                f"{100 * (~(self.masks['observed'] | self.masks['free'])).mean():.2f} %"
-            )
+        shares = dict(self.masks)
+        if {"observed", "free"} <= shares.keys():
+            shares["unknown"] = ~(shares["observed"] | shares["free"])
+        found = {name: f"{100 * mask.mean():.2f} %" for name, mask in shares.items()}
         if self.points is not None:
             several = f" in {self.scans} scans" if self.scans > 1 else ""
             found["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
@@ -93,26 +97,25 @@ class Look:
                 found["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:
             found["mean distance"] = f"{self.tudf.mean():.2f} m"
+        truth = self.masks.get("occupancy")
         for guess in self.guesses:
-            if (truth := self.masks.get("occupancy")) is not None:
+            if truth is not None:
                 missed, invented = (truth & ~guess.occupied).sum(), (guess.occupied & ~truth).sum()
-                union = max((truth | guess.occupied).sum(), 1)
-                found[guess.name] = (
-                    f"IoU {1 - (missed + invented) / union:.3f}, {missed} missed, {invented} "
-                    f"invented"
-                )
+                iou = 1 - (missed + invented) / max((truth | guess.occupied).sum(), 1)
+                found[guess.name] = f"IoU {iou:.3f}, {missed} missed, {invented} invented"
             if guess.route is not None:
                 found[f"{guess.name}: path"] = guess.route.told
         return found
 
     def heading_deg(self) -> float:
-        """Yaw of the body, degrees, counter-clockwise from x; rounded, see `angles_deg`."""
+        """Yaw of the body, degrees, counter-clockwise from x; rounded, so that it is the same on
+        every processor."""
         w, x, y, z = self.quaternion
         return round(float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))), 9)
 
 
 def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
-    """`sample` as far as it can be read. Raises DatasetError where not even its place can."""
+    """Reads a sample as far as that can be. Raises DatasetError where not even its pose can."""
     position, quaternion, origin = sample.position, sample.quaternion, sample.origin
     if not all(np.isfinite(part).all() for part in (position, quaternion, origin)):
         raise DatasetError(f"{name}: its pose is not finite")
@@ -132,6 +135,7 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
         return [each.points() for each in found]
 
     points = read("the scan", scan)
+    scans = 1 if points is None else len(points)
     masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
     return Look(
         name=name,
@@ -143,8 +147,8 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
         tudf=read("tudf", lambda: sample.tudf),
         points=None if points is None else np.concatenate(points),
         own=0 if points is None else len(points[0]),
-        scans=1 if points is None else len(points),
-        rays=int(np.prod(lidar.shape)) * (1 if points is None else len(points)),
+        scans=scans,
+        rays=int(np.prod(lidar.shape)) * scans,
         missing=tuple(missing),
     )
 
@@ -159,10 +163,11 @@ class UnreadableError(DatasetError):
 
 
 def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Look:
-    """Sample `index` of a split as far as it can be read, with what `guesses` predicts of it.
+    """Reads sample `index` of a split as far as that can be, with what `guesses` predicts of it.
 
-    Raises DatasetError for a number that the split has not, UnreadableError where nothing can be
-    shown.
+    Raises:
+        DatasetError: The split has no such index.
+        UnreadableError: Nothing of the sample can be shown.
     """
     dataset, name = samples.dataset, f"{samples.name} {index}"
     try:
@@ -183,10 +188,13 @@ def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Loo
 def looks(
     dataset: Dataset, split: str, indices: Iterable[int], guesses: Guesses | None = None
 ) -> tuple[list[Look], list[str]]:
-    """Samples of a split, with what `guesses` predicts of them, and a line for each thing that
-    could not be read.
+    """Reads samples of a split, with what `guesses` predicts of them.
 
-    Raises DatasetError for a number that the split has not, and where no sample can be read at all.
+    Returns:
+        The samples, and a line for each thing that could not be read.
+
+    Raises:
+        DatasetError: The split has no such index, or none of the samples can be read.
     """
     samples, found, notes = dataset.split(split), [], incomplete(dataset, split)
     for index in indices:
@@ -204,15 +212,12 @@ def incomplete(dataset: Dataset, split: str) -> list[str]:
     """A line for a dataset that is incomplete; none for another."""
     if dataset.manifest.complete:
         return []
-    return [
-        f"the dataset is incomplete: {len(dataset.split(split))} samples of its {split} split are "
-        f"there"
-    ]
+    count = len(dataset.split(split))
+    return [f"the dataset is incomplete: {count} samples of its {split} split are there"]
 
 
 def spread(dataset: Dataset, split: str, most: int) -> list[int]:
-    """Numbers of at most `most` samples of a split, evenly spread."""
+    """Indices of at most `most` samples of a split, evenly spread."""
     count = len(dataset.split(split))
-    return (
-        np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist() if count else []
-    )
+    chosen = np.linspace(0, count - 1, min(most, count)).astype(int)
+    return np.unique(chosen).tolist() if count else []

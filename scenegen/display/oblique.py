@@ -1,7 +1,9 @@
 """A parallel view from above and aside: where points of the world come to lie on paper, and voxels
 as visible faces."""
 
+import itertools
 import math
+import operator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,14 +30,8 @@ class View:
     def eye(self) -> NDArray[np.float64]:
         """Unit vector towards the eye (3,)."""
         level = math.cos(self.elevation)
-        return np.array(
-            [
-                level * math.cos(self.azimuth),
-                level * math.sin(self.azimuth),
-                math.sin(self.elevation),
-            ],
-            dtype=np.float64,
-        )
+        x, y = level * math.cos(self.azimuth), level * math.sin(self.azimuth)
+        return np.array([x, y, math.sin(self.elevation)])
 
     @cached_property
     def right(self) -> NDArray[np.float64]:
@@ -59,9 +55,16 @@ VIEW = View()
 def visible_faces(
     mask: NDArray[np.bool_], view: View = VIEW
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Faces of the voxels of `mask` (x, y, z) that look towards the eye and touch no other voxel:
-    corners (F, 4, 3) in voxels, each face's voxel (F, 3), and its brightness (F,), in an order in
-    which later ones hide earlier ones."""
+    """Faces of voxels that look towards the eye and touch no other voxel.
+
+    Args:
+        mask: The voxels (x, y, z).
+        view: Where the eye stands.
+
+    Returns:
+        Corners (F, 4, 3) in voxels, each face's voxel (F, 3), and its brightness (F,), in an order
+        in which later ones hide earlier ones.
+    """
     corners, voxels, light, order = [], [], [], []
     padded = np.pad(mask, 1)
     sides = np.where(view.eye > 0, 1, -1)
@@ -86,19 +89,15 @@ def visible_faces(
 def box_edges(
     low: Any, high: Any, view: View = VIEW
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The edges of a box, (3, 2, 3) that it hides itself, and (9, 2, 3) before it."""
-    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    hidden, front = list[NDArray[np.float64]](), list[NDArray[np.float64]]()
-    for axis in range(3):
-        others = [n for n in range(3) if n != axis]
-        for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            ends = np.stack([low, low])
-            ends[1, axis] = high[axis]
-            for other, side in zip(others, corner, strict=True):
-                ends[:, other] = (low, high)[side][other]
-            away = all(
-                (side == 1) == (view.eye[other] < 0)
-                for other, side in zip(others, corner, strict=True)
-            )
-            (hidden if away else front).append(ends)
-    return np.array(hidden), np.array(front)
+    """The edges of a box as pairs of ends: (3, 2, 3) that it hides itself, and (9, 2, 3) before
+    it."""
+    corners = list(itertools.product((0, 1), repeat=3))
+    edges = [
+        (one, other)
+        for one, other in itertools.combinations(corners, 2)
+        if sum(map(operator.ne, one, other)) == 1
+    ]
+    farthest = tuple(np.where(view.eye < 0, 1, 0).tolist())
+    hidden = np.array([farthest in edge for edge in edges])
+    ends = np.where(np.array(edges), np.asarray(high, np.float64), np.asarray(low, np.float64))
+    return ends[hidden], ends[~hidden]

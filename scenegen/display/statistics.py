@@ -101,7 +101,8 @@ def _picture(dataset: Dataset, split: str) -> str:
     """A sheet of samples; none without matplotlib, or where none can be read."""
     if find_spec("matplotlib") is None:
         return ""
-    from scenegen.display.still import draw_sheet, to_bytes
+    from scenegen.display.panels import to_bytes
+    from scenegen.display.pictures import draw_sheet
 
     try:
         shown, _ = looks(dataset, split, spread(dataset, split, SHOWN))

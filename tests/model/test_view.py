@@ -104,7 +104,7 @@ def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder: Path
 def test_scans_completions_of_them_and_runs_are_drawn(
     tmp_path: Path, capsys: Any, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr("scenegen.display.still.DPI", 40)
+    monkeypatch.setattr("scenegen.display.panels.DPI", 40)
     points = np.random.default_rng(0).uniform(-5, 5, (500, 3))
     for suffix in (".pcd", ".bin"):
         write_points(tmp_path / f"scan{suffix}", points, None, {})

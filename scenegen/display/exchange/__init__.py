@@ -1,27 +1,52 @@
-"""Datasets in other programs' formats, one a file: a format says which files a sample becomes, and
-what is in them.
+"""Datasets in other programs' formats.
 
-A format with a number `together` puts so many samples into one file; its `encode` takes a list of
-numbers and samples.
+`files` holds the formats of single samples, `recordings` those that a viewer plays, and `convert`
+writes a whole dataset in one of them. A user's own format is a class as `MODULE:CLASS`.
 """
 
+from dataclasses import dataclass
+from typing import Literal
+
+from lidarsim.parameters import check, number
 from lidarsim.registry import Registry
 
+FILES, RECORDINGS = "scenegen.display.exchange.files", "scenegen.display.exchange.recordings"
 FORMATS = Registry(
     "format",
     {
-        "semantickitti": "scenegen.display.exchange.semantickitti:SemanticKitti",
-        "npz": "scenegen.display.exchange.clouds:Npz",
-        "ply": "scenegen.display.exchange.clouds:Ply",
-        "pcd": "scenegen.display.exchange.clouds:Pcd",
-        "octomap": "scenegen.display.exchange.octomap:OctoMap",
-        "webdataset": "scenegen.display.exchange.webdataset:WebDataset",
-        "mcap": "scenegen.display.exchange.mcap:Mcap",
-        "rerun": "scenegen.display.exchange.rerun:Rerun",
+        "semantickitti": f"{FILES}:SemanticKitti",
+        "npz": f"{FILES}:Npz",
+        "ply": f"{FILES}:Ply",
+        "pcd": f"{FILES}:Pcd",
+        "octomap": f"{FILES}:OctoMap",
+        "webdataset": f"{FILES}:WebDataset",
+        "mcap": f"{RECORDINGS}:Mcap",
+        "rerun": f"{RECORDINGS}:Rerun",
     },
     needs={
         "names": "a method: (split, number) -> the files of a sample",
         "encode": "a method: (sample, grid, lidar) -> their contents, in order",
     },
 )
-"""Formats by name: classes made with the `Choices`."""
+"""Formats by name: classes made with the `Choices`.
+
+A format with a number `together` puts that many samples into one file; its `encode` takes a list of
+(number, sample) in place of a sample.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """How samples are converted. Each format takes what concerns it."""
+
+    unseen_invalid: bool = False
+    """SemanticKITTI: mark voxels that no ray met as invalid. What is behind things is then left out
+    of the score, and with it the task."""
+    label: int = number(50, least=1, most=65535)
+    """SemanticKITTI: the label of occupied voxels. 50 is its building, which its own table of
+    classes keeps; its "other" labels count as empty there."""
+    frame: Literal["body", "world"] = "body"
+    """Frame of points: the body, or the world."""
+
+    def __post_init__(self) -> None:
+        check(self)

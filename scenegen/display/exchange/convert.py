@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from scenegen.dataset.read import Dataset, Rows, Split
-from scenegen.display.exchange.choices import Choices
+from scenegen.display.exchange import FORMATS, Choices
 from scenegen.errors import DatasetError, printable
 from scenegen.files import disk_error, draft_of, make_parent, remove_drafts, write_whole
 from scenegen.run import Executor
@@ -44,22 +44,32 @@ def convert(
     out: Path,
     *,
     to: str,
-    form: Any,
     choices: Choices,
     splits: Sequence[str],
-    workers: int = 1,
     execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda total: None,
     on_sample: Callable[[int], None] = lambda count: None,
 ) -> Converted:
-    """Write every sample of `splits` as the format `form`, called `to`, has it.
+    """Writes every sample of some splits in another format.
 
-    `workers` processes of this machine write some samples each, or whatever `execute` has do it.
     What is there already is passed over. Each file appears whole or not at all; the disk is trusted
-    to keep it, unlike a dataset's. Raises DatasetError where `out` holds another conversion, or the
-    disk refuses.
+    to keep it, unlike a dataset's.
+
+    Args:
+        dataset: What is converted.
+        out: The folder to write.
+        to: Name of a format, or MODULE:CLASS.
+        choices: What the format is told.
+        splits: Names of the splits.
+        execute: What does the work; this process alone unless given.
+        on_start: Called with the number of samples when the work begins.
+        on_sample: Called with the number of samples done, now and then.
+
+    Raises:
+        DatasetError: `out` holds another conversion, or the disk refuses.
     """
-    execute = execute or Local("", workers)
+    execute = execute or Local("", 1)
+    form = FORMATS.find(to)(choices)
     _claim(dataset, out, to, choices)
     each = getattr(form, "together", None) or CHUNK
     whole = [
@@ -73,11 +83,10 @@ def convert(
         (out / name).parent for rows in tasks for name in form.names(rows.split, rows.numbers[0])
     }
     parts: dict[Rows, Converted] = {}
+    work = partial(_write, dataset, out, form)
     with undone_if_stopped(lambda: _clear(folders)):
         try:
-            with closing(
-                execute(partial(_write, dataset, out, form), tasks, lambda: on_start(total))
-            ) as results:
+            with closing(execute(work, tasks, lambda: on_start(total))) as results:
                 for rows, done in results:
                     parts[rows] = done
                     on_sample(len(rows.numbers))
@@ -93,49 +102,43 @@ def convert(
 
 
 def _clear(folders: Iterable[Path]) -> None:
+    """Takes away what killed runs have left."""
     for folder in folders:
         remove_drafts(folder)
 
 
 def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, Converted]:
-    """Write the samples `rows`; those of a format that takes several `together` become one file."""
+    """Writes the samples `rows`; those of a format that takes several together become one file."""
     samples, together = dataset.split(rows.split), bool(getattr(form, "together", None))
     written, there, broken = 0, 0, list[str]()
-    made: set[Path] = set()
     for numbers in [rows.numbers] if together else ([number] for number in rows.numbers):
         paths = [out / name for name in form.names(rows.split, numbers[0])]
         if all(path.exists() for path in paths):
             there += len(numbers)
             continue
-        found, lines = _sound(samples, numbers, checked=together)
+        found, lines = _sound(samples, numbers)
         broken += lines
+        if not found:
+            continue
+        given: Any = list(found.items()) if together else found[numbers[0]]
         try:
-            given: Any = list(found.items()) if together else found.get(numbers[0])
-            contents = form.encode(given, dataset.grid, dataset.lidar) if found else ()
+            contents = form.encode(given, dataset.grid, dataset.lidar)
         except (DatasetError, ValueError) as error:
             broken += [f"{rows.split} {number} is left out: {printable(error)}" for number in found]
             continue
-        for path, content in zip(paths, contents, strict=bool(found)):
-            if path.parent not in made:
-                make_parent(path)
-                made.add(path.parent)
+        for path, content in zip(paths, contents, strict=True):
             _put(path, content)
         written += len(found)
     return rows, Converted(written, there, 0, tuple(broken))
 
 
-def _sound(
-    samples: Split, numbers: Sequence[int], *, checked: bool
-) -> tuple[dict[int, Sample], list[str]]:
-    """Samples by number, and a line for each that cannot be read or has not its digest; with
-    `checked`, every field of them is read here."""
+def _sound(samples: Split, numbers: Sequence[int]) -> tuple[dict[int, Sample], list[str]]:
+    """Samples by number, and a line for each that cannot be read or does not have its digest."""
     found, lines = dict[int, Sample](), list[str]()
     for number in numbers:
         try:
             sample = samples[number]
-            samples.check(number)
-            for name in sample.names if checked else ():
-                getattr(sample, name)
+            samples.check(number)  # which reads every stored field
             found[number] = sample
         except (DatasetError, ValueError) as error:
             lines.append(f"{samples.name} {number} is left out: {printable(error)}")
@@ -143,7 +146,7 @@ def _sound(
 
 
 def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
-    """Say in `out` what it holds. Raises DatasetError where it holds something else."""
+    """Says in `out` what it holds. Raises DatasetError where it holds something else."""
     manifest = dataset.manifest
     about = {
         "format": to,
@@ -169,7 +172,8 @@ def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
 
 
 def _put(path: Path, content: bytes) -> None:
-    """Put `content` at `path`, whole or not at all, without waiting for the disk."""
+    """Puts `content` at `path`, whole or not at all, without waiting for the disk."""
+    make_parent(path)
     draft = draft_of(path)  # of this process alone: a task that counts as lost may still be at work
     try:
         draft.write_bytes(content)

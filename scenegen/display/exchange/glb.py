@@ -1,6 +1,5 @@
 """A world as a GLB file, glTF 2.0 in one piece: a mesh for each solid, in its geom's colour."""
 
-from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -31,48 +30,36 @@ def encode_world(world: World) -> bytes:
 
 
 def surfaces(world: World) -> list[Any]:
-    """A mesh for each solid, world frame, metres."""
+    """A trimesh for each solid of a world, in the world's frame, metres."""
     solids = world.solids
+    reach = 2 * float(np.abs(world.flight_bounds).max())  # of a plane, which has no end
     meshes: list[Any] = []
     for shape, size, position, rotation in zip(
         solids.shape, solids.size, solids.position, solids.rotation, strict=True
     ):
-        mesh = _plane(world) if shape == PLANE else SURFACES[int(shape)](size)
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = rotation, position
-        meshes.append(mesh.apply_transform(frame))
+        meshes.append(_surface(int(shape), size, reach).apply_transform(frame))
     for first, last in pairwise(solids.mesh_start):
         corners = solids.triangles[first:last].reshape(-1, 3)
-        meshes.append(
-            trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
-        )
+        faces = np.arange(len(corners)).reshape(-1, 3)
+        meshes.append(trimesh.Trimesh(corners, faces, process=False))
     return meshes
 
 
-def _plane(world: World) -> Any:
-    """A thin box below z = 0 as wide as the flight's box and its distance from the middle."""
-    reach = 2 * float(np.abs(world.flight_bounds).max())
-    return trimesh.creation.box((2 * reach, 2 * reach, THICK_M)).apply_translation(
-        (0, 0, -THICK_M / 2)
-    )
-
-
-def _ellipsoid(size: NDArray[np.float64]) -> Any:
-    return trimesh.creation.uv_sphere(1.0, count=(SIDES // 2, SIDES)).apply_scale(size)
-
-
-def _capsule(size: NDArray[np.float64]) -> Any:
-    mesh = trimesh.creation.capsule(2 * size[1], size[0], count=(SIDES, SIDES // 2))
-    return mesh.apply_translation(
-        -mesh.bounds.mean(axis=0)
-    )  # versions of trimesh place it differently
-
-
-SURFACES: dict[int, Callable[[NDArray[np.float64]], Any]] = {
-    SPHERE: lambda size: _ellipsoid(np.repeat(size[:1], 3)),
-    ELLIPSOID: _ellipsoid,
-    BOX: lambda size: trimesh.creation.box(2 * size),
-    CYLINDER: lambda size: trimesh.creation.cylinder(size[0], 2 * size[1], sections=SIDES),
-    CAPSULE: _capsule,
-}
-"""A shape's surface around its middle, from MuJoCo's sizes."""
+def _surface(shape: int, size: NDArray[np.float64], reach: float) -> Any:
+    """A solid around its middle, from MuJoCo's sizes."""
+    make = trimesh.creation
+    if shape == PLANE:
+        lid = make.box((2 * reach, 2 * reach, THICK_M))
+        return lid.apply_translation((0, 0, -THICK_M / 2))
+    if shape == BOX:
+        return make.box(2 * size)
+    if shape == CYLINDER:
+        return make.cylinder(size[0], 2 * size[1], sections=SIDES)
+    if shape == CAPSULE:
+        mesh = make.capsule(2 * size[1], size[0], count=(SIDES, SIDES // 2))
+        return mesh.apply_translation(-mesh.bounds.mean(axis=0))  # versions place it differently
+    assert shape in (SPHERE, ELLIPSOID)
+    radii = size[[0, 0, 0]] if shape == SPHERE else size
+    return make.uv_sphere(1.0, count=(SIDES // 2, SIDES)).apply_scale(radii)

@@ -63,7 +63,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
     measured: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenegen.display.still.DPI", 40)
+    monkeypatch.setattr("scenegen.display.panels.DPI", 40)
     result, dataset, methods = measured
     name, trials = failing(result)
     assert name == HOSTILE

@@ -18,10 +18,9 @@ import trimesh
 from lidarsim import GridSpec
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from scenegen.dataset.read import Dataset
-from scenegen.display.exchange import FORMATS
-from scenegen.display.exchange.choices import Choices
+from scenegen.display.exchange import Choices
 from scenegen.display.exchange.convert import STATE, convert
-from scenegen.display.exchange.rerun import rerun as import_rerun
+from scenegen.display.exchange.recordings import rerun as import_rerun
 from scenegen.draw import read_world
 from scenegen.errors import DatasetError
 from scenegen.sample import Sample
@@ -30,8 +29,7 @@ from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a
 
 
 def converted(made: Path, out: Path, to: str, **choices: Any) -> Path:
-    made_of = FORMATS.find(to)(Choices(**choices))
-    convert(Dataset(made), out, to=to, form=made_of, choices=Choices(**choices), splits=("val",))
+    convert(Dataset(made), out, to=to, choices=Choices(**choices), splits=("val",))
     return out
 
 
@@ -184,7 +182,7 @@ def test_a_stopped_conversion_goes_on(
         tmp_path / "out",
         Choices(),
     )
-    form, seen = FORMATS.find("semantickitti")(choices), 0
+    seen = 0
 
     def stop(count: int) -> None:
         nonlocal seen
@@ -197,19 +195,14 @@ def test_a_stopped_conversion_goes_on(
             Dataset(made),
             out,
             to="semantickitti",
-            form=form,
             choices=choices,
             splits=("val",),
             on_sample=stop,
         )
     next(out.rglob("*.invalid")).unlink()  # as if stopped within the first sample
-    done = convert(
-        Dataset(made), out, to="semantickitti", form=form, choices=choices, splits=("val",)
-    )
+    done = convert(Dataset(made), out, to="semantickitti", choices=choices, splits=("val",))
     assert (done.written, done.there) == (2, 0)
-    done = convert(
-        Dataset(made), out, to="semantickitti", form=form, choices=choices, splits=("val",)
-    )
+    done = convert(Dataset(made), out, to="semantickitti", choices=choices, splits=("val",))
     assert (done.written, done.there) == (0, 2)
     files = sorted(path.relative_to(whole) for path in whole.rglob("*") if path.is_file())
     assert files == sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file())
@@ -312,7 +305,7 @@ def test_webdataset_s_own_loader_finds_every_sample(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     webdataset = pytest.importorskip("webdataset", reason="webdataset is not installed")
-    monkeypatch.setattr("scenegen.display.exchange.webdataset.WebDataset.together", 2)
+    monkeypatch.setattr("scenegen.display.exchange.files.WebDataset.together", 2)
     out = converted(made, tmp_path / "out", "webdataset")
     samples = list(Dataset(made).split("val"))
     shards = sorted(map(str, out.glob("val-*.tar")))

@@ -201,7 +201,7 @@ HOSTILE = "<script>alert(1)</script>"
 def test_a_page_has_histograms_of_all_that_was_measured_and_runs_nothing(
     full: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenegen.display.still.DPI", 30)
+    monkeypatch.setattr("scenegen.display.panels.DPI", 30)
     folder = tmp_path / HOSTILE.replace("/", "|")
     shutil.copytree(full, folder)
     code, said, _ = run(capsys, "inspect", folder, "--html", tmp_path / "page.html", "--json")

@@ -23,10 +23,10 @@ from scenegen.display.colours import (
     path_colours,
 )
 from scenegen.display.figures import FIGURES
-from scenegen.display.landscape import CUT, see
 from scenegen.display.look import Guess, Look, Route, looks
 from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
-from scenegen.display.still import draw_sample, draw_turn, to_bytes
+from scenegen.display.panels import to_bytes
+from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
 from scenegen.draw import read_world
 from scenegen.errors import DatasetError
 from scenegen.worlds.world import compile_world
@@ -124,7 +124,7 @@ def test_a_world_is_what_another_engine_meets() -> None:
 def test_a_sample_becomes_a_picture_with_its_sensor(
     made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenegen.display.still.DPI", 60)
+    monkeypatch.setattr("scenegen.display.panels.DPI", 60)
     (look,), _ = looks(Dataset(made), "train", [1])
     image = imread(io.BytesIO(to_bytes(draw_sample(look), ".png")), format="png")
     assert image.shape[:2] == (468, 720)
@@ -138,8 +138,8 @@ def test_a_sample_becomes_a_picture_with_its_sensor(
 def test_the_command_draws_samples_sheets_and_worlds(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenegen.display.landscape.PIXELS", 200)
-    monkeypatch.setattr("scenegen.display.still.DPI", 50)
+    monkeypatch.setattr("scenegen.display.pictures.PIXELS", 200)
+    monkeypatch.setattr("scenegen.display.panels.DPI", 50)
     room = ROOT / "scenes" / "room_with_gap.xml"
     for words in (
         [made, "--index", 2],
@@ -180,7 +180,7 @@ def test_viewpoints_of_a_flight_are_in_order_and_in_the_open() -> None:
 
 
 def test_a_turntable_turns_once_around(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scenegen.display.still.TURN_DPI", 40)
+    monkeypatch.setattr("scenegen.display.pictures.TURN_DPI", 40)
     (look,), _ = looks(Dataset(made), "train", [1])
     with Image.open(io.BytesIO(draw_turn(look, title="small", frames=4))) as film:
         assert (film.format, film.is_animated, film.n_frames, film.size) == (
@@ -223,7 +223,7 @@ def predicted(made: Path) -> tuple[Look, np.ndarray]:
 def test_the_paper_s_figures_show_methods_errors_and_paths(
     made: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenegen.display.still.DPI", 60)
+    monkeypatch.setattr("scenegen.display.panels.DPI", 60)
     look, _ = predicted(made)
 
     def share(shown: Look, colour: tuple[int, ...], near: float = 6) -> float:

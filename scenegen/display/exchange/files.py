@@ -1,0 +1,193 @@
+"""Formats of single samples: point clouds, NumPy archives, SemanticKITTI, OctoMap, WebDataset."""
+
+import io
+import json
+import tarfile
+import zipfile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Sensor
+from scenegen.display.exchange import Choices
+from scenegen.display.points import encode_points
+from scenegen.errors import DatasetError
+from scenegen.sample import Sample
+
+
+class OneEach:
+    """A format with a file for each sample, ``train/000007.ply``."""
+
+    suffix = ""
+
+    def __init__(self, choices: Choices):
+        self.choices = choices
+
+    def names(self, split: str, number: int) -> tuple[str, ...]:
+        """The file of a sample."""
+        return (f"{split}/{number:06d}{self.suffix}",)
+
+
+class Together(OneEach):
+    """A format with a file for every hundred samples, ``train-000000.tar`` for the first."""
+
+    together = 100
+
+    def names(self, split: str, number: int) -> tuple[str, ...]:
+        """The file that begins with a sample."""
+        return (f"{split}-{number // self.together:06d}{self.suffix}",)
+
+
+class Ply(OneEach):
+    """Returns as binary PLY, little-endian: x, y, z in float32, metres."""
+
+    suffix = ".ply"
+
+    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
+        """The content of the sample's file."""
+        return (encode_points(self.suffix, sample.points(lidar, frame=self.choices.frame)),)
+
+
+class Pcd(Ply):
+    """Returns in the Point Cloud Library's format 0.7, binary."""
+
+    suffix = ".pcd"
+
+
+class Npz(OneEach):
+    """Every field of the sample under its name, the returns under `points`, and the grid's
+    `voxel_m`; compressed."""
+
+    suffix = ".npz"
+
+    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
+        """The content of the sample's file."""
+        fields = {name: getattr(sample, name) for name in sample.names}
+        fields["points"] = sample.points(lidar, frame=self.choices.frame)
+        fields["voxel_m"] = np.float64(grid.voxel_m)
+        file = io.BytesIO()
+        # not numpy.savez_compressed: it knows no level, and level 1 is several times as fast
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:
+            for name, values in fields.items():
+                with members.open(f"{name}.npy", "w") as member:
+                    np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+        return (file.getvalue(),)
+
+
+class WebDataset(Together):
+    """WebDataset's tar files, for loaders that stream (github.com/webdataset/webdataset, "The
+    WebDataset format"). Each sample is ``000007.npz``, as the format `npz` has it, and
+    ``000007.json``, its number, world and viewpoint."""
+
+    suffix = ".tar"
+
+    def encode(
+        self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor
+    ) -> tuple[bytes, ...]:
+        """The content of a file: the same bytes whenever it is made."""
+        npz, memory = Npz(self.choices), io.BytesIO()
+        with tarfile.open(fileobj=memory, mode="w", format=tarfile.USTAR_FORMAT) as file:
+            for number, sample in samples:
+                about = {
+                    "number": number,
+                    "world": int(sample.world),
+                    "viewpoint": int(sample.viewpoint),
+                }
+                (arrays,) = npz.encode(sample, grid, lidar)
+                for ending, content in (("npz", arrays), ("json", json.dumps(about).encode())):
+                    member = tarfile.TarInfo(f"{number:06d}.{ending}")
+                    member.size = len(content)
+                    file.addfile(member, io.BytesIO(content))
+        return (memory.getvalue(),)
+
+
+SEQUENCES = {"train": "00", "val": "08", "test": "11"}
+"""Sequences that SemanticKITTI's own lists put in these splits."""
+
+
+class SemanticKitti(OneEach):
+    """SemanticKITTI's voxel grids, for programs that read its scene-completion task.
+
+    ``sequences/00/voxels/000007.bin`` holds the observed voxels, ``.label`` the ground truth, and
+    ``.invalid`` zeros, unless unseen voxels are to be left out. The development kit
+    (semantic-kitti.org, "voxels") defines the layout: a grid in C order of x, y, z; `.bin` and
+    `.invalid` are bits, the first voxel highest; `.label` is uint16. Our grids have the sensor in
+    the middle and the world's axes, where SemanticKITTI's begin at the car.
+    """
+
+    def names(self, split: str, number: int) -> tuple[str, ...]:
+        """The three files of a sample."""
+        stem = f"sequences/{SEQUENCES[split]}/voxels/{number:06d}"
+        return f"{stem}.bin", f"{stem}.label", f"{stem}.invalid"
+
+    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
+        """Their contents."""
+        observed = sample.observed
+        labels = np.multiply(sample.occupancy, self.choices.label, dtype="<u2")
+        unseen = ~(observed | sample.free) & self.choices.unseen_invalid
+        return np.packbits(observed).tobytes(), labels.tobytes(), np.packbits(unseen).tobytes()
+
+
+DEPTH = 16
+"""Levels of an OctoMap."""
+MIDDLE = 1 << (DEPTH - 1)
+"""The key, along each axis, of the cell that begins at the world's origin."""
+FREE, OCCUPIED, INNER = 1, 2, 3
+"""What two bits say of a child; 0 is unknown."""
+
+
+class OctoMap(OneEach):
+    """OctoMap's binary trees: what the sensor knows, observed cells as occupied and free ones, in
+    the world's frame.
+
+    The format is that of `OcTree::writeBinary` (github.com/OctoMap/octomap): a text header, then
+    the inner nodes depth first, two bits a child. Cells are multiples of the voxel from the world's
+    origin, so the map moves by up to half a voxel along each axis.
+    """
+
+    suffix = ".bt"
+
+    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
+        """The content of the sample's file. Raises DatasetError where the map lies outside what a
+        tree can hold."""
+        known = np.argwhere(sample.observed | sample.free)
+        keys = known + np.rint(sample.origin / grid.voxel_m).astype(np.int64) + MIDDLE
+        if len(keys) and not (keys.min() >= 0 and keys.max() < 2 * MIDDLE):
+            raise DatasetError(
+                f"origin {sample.origin.tolist()}: beyond an OctoMap of {grid.voxel_m} m cells"
+            )
+        state = np.where(sample.observed[tuple(known.T)], OCCUPIED, FREE)
+        nodes, tree = _tree(keys, state)
+        head = ["# Octomap OcTree binary file", "id OcTree", f"size {nodes}"]
+        head += [f"res {grid.voxel_m:.17g}", "data\n"]
+        return ("\n".join(head).encode() + tree,)
+
+
+def _tree(keys: NDArray[np.int64], state: NDArray[np.int64]) -> tuple[int, bytes]:
+    """Builds a tree from its leaves upwards.
+
+    Args:
+        keys: Cells of the leaves (n, 3).
+        state: FREE or OCCUPIED (n,).
+
+    Returns:
+        The number of nodes, and the inner ones as bytes.
+    """
+    if not len(keys):
+        return 0, b""
+    codes = np.zeros(len(keys), np.int64)  # Morton codes: three bits a level
+    for bit in range(DEPTH):
+        for axis in range(3):
+            codes |= ((keys[:, axis] >> bit) & 1) << (3 * bit + axis)
+    nodes, begins, depths, words = len(codes), [], [], []
+    for depth in reversed(range(DEPTH)):
+        parents, which = np.unique(codes >> 3, return_inverse=True)
+        word = np.zeros(len(parents), np.uint16)
+        np.bitwise_or.at(word, which, (state << (2 * (codes & 7))).astype(np.uint16))
+        begins.append(parents << (3 * (DEPTH - depth)))  # the first leaf that may lie below
+        depths.append(np.full(len(parents), depth))
+        words.append(word)
+        codes, state = parents, np.full(len(parents), INNER)
+        nodes += len(parents)
+    order = np.lexsort((np.concatenate(depths), np.concatenate(begins)))  # depth first
+    return nodes, np.concatenate(words)[order].astype("<u2").tobytes()

@@ -1,0 +1,193 @@
+"""Recordings for viewers, a hundred samples a file: MCAP with ROS 2 messages, and Rerun's own."""
+
+import io
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Sensor
+from scenegen.display.colours import HEIGHTS, MISSED, SENSOR, colour
+from scenegen.display.exchange.files import Together
+from scenegen.sample import Sample
+
+MASKS = ("observed", "free", "occupancy")
+
+_RULE = "\n" + 80 * "=" + "\nMSG: "
+_TIME = f"{_RULE}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+_HEADER = f"{_RULE}std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
+_POSE = f"""
+{_RULE}geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation
+{_RULE}geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z
+{_RULE}geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w
+"""
+CLOUD, POSE, VOXEL_GRID = (
+    "sensor_msgs/msg/PointCloud2",
+    "geometry_msgs/msg/PoseStamped",
+    "foxglove_msgs/msg/VoxelGrid",
+)
+DEFINITIONS = {
+    CLOUD: f"""std_msgs/Header header
+uint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian
+uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense
+{_RULE}sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 count
+{_HEADER}""",
+    POSE: f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_POSE}{_HEADER}",
+    VOXEL_GRID: f"""builtin_interfaces/Time timestamp\nstring frame_id\ngeometry_msgs/Pose pose
+uint32 row_count\nuint32 column_count\ngeometry_msgs/Vector3 cell_size
+uint32 slice_stride\nuint32 row_stride\nuint32 cell_stride
+foxglove_msgs/PackedElementField[] fields\nuint8[] data
+{_RULE}geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z
+{_RULE}foxglove_msgs/PackedElementField\nstring name\nuint32 offset\nuint8 type
+{_POSE}{_TIME}""",
+}
+"""ROS's common interfaces and Foxglove's VoxelGrid, as far as they are used."""
+FLOAT32, UINT8 = 7, 1
+"""PointField's number for float32, and PackedElementField's for uint8."""
+FRAME = "world"
+
+
+class Mcap(Together):
+    """MCAP (mcap.dev) with ROS 2 messages, samples a second apart.
+
+    Topics are ``/scan``, the returns; ``/observed``, ``/free`` and ``/occupancy``, centres of
+    voxels; all PointCloud2 in the world; ``/map``, a VoxelGrid with those three as fields, 0 or 1;
+    and ``/pose``, the body's PoseStamped.
+    """
+
+    suffix = ".mcap"
+
+    def encode(
+        self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor
+    ) -> tuple[bytes, ...]:
+        """The content of a file."""
+        from mcap_ros2.writer import Writer
+
+        memory = io.BytesIO()
+        writer = Writer(memory)
+        schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
+        for number, sample in samples:
+            header = {"stamp": {"sec": number}, "frame_id": FRAME}
+            centres = grid.centres(sample.origin)
+            messages = {"scan": (CLOUD, _cloud(sample.points(lidar), header))}
+            for name in MASKS:
+                messages[name] = CLOUD, _cloud(centres[getattr(sample, name)], header)
+            messages["map"] = VOXEL_GRID, _voxels(sample, grid, number)
+            pose = _pose(sample.position, sample.quaternion)
+            messages["pose"] = POSE, {"header": header, "pose": pose}
+            for topic, (kind, message) in messages.items():
+                writer.write_message(
+                    f"/{topic}", schemas[kind], message, log_time=number * 10**9, sequence=number
+                )
+        writer.finish()
+        return (memory.getvalue(),)
+
+
+def _cloud(points: NDArray[np.float64], header: dict[str, Any]) -> dict[str, Any]:
+    """A PointCloud2 of points (n, 3), float32."""
+    fields = [
+        {"name": axis, "offset": 4 * n, "datatype": FLOAT32, "count": 1}
+        for n, axis in enumerate("xyz")
+    ]
+    return {
+        "header": header,
+        "height": 1,
+        "width": len(points),
+        "fields": fields,
+        "point_step": 12,
+        "row_step": 12 * len(points),
+        "data": points.astype("<f4").tobytes(),
+        "is_dense": True,
+    }
+
+
+def _pose(position: NDArray[np.float64], quaternion: Any) -> dict[str, Any]:
+    """A Pose at a position (3,), turned by a quaternion w, x, y, z."""
+    return {
+        "position": dict(zip("xyz", position, strict=True)),
+        "orientation": dict(zip("wxyz", quaternion, strict=True)),
+    }
+
+
+def _voxels(sample: Sample, grid: GridSpec, second: int) -> dict[str, Any]:
+    """A VoxelGrid of the sample's masks: x runs fastest, then y, then z."""
+    columns, rows, _ = grid.shape
+    stride = len(MASKS)
+    cells = np.stack([getattr(sample, name) for name in MASKS], axis=-1).transpose(2, 1, 0, 3)
+    return {
+        "timestamp": {"sec": second},
+        "frame_id": FRAME,
+        "pose": _pose(sample.origin, (1, 0, 0, 0)),
+        "row_count": rows,
+        "column_count": columns,
+        "cell_size": dict.fromkeys("xyz", grid.voxel_m),
+        "slice_stride": stride * columns * rows,
+        "row_stride": stride * columns,
+        "cell_stride": stride,
+        "fields": [{"name": name, "offset": n, "type": UINT8} for n, name in enumerate(MASKS)],
+        "data": cells.astype(np.uint8).tobytes(),
+    }
+
+
+FREE = (120, 190, 230)
+"""Rerun's colour of free voxels."""
+
+
+def rerun() -> Any:
+    """Imports Rerun with its usage reporting off.
+
+    It reports unless its user's settings forbid that or it is run by a machine (`CI`). One variable
+    makes it report all the same, another lets it send traces.
+    """
+    os.environ.pop("FORCE_RERUN_ANALYTICS", None)
+    os.environ.update(CI="true", TELEMETRY_ENABLED="false")
+    import rerun as module
+
+    return module
+
+
+class Rerun(Together):
+    """Rerun's recordings (rerun.io), on the timeline `sample`: ``scan`` and ``sensor``, and
+    ``observed``, ``free`` and ``occupancy`` as centres of voxels, half a voxel large, in the
+    world."""
+
+    suffix = ".rrd"
+
+    def encode(
+        self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor
+    ) -> tuple[bytes, ...]:
+        """The content of a file."""
+        library = rerun()
+        with tempfile.TemporaryDirectory() as folder:
+            path, name = Path(folder) / "part.rrd", f"scenegen-{samples[0][0]}"
+            with library.RecordingStream("scenegen", recording_id=name) as stream:
+                stream.save(path)
+                stream.log("/", library.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+                for number, sample in samples:
+                    stream.set_time("sample", sequence=number)
+                    for entity, (points, colours, radius) in _entities(sample, grid, lidar).items():
+                        positions = points.astype(np.float32)
+                        stream.log(
+                            entity, library.Points3D(positions, colors=colours, radii=radius)
+                        )
+                stream.flush()
+                stream.disconnect()
+            return (path.read_bytes(),)
+
+
+def _entities(sample: Sample, grid: GridSpec, lidar: Sensor) -> dict[str, tuple[Any, Any, float]]:
+    """Points, colours and radius of what is shown of a sample, by name."""
+    centres, half = grid.centres(sample.origin), grid.voxel_m / 2
+    shades = (255 * colour(np.linspace(0, 1, grid.shape[2]), HEIGHTS)).astype(np.uint8)
+    heights = np.broadcast_to(shades, (*grid.shape, 3))
+    found: dict[str, tuple[Any, Any, float]] = {
+        "scan": (sample.points(lidar), MISSED, half / 4),
+        "sensor": (sample.position[None], SENSOR, half),
+    }
+    for name in MASKS:
+        mask = getattr(sample, name)
+        found[name] = centres[mask], FREE if name == "free" else heights[mask], half
+    return found

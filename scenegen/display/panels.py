@@ -1,0 +1,232 @@
+"""The parts of pictures by matplotlib, without a screen or a GPU: dark on white, axes in metres."""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from scenegen.display.colours import (
+    DISTANCES,
+    HEIGHTS,
+    INVENTED,
+    MISSED,
+    SENSOR,
+    Anchors,
+    colour,
+    rgb,
+)
+from scenegen.display.look import Look
+from scenegen.display.oblique import VIEW, View, box_edges, visible_faces
+from scenegen.errors import DatasetError, printable
+
+INK, SOFT = "#1b1f24", "#59636e"
+RED = rgb(SENSOR)
+MAP = "#1560bd"
+"""The colour of a map's box where another one is drawn, too."""
+DPI = 150
+MOST_FACES = 400_000
+"""The most faces of voxels in a panel: drawing these takes some ten seconds."""
+
+Place = tuple[float, float, float, float]
+"""Left, bottom, width and height as shares of a figure."""
+
+
+def blank(wide: float, tall: float, title: str, dpi: int | None = None) -> Figure:
+    """A white figure, inches; matplotlib's own layouts would take longer than all that is drawn."""
+    figure = Figure(figsize=(wide, tall), dpi=dpi or DPI, facecolor="white")
+    figure.suptitle(title, color=INK, fontsize=12, y=1 - 0.12 / tall, va="top")
+    return figure
+
+
+def to_bytes(figure: Figure, suffix: str) -> bytes:
+    """A figure as the file that the suffix says: .png, .pdf, .svg, or .webp."""
+    file = io.BytesIO()
+    # without the version of matplotlib, so that the same picture is the same file
+    more: dict[str, Any] = {"metadata": {"Software": None}} if suffix == ".png" else {}
+    figure.savefig(file, format=suffix.removeprefix("."), **more)
+    return file.getvalue()
+
+
+def plain(text: str) -> str:
+    """`text` in one line as matplotlib shows it: a dollar sign would begin mathematics."""
+    return printable(text).replace("$", r"\$")
+
+
+def put_title(panel: Any, text: str) -> None:
+    """The words above a panel."""
+    panel.set_title(text, color=INK, fontsize=10)
+
+
+def put_ball(panel: Any, at: Any, *, size: float = 50, color: Any = RED, order: int = 7) -> None:
+    """Balls with a white rim, at positions (2,) or (n, 2) on the paper."""
+    across, upward = np.asarray(at).T
+    rim = {"edgecolors": "white", "linewidths": 0.8}
+    panel.scatter(across, upward, s=size, color=color, zorder=order, **rim)
+
+
+def put_points(
+    panel: Any, points: NDArray[np.float64], low: float, high: float, size: float, view: View = VIEW
+) -> None:
+    """Points (n, 3), coloured by height from `low` to `high`, metres; near ones hide far ones."""
+    points = points[np.argsort(points @ view.eye)]
+    shades = colour((points[:, 2] - low) / (high - low), HEIGHTS)
+    panel.scatter(*view.project(points).T, s=size, c=shades, linewidths=0, zorder=3)
+
+
+def put_box(panel: Any, low: Any, high: Any) -> None:
+    """A map's box, in blue, in front of what is drawn."""
+    edges = VIEW.project(np.concatenate(box_edges(low, high)))
+    panel.add_collection(LineCollection(edges, colors=MAP, linewidths=1.4, zorder=6))
+
+
+def draw_panel(panel: Any, look: Look, name: str, *, ticks: bool = True, view: View = VIEW) -> None:
+    """Draws `points`, or the mask `name`, and the sensor in the map's box. Raises DatasetError as
+    `draw_voxels`."""
+    low, high = look.corners
+    put_title(panel, name)
+    frame_box(panel, low, high, ticks=ticks, view=view)
+    if name == "points" and look.points is not None:
+        put_points(panel, look.points, low[2], high[2], 4, view)
+    elif name in look.masks:
+        draw_voxels(panel, look, look.masks[name], view=view)
+    else:
+        say_unread(panel)
+    put_ball(panel, view.project(look.position))
+
+
+def draw_voxels(
+    panel: Any,
+    look: Look,
+    mask: NDArray[np.bool_],
+    *,
+    truth: NDArray[np.bool_] | None = None,
+    view: View = VIEW,
+) -> None:
+    """Draws cubes where `mask` is set, coloured by height.
+
+    With a `truth`, cubes that it has and the mask lacks are drawn, too, and errors have their own
+    colours. Raises DatasetError for more than a picture can hold.
+    """
+    corners, voxels, light = visible_faces(mask if truth is None else mask | truth, view)
+    if len(voxels) > MOST_FACES:
+        raise DatasetError(
+            f"{look.name}: {len(voxels)} faces of voxels; a picture shows {MOST_FACES} at most"
+        )
+    paper = view.project(look.origin + corners * look.grid.voxel_m)
+    shades = colour(voxels[:, 2] / max(mask.shape[2] - 1, 1), HEIGHTS)
+    if truth is not None:
+        at = tuple(voxels.T)
+        shades[~mask[at]], shades[~truth[at]] = rgb(MISSED), rgb(INVENTED)
+    shades *= light[:, None]
+    panel.add_collection(
+        PolyCollection(paper, facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3)
+    )
+
+
+def say_unread(panel: Any) -> None:
+    """Says in a panel that what belongs there could not be read."""
+    panel.text(0.5, 0.5, "could not be read", transform=panel.transAxes, ha="center", color=SOFT)
+
+
+def draw_level(panel: Any, look: Look, level: int, tudf: NDArray[np.float32] | None) -> None:
+    """Draws one level of distances `tudf` (X, Y, Z), x right and y up, in metres of the world."""
+    z = look.origin[2] + (level + 0.5) * look.grid.voxel_m
+    put_title(panel, f"distances at z = {z:.2f} m")
+    if tudf is None:
+        say_unread(panel)
+        return
+    (left, down, _), (right, up, _) = look.corners
+    shades = colour(tudf[:, :, level].T / look.grid.truncation_m, DISTANCES)
+    panel.imshow(shades, origin="lower", extent=(left, right, down, up), interpolation="nearest")
+    if abs(z - look.position[2]) <= look.grid.voxel_m:
+        put_ball(panel, look.position[:2])
+    panel.set_xlabel("x / m", color=INK, fontsize=8)
+    panel.set_ylabel("y / m", color=INK, fontsize=8)
+    panel.tick_params(labelsize=8, colors=INK)
+
+
+def frame_box(
+    panel: Any,
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    *,
+    ticks: bool = True,
+    view: View = VIEW,
+) -> None:
+    """Draws a box with its axes in metres, and sets the limits of `panel` around it. Ticks stand
+    where they do for `VIEW`."""
+    hidden, front = box_edges(low, high, view)
+    for edges, shade, width, order in ((hidden, SOFT, 0.6, 1), (front, INK, 0.8, 5)):
+        lines = LineCollection(view.project(edges), colors=shade, linewidths=width, zorder=order)
+        panel.add_collection(lines)
+    corners = view.project(np.concatenate([hidden, front]).reshape(-1, 3))
+    span = np.ptp(corners, axis=0).max()
+    if ticks:
+        _put_ticks(panel, low, high, 0.035 * span, view)
+    room = 0.12 * span if ticks else 0.03 * span
+    panel.set_xlim(corners[:, 0].min() - room, corners[:, 0].max() + room)
+    panel.set_ylim(corners[:, 1].min() - room, corners[:, 1].max() + room)
+    panel.set_aspect("equal")
+    panel.set_axis_off()
+
+
+def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
+    """Numbers along an edge of each axis, and its name in their middle."""
+
+    def put(place: Any, way: Any, text: str, size: int) -> None:
+        at = view.project(place) + way
+        panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
+
+    x, y, z = 0, 1, 2
+    edges = (
+        (x, (low[y], low[z]), (0.3, -1)),
+        (y, (high[x], low[z]), (1, -0.6)),
+        (z, (low[x], low[y]), (-1.1, 0)),
+    )
+    for axis, fixed, way in edges:
+        out = apart * np.array(way)
+        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low[axis], high[axis])
+        for mark in marks[(marks >= low[axis] - 1e-9) & (marks <= high[axis] + 1e-9)]:
+            put(np.insert(fixed, axis, mark), out, f"{mark:g}", 7)
+        middle = (low[axis] + high[axis]) / 2
+        put(np.insert(fixed, axis, middle), 2.6 * out, f"{'xyz'[axis]} / m", 8)
+
+
+def add_bar(
+    figure: Figure, place: Place, anchors: Anchors, ends: tuple[float, float], label: str
+) -> None:
+    """A colour bar at `place`."""
+    shades = LinearSegmentedColormap.from_list("", [rgb(one) for one in anchors])
+    bar = figure.colorbar(ScalarMappable(Normalize(*ends), shades), cax=figure.add_axes(place))
+    bar.set_label(label, color=INK, fontsize=8)
+    bar.ax.tick_params(labelsize=8, colors=INK)
+
+
+def ball(label: str, colour: Any = RED) -> Line2D:
+    """A ball, for a legend."""
+    return Line2D([], [], marker="o", linestyle="", color=colour, label=label)
+
+
+def dot(label: str) -> Line2D:
+    """A dot, for a legend."""
+    return Line2D([], [], marker=".", linestyle="", color=INK, label=label)
+
+
+def line(label: str, colour: Any = INK, width: float = 0.8, style: Any = "-") -> Line2D:
+    """A line, for a legend."""
+    return Line2D([], [], color=colour, linewidth=width, linestyle=style, label=label)
+
+
+def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
+    """What marks mean, at the lower end."""
+    columns = min(len(handles), max(1, int(figure.get_size_inches()[0] / 1.4)))
+    style: dict[str, Any] = {"fontsize": 8, "frameon": False, "labelcolor": INK, "handlelength": 3}
+    figure.legend(handles=list(handles), loc="lower center", ncols=columns, **style)

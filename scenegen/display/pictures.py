@@ -1,0 +1,261 @@
+"""Pictures of one thing each: a sample, several of them, a scan, a completion, a world."""
+
+import io
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from lidarsim import AnalyticEngine, GridSpec
+from lidarsim.solids.shapes import PLANE
+from scenegen.display.colours import DISTANCES, HEIGHTS, colour
+from scenegen.display.look import Look
+from scenegen.display.oblique import VIEW, View
+from scenegen.display.panels import (
+    INK,
+    MAP,
+    RED,
+    add_bar,
+    add_legend,
+    ball,
+    blank,
+    dot,
+    draw_level,
+    draw_panel,
+    frame_box,
+    line,
+    put_ball,
+    put_box,
+    put_points,
+    put_title,
+    to_bytes,
+)
+from scenegen.errors import DatasetError
+from scenegen.worlds.world import World
+
+FRAMES, TURN_S, TURN_DPI = 36, 8, 90
+"""Pictures of a turntable, and how long it takes to go round, seconds."""
+MOST_DRAWN = 500_000
+"""The most points of a picture: more are drawn as every second, third …"""
+PIXELS = 1000
+"""Pixels across the picture of a world."""
+SUN = np.array((-0.35, -0.55, 0.9)) / np.linalg.norm((-0.35, -0.55, 0.9))
+"""Unit vector towards the light."""
+CUT, PLAIN = 0.3, 0.88
+"""Greys of solids where the picture cuts through them, and of planes."""
+
+
+def draw_sample(
+    look: Look, *, title: str = "", panels: Sequence[str] = ("points", "observed", "occupancy")
+) -> Figure:
+    """Draws returns, observed and occupied voxels, seen from above and aside, over three levels of
+    the distances.
+
+    The map's box is drawn around each, and the sensor as a red ball. What could not be read is left
+    empty, and says so. Raises DatasetError as `draw_voxels`.
+    """
+    figure = blank(12, 7.8, title or look.name)
+    for n, name in enumerate(panels):
+        draw_panel(figure.add_axes((0.01 + 0.305 * n, 0.5, 0.3, 0.43)), look, name)
+    height = look.grid.shape[2]
+    for n, level in enumerate(sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})):
+        draw_level(figure.add_axes((0.05 + 0.305 * n, 0.09, 0.25, 0.36)), look, level, look.tudf)
+    (_, _, low), (_, _, high) = look.corners
+    add_bar(figure, (0.935, 0.55, 0.012, 0.33), HEIGHTS, (low, high), "height / m")
+    ends = 0, look.grid.truncation_m
+    add_bar(figure, (0.935, 0.1, 0.012, 0.34), DISTANCES, ends, "to the nearest occupied / m")
+    add_legend(figure, [ball("sensor"), line("the map's box")])
+    return figure
+
+
+def draw_completion(look: Look, *, title: str) -> Figure:
+    """Draws what of a scan came into its map, and what was predicted from it, over levels of the
+    predicted distances."""
+    return draw_sample(look, title=title, panels=("observed", "predicted"))
+
+
+def draw_sheet(looks: Sequence[Look], *, title: str, columns: int = 4) -> Figure:
+    """Draws many samples on one sheet: occupied voxels with the returns over them. Raises
+    DatasetError as `draw_voxels`."""
+    columns = min(columns, len(looks))
+    rows = -(-len(looks) // columns)
+    wide, tall = 3.1 * columns + 1.0, 2.5 * rows + 0.9
+    figure = blank(wide, tall, title)
+    for n, look in enumerate(looks):
+        left, down = 3.1 * (n % columns) / wide, (2.5 * (rows - 1 - n // columns) + 0.4) / tall
+        panel = figure.add_axes((left, down, 3.05 / wide, 2.25 / tall))
+        _with_returns(panel, look, VIEW, 0.6)
+        panel.set_title(look.name, color=INK, fontsize=9)
+    ends = 0, max(look.grid.extent_m[2] for look in looks)
+    bar = (1 - 0.85 / wide, 0.2, 0.14 / wide, 0.6)
+    add_bar(figure, bar, HEIGHTS, ends, "height over the map's floor / m")
+    add_legend(figure, [ball("sensor"), line("the map's box"), dot("returns")])
+    return figure
+
+
+def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
+    """Draws a turntable as an animated WebP: occupied voxels and returns, seen from all sides.
+    Raises DatasetError as `draw_voxels`."""
+    from PIL import Image
+
+    low, high = look.corners
+    wide, tall = float(np.linalg.norm(look.grid.extent_m[:2])), look.grid.extent_m[2]
+    upright = wide * math.sin(VIEW.elevation) + tall * math.cos(VIEW.elevation)
+    reach = 0.51 * max(wide, upright / 0.75)
+    pictures = []
+    for turn in range(frames):
+        view = View(azimuth=VIEW.azimuth + 2 * math.pi * turn / frames)
+        figure = blank(6.4, 4.8, title, dpi=TURN_DPI)
+        panel = figure.add_axes((0.01, 0.06, 0.86, 0.86))
+        _with_returns(panel, look, view, 1.2)
+        across, upward = view.project((low + high) / 2)
+        panel.set_xlim(across - reach, across + reach)  # the same in every picture
+        panel.set_ylim(upward - 0.75 * reach, upward + 0.75 * reach)
+        add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
+        add_legend(figure, [ball("sensor"), dot("returns"), line("the map's box")])
+        pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
+    file, pause = io.BytesIO(), TURN_S * 1000 // frames
+    film = {"save_all": True, "append_images": pictures[1:], "duration": pause, "loop": 0}
+    pictures[0].save(file, "WEBP", quality=72, **film)
+    return file.getvalue()
+
+
+def _with_returns(panel: Any, look: Look, view: View, size: float) -> None:
+    """Occupied voxels with the returns over them."""
+    draw_panel(panel, look, "occupancy", ticks=False, view=view)
+    put_title(panel, "")
+    if look.points is not None:
+        places = view.project(look.points).T
+        panel.scatter(*places, s=size, color=INK, linewidths=0, zorder=6)
+
+
+def _landscape(
+    title: str, low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[Figure, Any]:
+    """A figure with one wide panel, a box in it, and a bar of heights."""
+    figure = blank(9, 6.6, title)
+    panel = figure.add_axes((0.01, 0.05, 0.86, 0.88))
+    frame_box(panel, low, high)
+    add_bar(figure, (0.9, 0.2, 0.016, 0.6), HEIGHTS, (low[2], high[2]), "height / m")
+    return figure, panel
+
+
+def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
+    """Draws a scan that belongs to no dataset, with the usual map's box around the sensor.
+
+    Args:
+        points: Returns (N, 3), metres, the sensor at the origin; NaN where a ray met nothing.
+        title: The words above it.
+
+    Raises:
+        DatasetError: Nothing returned.
+    """
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        raise DatasetError(f"{title}: no point of it is a return")
+    points = points[:: -(-len(points) // MOST_DRAWN)]
+    half = np.array(GridSpec().extent_m) / 2
+    low, high = np.minimum(points.min(axis=0), -half), np.maximum(points.max(axis=0), half)
+    figure, panel = _landscape(title, low, high)
+    put_points(panel, points, low[2], high[2], max(0.3, min(4.0, 2e4 / len(points))))
+    put_box(panel, -half, half)
+    put_ball(panel, VIEW.project(np.zeros(3)))
+    size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
+    around = line(f"a map of {size} m around it", MAP, 1.2)
+    add_legend(figure, [ball("sensor"), around, line("the box of all points")])
+    return figure
+
+
+def draw_world(
+    world: World,
+    *,
+    title: str,
+    flight: NDArray[np.float64] | None = None,
+    places: NDArray[np.float64] | None = None,
+    box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+) -> Figure:
+    """Draws what stands in the box in which the sensor flies, and below it, seen from above and
+    aside, in metres.
+
+    Walls and roofs before the box are cut away, solids at its faces are dark grey, planes light
+    grey, and all else has the colour of its height.
+
+    Args:
+        world: The world.
+        title: The words above it.
+        flight: Viewpoints (n, 3), joined by a red line.
+        places: Viewpoints (n, 3), as balls alone.
+        box: Least and greatest corner of a map, drawn in blue.
+    """
+    low, high = world.flight_bounds.copy()
+    bounded = world.solids.lower[np.isfinite(world.solids.lower).all(axis=1)]
+    low[2] = min([low[2], *bounded[:, 2], *world.solids.triangles.reshape(-1, 3)[:, 2]])
+    image, extent = see(world, low, high)
+    figure, panel = _landscape(title, low, high)
+    limits = panel.axis()
+    panel.imshow(image, origin="lower", extent=extent, zorder=2)
+    panel.axis(limits)  # imshow sets its own
+    handles = [line("the flight's box, down to the ground")]
+    if box is not None:
+        put_box(panel, *box)
+        handles.insert(0, line("the map's box", MAP, 1.4))
+    if flight is not None:
+        panel.plot(*VIEW.project(flight).T, color=RED, linewidth=1, zorder=6)
+        places = flight
+    if places is not None:
+        put_ball(panel, VIEW.project(places), size=24)
+        handles.insert(0, ball("viewpoints"))
+    add_legend(figure, handles)
+    return figure
+
+
+def see(
+    world: World, low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], tuple[float, float, float, float]]:
+    """Looks at a world with our own rays, so that what is drawn is what the sensor would meet.
+
+    Args:
+        world: The world.
+        low: Least corner (3,) of the box in which parallel rays begin where they enter it, metres.
+        high: Its greatest corner (3,).
+
+    Returns:
+        Colours (rows, columns, 3), white where rays miss the box, and where the picture lies on the
+        paper: left, right, down, up.
+    """
+    corners = VIEW.project(np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3))
+    (left, down), (right, up) = corners.min(axis=0), corners.max(axis=0)
+    step = max(right - left, up - down) / PIXELS
+    across, upward = np.meshgrid(
+        np.arange(left, right, step) + step / 2, np.arange(down, up, step) + step / 2
+    )
+    flat = across.reshape(-1, 1) * VIEW.right + upward.reshape(-1, 1) * VIEW.up
+    faces = np.stack([(low - flat) / VIEW.eye, (high - flat) / VIEW.eye])  # of the planes, eyewards
+    begin, end = faces.max(axis=0).min(axis=1), faces.min(axis=0).max(axis=1)
+    met = np.flatnonzero(begin > end)
+    image = np.ones((len(flat), 3))
+    if len(met):  # a box without height has none
+        reach = float((begin - end)[met].max()) + 1.0
+        image[met] = _shades(world, flat[met] + begin[met, None] * VIEW.eye, reach, low[2], high[2])
+    return image.reshape(*across.shape, 3), (left, right, down, up)
+
+
+def _shades(
+    world: World, starts: NDArray[np.float64], reach: float, low: float, high: float
+) -> NDArray[np.float64]:
+    """Colours (n, 3) of what rays from `starts` (n, 3) away from the eye meet."""
+    away = np.broadcast_to(-VIEW.eye, (len(starts), 1, 3)).copy()
+    hits = AnalyticEngine.of(world.model, world.data).hits(starts, away, reach)
+    seen = hits.geoms[:, 0] >= 0
+    points, normals, geoms = (found[seen, 0] for found in (hits.points, hits.normals, hits.geoms))
+    shades = colour((points[:, 2] - low) / max(high - low, 1e-9), HEIGHTS)
+    planes = world.solids.geom[: len(world.solids.shape)][world.solids.shape == PLANE]
+    shades[np.isin(geoms, planes)] = PLAIN
+    shades *= 0.62 + 0.38 * np.abs(normals @ SUN)[:, None]
+    shades[normals @ VIEW.eye < 0] = CUT  # the ray began inside
+    found = np.ones((len(starts), 3))
+    found[seen] = shades
+    return found
