@@ -140,18 +140,28 @@ an infinite way, and infinity times no way at all is NaN."""
 def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, free):
     """Mark `free` along every ray and `observed` at its end."""
     nx, ny, nz = observed.shape
+    observed, free = observed.reshape(-1), free.reshape(-1)
     for ray in range(len(ranges)):
         end = float(ranges[ray]) if math.isfinite(ranges[ray]) else max_range_m
-        _clear(position, directions[ray], end, origin, voxel_m, free)
+        clear(position, directions[ray], end, origin, voxel_m, nx, ny, nz, free)
     for ray in range(len(ranges)):
         if math.isfinite(ranges[ray]):
             reach = float(ranges[ray])
-            i = math.floor((position[0] + reach * directions[ray, 0] - origin[0]) / voxel_m)
-            j = math.floor((position[1] + reach * directions[ray, 1] - origin[1]) / voxel_m)
-            k = math.floor((position[2] + reach * directions[ray, 2] - origin[2]) / voxel_m)
-            if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-                observed[i, j, k] = True
-                free[i, j, k] = False
+            cell = cell_at(position, directions[ray], reach, origin, voxel_m, nx, ny, nz)
+            if cell >= 0:
+                observed[cell] = True
+                free[cell] = False
+
+
+@kernel
+def cell_at(position, direction, reach, origin, voxel_m, nx, ny, nz):
+    """Number of the voxel that holds the point `reach` metres along a ray; -1 outside the grid."""
+    x = float(math.floor((position[0] + reach * direction[0] - origin[0]) / voxel_m))
+    y = float(math.floor((position[1] + reach * direction[1] - origin[1]) / voxel_m))
+    z = float(math.floor((position[2] + reach * direction[2] - origin[2]) / voxel_m))
+    if 0.0 <= x < float(nx) and 0.0 <= y < float(ny) and 0.0 <= z < float(nz):
+        return (int(x) * ny + int(y)) * nz + int(z)
+    return -1
 
 
 @kernel
@@ -159,10 +169,10 @@ def _slab(start, direction, count, voxel_m):
     """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it
     enters and leaves."""
     if abs(direction) < STILL:
-        inside = 0 <= start < count
+        inside = 0.0 <= start < float(count)
         return 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
     pace = voxel_m / direction
-    first, last = (0 - start) * pace, (count - start) * pace
+    first, last = (0.0 - start) * pace, (float(count) - start) * pace
     return pace, min(first, last), max(first, last)
 
 
@@ -178,13 +188,13 @@ def _enter(start, t, pace, count):
 
 
 @kernel
-def _clear(position, direction, end, origin, voxel_m, free):
-    """Mark the voxels that the segment of length `end` from `position` along `direction` meets.
+def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
+    """Mark the voxels, of nx * ny * nz one after the other, that the segment of length `end` from
+    `position` along `direction` meets.
 
     Every crossing is computed from its boundary's own number, never by adding up steps, so that
     errors do not grow.
     """
-    nx, ny, nz = free.shape
     sx, sy, sz = (
         (position[0] - origin[0]) / voxel_m,
         (position[1] - origin[1]) / voxel_m,
@@ -200,10 +210,9 @@ def _clear(position, direction, end, origin, voxel_m, free):
     i, bx, tx = _enter(sx, t, px, nx)
     j, by, ty = _enter(sy, t, py, ny)
     k, bz, tz = _enter(sz, t, pz, nz)
-    ux, uy, uz = math.copysign(1.0, px), math.copysign(1.0, py), math.copysign(1.0, pz)
+    ux, uy, uz = 1.0 if px > 0.0 else -1.0, 1.0 if py > 0.0 else -1.0, 1.0 if pz > 0.0 else -1.0
     dx, dy, dz = int(ux) * ny * nz, int(uy) * nz, int(uz)
     cell = (i * ny + j) * nz + k
-    flat = free.reshape(-1)
     while True:
         if tx < ty:
             if tx < tz:
@@ -224,9 +233,9 @@ def _clear(position, direction, end, origin, voxel_m, free):
             tz = (bz - sz) * pz
         if at >= leave:
             if leave - t > TOUCH_M:
-                flat[cell] = True
+                free[cell] = True
             return
         if at - t > TOUCH_M:
-            flat[cell] = True
+            free[cell] = True
             t = at
         cell += move

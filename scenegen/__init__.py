@@ -1,21 +1,38 @@
 """What exists: from a seed to a world, its truth, a flight through it, samples, and a dataset on
 disk.
 
-``scenegen.load("data/pillar", split="train")`` reads one; ``scenegen.stream("pillar")`` has its
-samples without a disk.
+    scenegen.generate("pillar", n=100, out="data/pillar")
+    samples = scenegen.load("data/pillar", split="train")
+    samples = scenegen.stream("pillar")    # the same samples, without a disk
+    scenegen.show(samples[0])
+
+All that `__all__` lists is imported when it is first asked for.
 """
 
 from __future__ import annotations
 
-TYPE_CHECKING = (
-    False  # as typing has it, which takes time to import: a command answers stops from here on
-)
+import os
+
+TYPE_CHECKING = False  # as typing has it, which takes time to import: commands answer stops first
 if TYPE_CHECKING:
-    from pathlib import Path
     from typing import Any
 
-    from scenegen.dataset.read import Split
-    from scenegen.streams.stream import Stream
+    from scenegen.dataset.generation import generate
+    from scenegen.dataset.locate import load
+    from scenegen.dataset.read import Dataset
+    from scenegen.display.show import show
+    from scenegen.model.api import bench, train
+    from scenegen.model.completion.completer import Completer
+    from scenegen.model.completion.protocol import Prediction
+    from scenegen.model.network import Output
+    from scenegen.recipe import Recipe, preset
+    from scenegen.recipes.kind import WorldKind
+    from scenegen.sample import Sample
+    from scenegen.source import read_world
+    from scenegen.streams.stream import stream
+    from scenegen.verification.folder import verify
+    from scenegen.worlds.flight import poses_in_flight
+    from scenegen.worlds.scans import scan_world
 
 __version__ = "0.1.0"
 
@@ -27,45 +44,68 @@ products by what it offers."""
 SPLITS = ("train", "val", "test")
 """The parts of a dataset, in order; no world is in two of them."""
 
+__all__ = [
+    "Completer",
+    "Dataset",
+    "Output",
+    "Prediction",
+    "Recipe",
+    "Sample",
+    "WorldKind",
+    "__version__",
+    "bench",
+    "generate",
+    "load",
+    "poses_in_flight",
+    "preset",
+    "read_world",
+    "scan_world",
+    "show",
+    "stream",
+    "train",
+    "verify",
+]
 
-def load(dataset: str | Path, split: str = "train") -> Split:
-    """The samples of a split, read when asked for: a sequence of `scenegen.sample.Sample`, without
-    a copy in memory.
+_MODULES = {
+    "scenegen.dataset.generation": ("generate",),
+    "scenegen.dataset.locate": ("load",),
+    "scenegen.dataset.read": ("Dataset",),
+    "scenegen.display.show": ("show",),
+    "scenegen.model.api": ("bench", "train"),
+    "scenegen.model.completion.completer": ("Completer",),
+    "scenegen.model.completion.protocol": ("Prediction",),
+    "scenegen.model.network": ("Output",),
+    "scenegen.recipe": ("Recipe", "preset"),
+    "scenegen.recipes.kind": ("WorldKind",),
+    "scenegen.sample": ("Sample",),
+    "scenegen.source": ("read_world",),
+    "scenegen.streams.stream": ("stream",),
+    "scenegen.verification.folder": ("verify",),
+    "scenegen.worlds.flight": ("poses_in_flight",),
+    "scenegen.worlds.scans": ("scan_world",),
+}
+"""Where each name of `__all__` stands. No module directly in this package may be called like one
+of them: importing it would put it in the name's place."""
 
-    `dataset` is a folder, or ``hf://user/name[@revision]``, which is downloaded once and checked.
-    The sequence may be handed to any number of processes, forked or spawned, each of which opens
-    the files for itself; `describe()` gives names, types, shapes, units and meanings. Raises
-    DatasetError.
-    """
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.read import Dataset
 
-    return Dataset(locate(dataset)).split(split)
+def __getattr__(name: str) -> Any:
+    """What `__all__` lists, imported now. Of `scenegen.model`, this is all that the package
+    knows."""
+    from importlib import import_module
+
+    for module, names in _MODULES.items():
+        if name in names:
+            found = getattr(import_module(module), name)
+            globals()[name] = found
+            return found
+    raise AttributeError(f"module 'scenegen' has no attribute {name!r}")
 
 
-def stream(
-    worlds: Any,
-    *,
-    seed: int = 0,
-    split: str = "train",
-    samples: int = 10**9,
-    workers: int = 0,
-    cache: str | Path | None = None,
-    engine: str = "mujoco",
-) -> Stream:
-    """Samples by number, drawn when asked for: the first n are those that `generate` gives with
-    this seed and split.
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
-    `worlds` is a kind's name, a recipe or its TOML file, an MJCF file or a folder of them; or
-    several, as a list, or as a mapping to weights, in proportion to which samples come, by a fixed
-    rule (docs/stream.md). Worlds of one split are in no other, because the split is part of what
-    each draw is seeded with. `samples` is the stream's `len`. `workers` processes draw ahead of
-    need; 0 draws in the process that asks. `cache` is a folder that keeps what was drawn. `engine`
-    names what casts the rays. No torch is needed. Raises RecipeError, SceneError and DatasetError,
-    and when a sample is asked for GenerationError, IndexError and TypeError; all in one line.
-    """
-    from scenegen.streams.stream import stream_of
 
-    return stream_of(
-        worlds, seed=seed, split=split, samples=samples, workers=workers, cache=cache, engine=engine
-    )
+# Where a checkout has lost its link scenegen/model, as in a zip or on Windows, the package is found
+# beside this one.
+if not os.path.isdir(os.path.join(__path__[0], "model")):  # noqa: PTH112, PTH118
+    __path__.append(os.path.dirname(__path__[0]))  # noqa: PTH120

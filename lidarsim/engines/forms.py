@@ -21,7 +21,8 @@ def meet(shape, a, b, c, px, py, pz, dx, dy, dz):
     parts follow from its parts', so that rounding opens no seam between them. Planes: `meet_plane`.
     """
     if shape == BOX:
-        return _first(*_in_box(a, b, c, px, py, pz, dx, dy, dz))
+        enter, leave = _in_box(a, b, c, px, py, pz, dx, dy, dz)
+        return _first(enter, leave)
     if shape == SPHERE:
         return meet_ball(px, py, pz, dx, dy, dz, a)
     if shape == ELLIPSOID:  # a unit ball, stretched; the direction then has another length
@@ -58,7 +59,8 @@ def meet_plane(size, position, rotation, ox, oy, oz, x, y, z):
 @kernel
 def meet_ball(px, py, pz, dx, dy, dz, radius):
     """`meet` for a ball."""
-    return _first(*_in_ball(px, py, pz, dx, dy, dz, radius))
+    enter, leave = _in_ball(px, py, pz, dx, dy, dz, radius)
+    return _first(enter, leave)
 
 
 @kernel
@@ -83,7 +85,9 @@ def _in_box(a, b, c, px, py, pz, dx, dy, dz):
 def _in_slab(half, p, d):
     """Where a line along which a coordinate is p + t d has it in [-half, half]."""
     if d == 0.0:
-        return (-math.inf, math.inf) if abs(p) <= half else (math.inf, -math.inf)
+        if abs(p) <= half:
+            return -math.inf, math.inf
+        return math.inf, -math.inf
     one, other = (-half - p) / d, (half - p) / d
     return min(one, other), max(one, other)
 
@@ -106,7 +110,9 @@ def _in_cylinder(radius, half, px, py, pz, dx, dy, dz):
     enter, leave = _in_slab(half, pz, dz)
     a = dx * dx + dy * dy
     if a == 0.0:
-        return (enter, leave) if px * px + py * py <= radius * radius else (math.inf, -math.inf)
+        if px * px + py * py <= radius * radius:
+            return enter, leave
+        return math.inf, -math.inf
     b = -(px * dx + py * dy) / a
     cx, cy = px + b * dx, py + b * dy
     h = (radius * radius - (cx * cx + cy * cy)) / a
@@ -114,34 +120,32 @@ def _in_cylinder(radius, half, px, py, pz, dx, dy, dz):
         return math.inf, -math.inf
     h = math.sqrt(h)
     enter, leave = max(enter, b - h), min(leave, b + h)
-    return (enter, leave) if enter <= leave else (math.inf, -math.inf)
+    if enter <= leave:
+        return enter, leave
+    return math.inf, -math.inf
 
 
 @kernel
-def set_upright(origin, ray, axes, upright):
-    """Fill axes (3,) and upright (6,) for a ray, as `meet_triangle` takes them: w, the axis along
-    which it runs fastest, behind u and v, the other two; the origin's coordinates along u, v, w;
-    how far the ray runs along u and v for a metre along w; how far along w for a metre of its
-    own."""
+def upright(origin, ray):
+    """What `meet_triangle` takes for a ray (3,) from `origin` (3,): w, the axis along which it runs
+    fastest, behind u and v, the other two; the origin's coordinates along u, v, w; how far the ray
+    runs along u and v for a metre along w; how far along w for a metre of its own."""
     w = np.uint64(1 if abs(ray[1]) > abs(ray[0]) else 0)
-    w = np.uint64(2 if abs(ray[2]) > abs(ray[w]) else w)
+    w = np.uint64(2) if abs(ray[2]) > abs(ray[w]) else w
     u, v = (w + np.uint64(1)) % np.uint64(3), (w + np.uint64(2)) % np.uint64(3)
-    axes[0], axes[1], axes[2] = u, v, w
-    upright[0], upright[1], upright[2] = origin[u], origin[v], origin[w]
-    upright[3], upright[4], upright[5] = ray[u] / ray[w], ray[v] / ray[w], ray[w]
+    return u, v, w, origin[u], origin[v], origin[w], ray[u] / ray[w], ray[v] / ray[w], ray[w]
 
 
 @kernel
-def meet_triangle(triangles, k, axes, upright):
-    """Distance to triangle k of (T, 3, 3), seen from either side (Woop, Benthin and Wald 2013).
+def meet_triangle(triangles, k, frame):
+    """Distance to triangle k of (T, 3, 3), seen from either side (Woop, Benthin and Wald 2013), in
+    the `frame` of the ray that `upright` gives.
 
     Corners, relative to the origin, are slid along u and v so that the ray becomes the axis w.
     Triangles that share a corner slide it to the same bits, and those that share an edge find the
     axis on opposite sides of it, or both on it: nothing passes between them.
     """
-    u, v, w = axes[0], axes[1], axes[2]
-    ou, ov, ow = upright[0], upright[1], upright[2]
-    su, sv, dw = upright[3], upright[4], upright[5]
+    u, v, w, ou, ov, ow, su, sv, dw = frame
     wa, wb, wc = triangles[k, 0, w] - ow, triangles[k, 1, w] - ow, triangles[k, 2, w] - ow
     ua, va = triangles[k, 0, u] - ou - su * wa, triangles[k, 0, v] - ov - sv * wa
     ub, vb = triangles[k, 1, u] - ou - su * wb, triangles[k, 1, v] - ov - sv * wb

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from lidarsim.engines.forms import meet, meet_ball, meet_plane, meet_triangle, normal, set_upright
+from lidarsim.engines.forms import meet, meet_ball, meet_plane, meet_triangle, normal, upright
 from lidarsim.engines.hierarchy import WAITING, WIDTH
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import SPHERE
@@ -61,7 +61,6 @@ def traverse(
         np.empty((len(boxes), WIDTH), np.uint64),
     )
     count = np.empty(len(boxes), np.uint64)
-    axes, upright = np.empty(3, np.uint64), np.empty(6)
     for p in range(len(origins)):
         ox, oy, oz, own = origins[p, 0], origins[p, 1], origins[p, 2], through[p]
         if not abs(ox) + abs(oy) + abs(oz) < math.inf:
@@ -82,7 +81,7 @@ def traverse(
             az = np.uint64(2 if iz > 0.0 else 5)
             bx, by, bz = np.uint64(3) - ax, np.uint64(5) - ay, np.uint64(7) - az
             if plain < none:
-                set_upright(origins[p], directions[p, n], axes, upright)
+                frame = upright(origins[p], directions[p, n])
             best, item = max_range_m, none
             for plane in planes:
                 t = meet_plane(size[plane], position[plane], rotation[plane], ox, oy, oz, x, y, z)
@@ -99,62 +98,13 @@ def traverse(
                     for q in range(node, close):
                         g = order[q]
                         if g >= plain:
-                            t = meet_triangle(triangles, g - plain, axes, upright)
+                            t = meet_triangle(triangles, g - plain, frame)
                         else:
-                            sx, sy, sz = (
-                                ox - position[g, 0],
-                                oy - position[g, 1],
-                                oz - position[g, 2],
-                            )
-                            along, apart2 = sx * x + sy * y + sz * z, sx * sx + sy * sy + sz * sz
-                            near2 = apart2 * FARTHER - along * along
-                            if near2 > reach2[g] or (along > 0.0 and apart2 > reach2[g]):
-                                continue  # passes the ball around the solid, or leaves it behind
-                            if shape[g] == SPHERE:
-                                t = meet_ball(sx, sy, sz, x, y, z, size[g, 0])
-                            else:
-                                px = (
-                                    rotation[g, 0, 0] * sx
-                                    + rotation[g, 1, 0] * sy
-                                    + rotation[g, 2, 0] * sz
-                                )
-                                py = (
-                                    rotation[g, 0, 1] * sx
-                                    + rotation[g, 1, 1] * sy
-                                    + rotation[g, 2, 1] * sz
-                                )
-                                pz = (
-                                    rotation[g, 0, 2] * sx
-                                    + rotation[g, 1, 2] * sy
-                                    + rotation[g, 2, 2] * sz
-                                )
-                                dx = (
-                                    rotation[g, 0, 0] * x
-                                    + rotation[g, 1, 0] * y
-                                    + rotation[g, 2, 0] * z
-                                )
-                                dy = (
-                                    rotation[g, 0, 1] * x
-                                    + rotation[g, 1, 1] * y
-                                    + rotation[g, 2, 1] * z
-                                )
-                                dz = (
-                                    rotation[g, 0, 2] * x
-                                    + rotation[g, 1, 2] * y
-                                    + rotation[g, 2, 2] * z
-                                )
-                                t = meet(
-                                    shape[g],
-                                    size[g, 0],
-                                    size[g, 1],
-                                    size[g, 2],
-                                    px,
-                                    py,
-                                    pz,
-                                    dx,
-                                    dy,
-                                    dz,
-                                )
+                            sx, sy = ox - position[g, 0], oy - position[g, 1]
+                            sz = oz - position[g, 2]
+                            if passes(reach2[g], sx, sy, sz, x, y, z):
+                                continue
+                            t = meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z)
                         if (t < best or (t == best and g < item)) and (own < 0 or part[g] != own):
                             best, item = t, g
                     continue
@@ -189,6 +139,29 @@ def traverse(
                     left += 1
             if item < none:
                 ranges[p, n], items[p, n] = best, item
+
+
+@kernel
+def passes(reach2, sx, sy, sz, x, y, z):
+    """Whether a ray from s along the unit vector (x, y, z) misses the ball about 0 of squared
+    radius `reach2`, or leaves it behind: quicker than the solid in it."""
+    along, apart2 = sx * x + sy * y + sz * z, sx * sx + sy * sy + sz * sz
+    return apart2 * FARTHER - along * along > reach2 or (along > 0.0 and apart2 > reach2)
+
+
+@kernel
+def meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z):
+    """Distance from s, seen from its centre, along the unit vector (x, y, z) to primitive g of n,
+    which is no plane; inf where it is not met."""
+    if shape[g] == SPHERE:
+        return meet_ball(sx, sy, sz, x, y, z, size[g, 0])
+    px = rotation[g, 0, 0] * sx + rotation[g, 1, 0] * sy + rotation[g, 2, 0] * sz
+    py = rotation[g, 0, 1] * sx + rotation[g, 1, 1] * sy + rotation[g, 2, 1] * sz
+    pz = rotation[g, 0, 2] * sx + rotation[g, 1, 2] * sy + rotation[g, 2, 2] * sz
+    dx = rotation[g, 0, 0] * x + rotation[g, 1, 0] * y + rotation[g, 2, 0] * z
+    dy = rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z
+    dz = rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z
+    return meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
 
 
 @kernel

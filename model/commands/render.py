@@ -116,7 +116,8 @@ def _draw_world(path: Path, seed: int | None, title: str) -> Any:
     import numpy as np
 
     from scenegen.display.pictures import draw_world
-    from scenegen.draw import poses_in_flight, read_world
+    from scenegen.source import read_world
+    from scenegen.worlds.flight import poses_in_flight
 
     world = read_world(path)
     poses = [] if seed is None else poses_in_flight(world, seed=seed)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from scenegen import stream
 from scenegen.cli import stops
 from scenegen.cli.options import (
     device_option,
@@ -269,6 +268,7 @@ def _samples(
 ) -> tuple[list["Samples"], list["Samples"]]:
     """What is trained on, and what validates."""
     from scenegen.model.training.data import opened
+    from scenegen.streams.stream import stream
 
     names = tuple(name for name, _ in datasets)
     parts, seed, count = options["streams"], options["stream_seed"], options["val_maps"]

@@ -37,16 +37,17 @@ class Prediction:
         if self.occupancy_probability is None and self.tudf is None:
             raise ValueError("a completion needs a probability of occupancy, a distance, or both")
 
-    def occupied(self, thresholds: Thresholds) -> NDArray[np.bool_]:
-        """The binary map, (*shape): where the probability is greater than its threshold ("greater
-        than" in the paper's section "Implementation Details"), or, without one, the distance less
-        than its own."""
+    def occupied(self, thresholds: Thresholds | None = None) -> NDArray[np.bool_]:
+        """The binary map, (*shape), at `thresholds`, by default the paper's: where the probability
+        is greater than its threshold ("greater than" in the paper's section "Implementation
+        Details"), or, without one, the distance less than its own."""
+        thresholds = thresholds or Thresholds()
         if self.occupancy_probability is not None:
             return self.occupancy_probability > np.float32(thresholds.probability)
         assert self.tudf is not None
         return self.tudf < np.float32(thresholds.distance_m)
 
-    def distance(self, thresholds: Thresholds, grid: GridSpec) -> NDArray[np.float32]:
+    def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> NDArray[np.float32]:
         """The distance field, (*shape), metres, at most the truncation."""
         if self.tudf is not None:
             return np.minimum(self.tudf, np.float32(grid.truncation_m))

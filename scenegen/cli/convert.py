@@ -137,8 +137,8 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
 def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Path) -> None:
     from scenegen.dataset.extract import compile_archived
     from scenegen.display.exchange.glb import encode_world
-    from scenegen.draw import read_world
     from scenegen.files import write_result
+    from scenegen.source import read_world
 
     if number is None:
         content = encode_world(read_world(Path(dataset)))

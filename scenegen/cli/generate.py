@@ -50,6 +50,7 @@ NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 WORLDS, SIZE = "Worlds", "Size and files"
 """Groups of options on the help page."""
+MAPPING = {field.name for field in dataclasses.fields(Mapper)}
 
 
 @click.command(
@@ -169,19 +170,29 @@ def generate(
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
+    given = [name for name in ("kind", "scene", "recipe") if options[name] is not None]
+    if not given:
+        raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
+    if {"kind", "scene"} <= set(given):
+        raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
+    shards, force = options.pop("split_range"), options.pop("force")
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
     from scenegen.dataset.build import check_folder
+    from scenegen.dataset.generation import plan_generation
     from scenegen.run import executor
     from scenegen.run.workers import keep_memory
 
     keep_memory()
-    plan = _plan(options, talk=talk)
-    shards, count = options["split_range"], len(plan.shards)
+    asked = {key: value for key, value in options.items() if key not in MAPPING}
+    plan = plan_generation(
+        mapping=mapping_given(options), tell=note if talk else lambda line: None, **asked
+    )
+    count = len(plan.shards)
     if shards and shards[1] > count:
         raise click.UsageError(f"--split-range {shards[0]}:{shards[1]}: there are {count} shards")
-    check_folder(plan, force=options["force"])
+    check_folder(plan, force=force)
     grid = plan.parameters["grid"]["shape"]
     if talk and any(edge % NETWORK_EDGE for edge in grid):
         note(
@@ -191,68 +202,16 @@ def generate(
     if dry_run:
         _show_plan(plan, as_json)
         return
-    execute = executor(on, workers)
     make(
         plan,
         begin=begin,
-        execute=execute,
+        execute=executor(on, workers),
         workers=workers,
         shards=shards,
-        force=options["force"],
+        force=force,
         as_json=as_json,
         quiet=quiet,
     )
-
-
-def _plan(options: dict[str, Any], *, talk: bool) -> "Plan":
-    """What the options ask for, resolved."""
-    from scenegen.dataset.build import plan_dataset
-    from scenegen.lidar import named_lidar
-    from scenegen.recipe import preset, read_recipe
-    from scenegen.source import DrawnWorlds, Source, read_scenes
-    from scenegen.worlds.labels import labels_by
-
-    kind, scene, file, seed, by = (
-        options[name] for name in ("kind", "scene", "recipe", "seed", "labels")
-    )
-    if kind is None and scene is None and file is None:
-        raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
-    if kind is not None and scene is not None:
-        raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
-    named = kind if scene is None else "scene"
-    own: dict[str, Any] = {
-        "lidar": None if options["lidar"] is None else named_lidar(options["lidar"]),
-        "noise": options["noise"],
-        "mapping": mapping_given(options),
-    }
-    recipe = preset(named, **own) if file is None else read_recipe(file, named, **own)
-    counts = _counts(options)
-    source: Source
-    if scene is not None:
-        unseen, materials = options["allow_unseen"], by == "material"
-        source = read_scenes(scene, counts, seed=seed, allow_unseen=unseen, materials=materials)
-        for line in source.notes if talk else ():
-            note(line)
-    elif recipe.world is None:
-        raise click.UsageError(f'{file}: kind "scene" needs the worlds, too: give --scene')
-    else:
-        source = DrawnWorlds(recipe)
-    if by is not None:
-        recipe = dataclasses.replace(recipe, labels=labels_by(by, source.class_names(by)))
-    # data/Towers for my_worlds:Towers
-    name = scene.stem if scene is not None else recipe.kind.rpartition(":")[2]
-    out = options["out"] or Path("data") / name
-    more = {option: options[option] for option in ("compact", "shard_samples", "engine")}
-    return plan_dataset(out, recipe, source, seed=seed, counts=counts, **more)
-
-
-def _counts(options: dict[str, Any]) -> dict[str, int]:
-    """Samples of each split; a single scene is for training, unless more is asked for."""
-    n, val, test, scene = (options[name] for name in ("n", "val", "test", "scene"))
-    single = scene is not None and not scene.is_dir()
-    usual = (0, 0) if single else (max(n // 10, 1), max(n // 5, 1))
-    given = (usual[0] if val is None else val, usual[1] if test is None else test)
-    return {"train": n, "val": given[0], "test": given[1]}
 
 
 def _show_plan(plan: "Plan", as_json: bool) -> None:
@@ -298,7 +257,7 @@ def make(
         shards: First of the shards that are made, and the one after the last; all unless given.
     """
     from scenegen.dataset.build import build
-    from scenegen.run.local import Local
+    from scenegen.run.workers import Local
 
     execute = execute or Local("", workers)
     chosen = execute.mine(plan.shards[slice(*shards)] if shards else plan.shards)

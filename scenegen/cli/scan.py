@@ -167,9 +167,9 @@ def scan(
     if every is not None and not flight:
         raise click.UsageError("--every goes with --flight")
     from scenegen.display.points import SUFFIXES
-    from scenegen.draw import read_world
     from scenegen.files import check_ours
     from scenegen.lidar import named_lidar, named_noise
+    from scenegen.source import read_world
 
     if out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
@@ -202,7 +202,7 @@ def _poses(
 ) -> "list[Pose]":
     """The pose given, one in a random flight, or those `every` so many metres of it."""
     from lidarsim import Pose
-    from scenegen.draw import pose_in_flight, poses_in_flight
+    from scenegen.worlds.flight import pose_in_flight, poses_in_flight
 
     if every is not None:
         return poses_in_flight(world, every_m=every, seed=seed)
@@ -226,7 +226,7 @@ def _write_scan(
 
     from lidarsim.pose import rotate
     from scenegen.display.points import write_points
-    from scenegen.draw import scan_world
+    from scenegen.worlds.scans import scan_world
 
     seen = scan_world(world, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])

@@ -12,7 +12,7 @@ from typing import Any
 import rich_click as click
 
 from scenegen.errors import escaped, printable
-from scenegen.run.stopping import undone_if_stopped
+from scenegen.run import undone_if_stopped
 
 ENDLESS = 1 << 30
 """Columns of what is no terminal."""

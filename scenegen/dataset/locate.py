@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from scenegen.dataset import manifest, trust
+from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, PlaceError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
@@ -81,6 +82,25 @@ def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Pat
         fetch_all(folder, listed)
     LOCATED[folder] = locate_again, str(place), folder.name
     return folder
+
+
+def load(dataset: str | Path, split: str = "train") -> Split:
+    """The samples of a split, read when asked for, without a copy in memory.
+
+    Args:
+        dataset: A folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``, which is
+            copied once and checked.
+        split: "train", "val" or "test".
+
+    Returns:
+        A sequence of `scenegen.Sample`. It may be handed to any number of processes, forked or
+        spawned, each of which opens the files for itself; its `describe()` gives names, types,
+        shapes, units and meanings of the fields.
+
+    Raises:
+        DatasetError: There is no such dataset or split, or it is incomplete or damaged.
+    """
+    return Dataset(locate(dataset)).split(split)
 
 
 @cache

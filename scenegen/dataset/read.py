@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Sensor
+from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import open_archive
@@ -320,6 +320,11 @@ class _Stored(LazySample):
         """See `LazySample.find`. Raises DatasetError."""
         stored = name in self._split.dataset.manifest.fields
         return self._split._value(self._number, self._row, name) if stored else self._derived(name)
+
+    @property
+    def grid(self) -> GridSpec:
+        """Its map's."""
+        return self._split.dataset.grid
 
     def _sensor(self) -> Sensor:
         return self._split.dataset.lidar

@@ -81,6 +81,11 @@ class _Drawn(LazySample):
         """See `Sample.names`."""
         return fields_of(2 if "earlier_ranges" in self._record.dtype.names else 1, labels=False)
 
+    @property
+    def grid(self) -> GridSpec:
+        """Its map's."""
+        return self._grid
+
     def _sensor(self) -> Sensor:
         return self._lidar
 

@@ -260,17 +260,35 @@ class Reader(Iterator[Sample]):
         self._place.load(state)
 
 
-def stream_of(
+def stream(
     worlds: Any,
     *,
-    seed: int,
-    split: str,
-    samples: int,
-    workers: int,
-    cache: Path | str | None,
-    engine: str,
+    seed: int = 0,
+    split: str = "train",
+    samples: int = 10**9,
+    workers: int = 0,
+    cache: str | Path | None = None,
+    engine: str = "mujoco",
 ) -> Stream:
-    """See `scenegen.stream`."""
+    """Samples by number, drawn when asked for: the first n are those that `scenegen.generate`
+    gives with this seed and split. No torch is needed.
+
+    Args:
+        worlds: A kind's name, a recipe or its TOML file, an MJCF file or a folder of them; or
+            several, as a list, or as a mapping to weights. Samples come in proportion to the
+            weights, by a fixed rule (docs/stream.md).
+        seed: The same seed gives the same samples.
+        split: "train", "val" or "test". No world of one split is in another, because each draw is
+            seeded with its split.
+        samples: The stream's `len`.
+        workers: Processes that draw ahead of need; 0 draws in the process that asks.
+        cache: A folder that keeps what was drawn.
+        engine: Name of the engine that casts the rays.
+
+    Raises:
+        RecipeError, SceneError, DatasetError: What is asked for cannot be. Asking for a sample
+            raises GenerationError, IndexError and TypeError, too.
+    """
     seed = _whole("seed", seed, 0, MOST_SEED)
     parts = parts_of(worlds)
     components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]

@@ -46,10 +46,11 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.b
 
 
 @kernel
-def _span(low, high, origin, voxel_m, count):
+def span(low, high, origin, voxel_m, count):
     """First and one past the last voxel along an axis whose closed extent touches [low, high]."""
-    first = math.ceil(max((low - SLACK_M - origin) / voxel_m - 1.0, 0.0))
-    last = math.floor(min((high + SLACK_M - origin) / voxel_m, count - 1.0))
+    cells = float(count)
+    first = math.ceil(min(max((low - SLACK_M - origin) / voxel_m - 1.0, 0.0), cells))
+    last = math.floor(max(min((high + SLACK_M - origin) / voxel_m, cells - 1.0), -1.0))
     return int(first), int(last) + 1
 
 
@@ -59,9 +60,9 @@ def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxe
     half = 0.5 * voxel_m
     nx, ny, nz = occupancy.shape
     for n in range(len(shape)):
-        i0, i1 = _span(lower[n, 0], upper[n, 0], origin[0], voxel_m, nx)
-        j0, j1 = _span(lower[n, 1], upper[n, 1], origin[1], voxel_m, ny)
-        k0, k1 = _span(lower[n, 2], upper[n, 2], origin[2], voxel_m, nz)
+        i0, i1 = span(lower[n, 0], upper[n, 0], origin[0], voxel_m, nx)
+        j0, j1 = span(lower[n, 1], upper[n, 1], origin[1], voxel_m, ny)
+        k0, k1 = span(lower[n, 2], upper[n, 2], origin[2], voxel_m, nz)
         if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
         axes = rotation[n]
@@ -73,10 +74,10 @@ def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxe
             for j in range(j0, j1):
                 dy = origin[1] + (j + 0.5) * voxel_m - position[n, 1]
                 if upright:
-                    if _column_touches(shape[n], size[n], axes, dx, dy, half):
+                    if column_touches(shape[n], size[n], axes, dx, dy, half):
                         occupancy[i, j, k0:k1] = True
                 else:
-                    _fill_column(
+                    fill_column(
                         shape[n],
                         size[n],
                         axes,
@@ -84,7 +85,9 @@ def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxe
                         dy,
                         origin[2] + (k0 + 0.5) * voxel_m - position[n, 2],
                         voxel_m,
-                        occupancy[i, j, k0:k1],
+                        occupancy[i, j],
+                        k0,
+                        k1,
                     )
 
 
@@ -108,9 +111,9 @@ def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m,
             whole,
         )
         axes = rotation[n]
-        i0, i1 = _span(lower[n, 0], upper[n, 0], origin[0], voxel_m, nx)
-        j0, j1 = _span(lower[n, 1], upper[n, 1], origin[1], voxel_m, ny)
-        k0, k1 = _span(lower[n, 2], upper[n, 2], origin[2], voxel_m, nz)
+        i0, i1 = span(lower[n, 0], upper[n, 0], origin[0], voxel_m, nx)
+        j0, j1 = span(lower[n, 1], upper[n, 1], origin[1], voxel_m, ny)
+        k0, k1 = span(lower[n, 2], upper[n, 2], origin[2], voxel_m, nz)
         for i in range(i0, i1):
             dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
             for j in range(j0, j1):
@@ -130,12 +133,13 @@ def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m,
 
 
 @kernel
-def _column_touches(shape, size, axes, dx, dy, half):
+def column_touches(shape, size, axes, dx, dy, half):
     """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches
     its section."""
     if shape == CYLINDER:
         u, v = max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0)
-        return u * u + v * v <= (size[0] + SLACK_M) ** 2
+        reach = size[0] + SLACK_M
+        return u * u + v * v <= reach * reach
     c, s = abs(axes[0, 0]), abs(axes[1, 0])
     if (
         abs(dx) > c * size[0] + s * size[1] + half + SLACK_M
@@ -149,8 +153,9 @@ def _column_touches(shape, size, axes, dx, dy, half):
 
 
 @kernel
-def _fill_column(shape, size, axes, dx, dy, dz, voxel_m, column):
-    """Mark the voxels of one column, whose first centre lies at (dx, dy, dz) from the shape's.
+def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
+    """Mark the voxels from `first` to `end` of one column; the centre of the first of them lies at
+    (dx, dy, dz) from the shape's.
 
     A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the
     distance of its centre settles all but the cubes right at the surface; and since that distance
@@ -162,15 +167,15 @@ def _fill_column(shape, size, axes, dx, dy, dz, voxel_m, column):
     y = axes[0, 1] * dx + axes[1, 1] * dy
     z = axes[0, 2] * dx + axes[1, 2] * dy
     k = 0
-    while k < len(column):
-        h = dz + k * voxel_m
+    while first + k < end:
+        h = dz + float(k) * voxel_m
         px, py, pz = x + axes[2, 0] * h, y + axes[2, 1] * h, z + axes[2, 2] * h
         gap = distance(shape, size, px, py, pz)
         if gap > outer:
-            k += max(int((gap - outer) / voxel_m), 1)
+            k += max(int(min((gap - outer) / voxel_m, float(end))), 1)
             continue
         if gap <= half or touches(shape, size, axes, px, py, pz, half, SLACK_M):
-            column[k] = True
+            column[first + k] = True
         k += 1
 
 
@@ -181,9 +186,9 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
     nx, ny, nz = occupancy.shape
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        i0, i1 = _span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), origin[0], voxel_m, nx)
-        j0, j1 = _span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), origin[1], voxel_m, ny)
-        k0, k1 = _span(min(a[2], b[2], c[2]), max(a[2], b[2], c[2]), origin[2], voxel_m, nz)
+        i0, i1 = span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), origin[0], voxel_m, nx)
+        j0, j1 = span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), origin[1], voxel_m, ny)
+        k0, k1 = span(min(a[2], b[2], c[2]), max(a[2], b[2], c[2]), origin[2], voxel_m, nz)
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):

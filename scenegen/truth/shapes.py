@@ -61,12 +61,13 @@ def _ellipsoid_distance(size, x, y, z):
 @kernel
 def touches(shape, size, axes, x, y, z, half, slack):
     """Whether the closed cube about (x, y, z) comes within `slack` metres of the filled shape."""
+    reach = size[0] + slack
     if shape == SPHERE:
-        return _point_to_cube2(axes, x, y, z, half) <= (size[0] + slack) ** 2
+        return _point_to_cube2(axes, x, y, z, half) <= reach * reach
     if shape == CAPSULE:
-        return _segment_to_cube2(axes, x, y, z, size[1], half) <= (size[0] + slack) ** 2
+        return _segment_to_cube2(axes, x, y, z, size[1], half) <= reach * reach
     if shape == CYLINDER:
-        return _cylinder_touches(size[0] + slack, size[1] + slack, axes, x, y, z, half)
+        return _cylinder_touches(reach, size[1] + slack, axes, x, y, z, half)
     if shape == BOX:
         return _box_touches(size, axes, x, y, z, half, slack)
     if shape == ELLIPSOID:
@@ -228,7 +229,7 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
         )
     m[3, 0], m[3, 1], m[3, 2] = x * a, y * b, z * c
     least = math.inf
-    nx = ny = nz = 0.0
+    nx, ny, nz = 0.0, 0.0, 0.0
     for i in range(3):  # every edge along half edge i, and the faces that the other two span
         j, k = (i + 1) % 3, (i + 2) % 3
         ii = m[i, 0] * m[i, 0] + m[i, 1] * m[i, 1] + m[i, 2] * m[i, 2]
@@ -264,7 +265,8 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
     if least <= 1.0:
         return True
     f = math.sqrt(least)
-    return (f - 1.0) * f <= slack * math.sqrt((nx * a) ** 2 + (ny * b) ** 2 + (nz * c) ** 2)
+    u, v, w = nx * a, ny * b, nz * c
+    return (f - 1.0) * f <= slack * math.sqrt(u * u + v * v + w * w)
 
 
 @kernel

@@ -89,10 +89,12 @@ def _side(a, b, x, y):
     The two triangles at an edge must agree, so the ends are put in order first, and a point right
     on the line counts as moved by (e, e^2) with an infinitely small e > 0.
     """
-    swap = a[0] > b[0] or (a[0] == b[0] and a[1] > b[1])
-    p, q = (b, a) if swap else (a, b)
-    dx, dy = q[0] - p[0], q[1] - p[1]
-    area = dx * (y - p[1]) - dy * (x - p[0])
+    px, py, qx, qy = a[0], a[1], b[0], b[1]
+    swap = px > qx or (px == qx and py > qy)
+    if swap:
+        px, py, qx, qy = qx, qy, px, py
+    dx, dy = qx - px, qy - py
+    area = dx * (y - py) - dy * (x - px)
     if area == 0.0:
         area = -dy if dy != 0.0 else dx
     left = area > 0.0

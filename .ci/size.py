@@ -1,0 +1,68 @@
+"""The size of the code, and the ceilings under which it stays.
+
+    python .ci/size.py
+
+A token is one of Python's, without comments and docstrings. A commit may raise a ceiling; its
+message says why.
+"""
+
+import ast
+import io
+import subprocess
+import sys
+import tokenize
+from pathlib import Path
+
+PRODUCT = ("lidarsim", "scenegen", "model")
+TOKENS = {"product": 264_000, "benchmarks": 25_000, "tests": 295_000}
+FILES = 280
+LINES = 460
+"""The longest file of product code."""
+WIDTH = 100
+UNCOUNTED = {
+    *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
+    *(tokenize.ENDMARKER, tokenize.ENCODING),
+}
+
+
+def tokens(text: str) -> int:
+    """How many tokens a module has, docstrings aside."""
+    said: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        match node:
+            case ast.Expr(value=ast.Constant(value=str())):
+                said.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    found = tokenize.generate_tokens(io.StringIO(text).readline)
+    return sum(one.type not in UNCOUNTED and one.start[0] not in said for one in found)
+
+
+def texts(folder: str) -> dict[str, str]:
+    """The text of every Python file of a folder that git knows, links aside."""
+    names = subprocess.check_output(["git", "ls-files", f"{folder}/*.py"], text=True).split()
+    return {name: Path(name).read_text() for name in names if not Path(name).is_symlink()}
+
+
+def main() -> None:
+    """Print the sizes; exit with 1 where one is above its ceiling."""
+    product = {name: text for folder in PRODUCT for name, text in texts(folder).items()}
+    groups = {"product": product, "benchmarks": texts("benchmarks"), "tests": texts("tests")}
+    broken = []
+    for name, files in groups.items():
+        total = sum(map(tokens, files.values()))
+        print(f"{name}: {total} tokens (at most {TOKENS[name]}) in {len(files)} files")
+        if total > TOKENS[name]:
+            broken.append(f"{name} has {total} tokens, expected {TOKENS[name]} at most")
+    if len(product) > FILES:
+        broken.append(f"{len(product)} files of product code, expected {FILES} at most")
+    for name, text in product.items():
+        if (count := text.count("\n")) > LINES:
+            broken.append(f"{name}: {count} lines, expected {LINES} at most")
+    for name, text in {key: one for files in groups.values() for key, one in files.items()}.items():
+        for number, line in enumerate(text.splitlines(), start=1):
+            if len(line) > WIDTH:
+                print(f"{name}:{number}: {len(line)} characters, expected {WIDTH} at most")
+    sys.exit("\n".join(broken) or 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""Training and the bench in one call each: `scenegen.train` and `scenegen.bench`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from scenegen.dataset.locate import locate
+from scenegen.dataset.read import Dataset
+from scenegen.errors import DatasetError
+from scenegen.model.completion.completer import Completer
+from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.evaluation.methods import Completed, Method
+from scenegen.model.evaluation.report import build_report
+from scenegen.model.evaluation.run import bench as measure
+from scenegen.model.training.data import Samples, opened
+from scenegen.model.training.loop import Watcher
+from scenegen.model.training.loop import train as run
+from scenegen.run.workers import cores
+
+
+def train(
+    training: Any,
+    validation: Any = None,
+    *,
+    out: str | Path | None = None,
+    loss: str = "coupled",
+    weights: str | Path | None = None,
+    device: str = "auto",
+    workers: int = 0,
+    watcher: Watcher | None = None,
+    **settings: Any,
+) -> Completer:
+    """Train a completion network, or go on with a run, as `scenegen train` does.
+
+    Args:
+        training: What is trained on: a dataset, several in a list, or a mapping of datasets to
+            weights, in proportion to which their samples come. In a list, a stream, or any object
+            with the attributes of `scenegen.model.training.data.Samples`, can stand for a dataset.
+        validation: What validates, in the same forms; by default the val splits of `training`,
+            which must then be datasets.
+        out: The run's folder; runs/<variant> by default.
+        loss: The objective, or one of your own as "module:Object".
+        weights: A network whose weights are the first ones; random by default.
+        device: "cpu", "cuda", or "auto".
+        workers: Processes that read samples.
+        watcher: Who is told how the run goes, and may end it.
+        settings: Fields of `NetworkConfig` (`variant`, `inputs`, `width`, …), of `LossConfig`
+            (`occupancy`, `eikonal`, …) and of `TrainConfig` (`epochs`, `maps`, `batch`, `lr`, …).
+
+    Returns:
+        The network that the run keeps.
+
+    Raises:
+        ValueError: A setting is out of its bounds.
+        TypeError: There is no such setting.
+        DatasetError, TrainingError: Samples that do not go together, or a run that cannot go on.
+    """
+    network, objective = _taken(NetworkConfig, settings), _taken(LossConfig, settings)
+    config = TrainConfig(
+        network=NetworkConfig(**network), loss=LossConfig(objective=loss, **objective), **settings
+    )
+    folder = Path("runs", config.network.variant.rpartition(":")[2]) if out is None else Path(out)
+    checking = _samples(training if validation is None else validation, "val")
+    run(
+        _samples(training, "train"),
+        checking,
+        config,
+        folder,
+        device=device,
+        workers=workers,
+        weights=weights,
+        watcher=watcher,
+        command="scenegen.train",
+    )
+    own = ",".join(name for name in (config.network.variant, *config.network.inputs) if ":" in name)
+    return Completer.from_pretrained(f"{own}@{folder}" if own else folder)
+
+
+def bench(
+    datasets: Any, methods: Sequence[Any] = (), *, workers: int | None = None, **settings: Any
+) -> dict[str, Any]:
+    """Measure how well methods complete the maps of datasets, and how well paths are planned on
+    what they predict, as `scenegen bench` does.
+
+    Args:
+        datasets: A dataset's folder or name, or several of different kinds in a list.
+        methods: Completers: networks, or objects with a `name` and a method `complete(observed,
+            free, *, grid)` that gives a `scenegen.Prediction`. They travel to worker processes.
+        workers: Processes of this machine; all cores by default.
+        settings: Fields of `BenchConfig`: `split`, `samples`, `trials`, `seed`, `study`.
+
+    Returns:
+        The report, as report.json holds it: ``report["reconstruction"][kind][method]["iou"]``,
+        ``report["planning"][kind][method]["success"]``, each with its `mean`, its interval and the
+        number `n` of values.
+
+    Raises:
+        DatasetError: A dataset is none, or its split is empty.
+        PredictionError: What stands for a method is none, or predicts what cannot be.
+    """
+    named = datasets if isinstance(datasets, list | tuple) else [datasets]
+    config = BenchConfig(**settings)
+    rows: list[Method] = [
+        method if hasattr(method, "completion") else Completed(method) for method in methods
+    ]
+    results = [
+        measure(Dataset(locate(name)), rows, config, workers=workers or cores()) for name in named
+    ]
+    return build_report(results, seed=config.seed, about={"split": config.split})
+
+
+def _taken(config: type, settings: dict[str, Any]) -> dict[str, Any]:
+    """The fields of `config` among `settings`, which lose them."""
+    names = [item.name for item in fields(config) if item.name in settings]
+    return {name: settings.pop(name) for name in names}
+
+
+def _samples(given: Any, split: str) -> list[Samples]:
+    """The samples of one split of all that is `given`."""
+    if isinstance(given, Mapping):
+        return opened({locate(name): weight for name, weight in given.items()}, split)
+    found: list[Samples] = []
+    for one in given if isinstance(given, list | tuple) else [given]:
+        if isinstance(one, str | Path):
+            found += opened([locate(one)], split)
+        elif split == "val" and one.split == "train":
+            raise DatasetError("what is trained on has no val split of its own; give validation")
+        else:
+            found.append(one)
+    return found

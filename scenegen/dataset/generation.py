@@ -1,0 +1,130 @@
+"""Datasets from what a user asks for: a kind of worlds, a recipe or MJCF files, and how many
+samples."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from lidarsim import Sensor
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.locate import locate
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.state import Plan
+from scenegen.errors import RecipeError
+from scenegen.lidar import named_lidar
+from scenegen.recipe import preset, read_recipe
+from scenegen.source import DrawnWorlds, Source, read_scenes
+from scenegen.stores import folder_of, is_remote
+from scenegen.worlds.labels import By, labels_by
+
+
+def generate(
+    kind: str | None = None,
+    n: int = 2500,
+    *,
+    out: str | Path | None = None,
+    workers: int = 1,
+    force: bool = False,
+    **options: Any,
+) -> Dataset:
+    """Make a dataset, or go on with one, as `scenegen generate` does.
+
+    Args:
+        kind: Name of a kind of random worlds, or a kind of your own as "module:Class".
+        n: Training samples.
+        out: Folder of the dataset; data/<kind> by default.
+        workers: Processes of this machine that write shards.
+        force: Replace another dataset in the folder.
+        options: Those of `plan_generation`: `val`, `test`, `scene`, `recipe`, `lidar`, `noise`,
+            `mapping`, `labels`, `seed`, `engine`, `compact`, `shard_samples`, `allow_unseen`.
+
+    Returns:
+        The dataset, opened.
+
+    Raises:
+        RecipeError, SceneError: What is asked for cannot be.
+        DatasetError: The folder holds something else, or the disk refuses.
+        GenerationError: No acceptable world comes out of the recipe's draws.
+    """
+    plan = plan_generation(kind, n, out=out, **options)
+    build(plan, workers=workers, force=force)
+    return Dataset(locate(str(plan.folder)))
+
+
+def plan_generation(
+    kind: str | None = None,
+    n: int = 2500,
+    *,
+    val: int | None = None,
+    test: int | None = None,
+    out: str | Path | None = None,
+    scene: str | Path | None = None,
+    recipe: str | Path | None = None,
+    lidar: str | Sensor | None = None,
+    noise: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
+    labels: By | None = None,
+    seed: int = 0,
+    allow_unseen: bool = False,
+    tell: Callable[[str], None] = lambda line: None,
+    **more: Any,
+) -> Plan:
+    """The shards of the dataset that is asked for; nothing is written yet.
+
+    Args:
+        kind: Name of a kind of random worlds, or "module:Class".
+        n: Training samples.
+        val: Validation samples; by default a tenth of `n`, and none for a single scene.
+        test: Test samples; by default a fifth of `n`, and none for a single scene.
+        out: Folder of the dataset; by default data/<kind>, or data/<the scene's name>.
+        scene: An MJCF file, or a folder of them, in place of random worlds.
+        recipe: A TOML file of what differs from the kind's preset.
+        lidar: The sensor, or its name; the recipe's by default.
+        noise: Stages of noise, such as "range:0.02,dropout:0.05".
+        mapping: Parameters of how maps are made.
+        labels: What decides the classes of geoms: "name", "material" or "group".
+        seed: The same seed gives the same dataset.
+        allow_unseen: Whether scenes may have geoms that rays cannot see.
+        tell: Called with a sentence for whatever of the scenes is left out.
+        more: `engine`, `compact` and `shard_samples`; see `plan_dataset`.
+
+    Raises:
+        RecipeError, SceneError, DatasetError: What is asked for cannot be.
+    """
+    if kind is None and scene is None and recipe is None:
+        raise RecipeError("no worlds are named; give a kind, such as pillar, a scene or a recipe")
+    if kind is not None and scene is not None:
+        raise RecipeError("a kind draws worlds and a scene has them; give one of the two")
+    named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
+    sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
+    if recipe is not None:
+        asked = read_recipe(Path(recipe), named, lidar=sensor, noise=noise, mapping=mapping)
+    else:
+        assert named is not None
+        asked = preset(named, lidar=sensor, noise=noise, mapping=mapping)
+    alone = path is not None and not path.is_dir()
+    counts = {
+        "train": n,
+        "val": val if val is not None else 0 if alone else max(n // 10, 1),
+        "test": test if test is not None else 0 if alone else max(n // 5, 1),
+    }
+    source: Source
+    if path is not None:
+        source = read_scenes(
+            path, counts, seed=seed, allow_unseen=allow_unseen, materials=labels == "material"
+        )
+        for line in source.notes:
+            tell(line)
+    elif asked.world is None:
+        raise RecipeError(f'{recipe}: kind "scene" needs the worlds, too: give a scene')
+    else:
+        source = DrawnWorlds(asked)
+    if labels is not None:
+        asked = dataclasses.replace(asked, labels=labels_by(labels, source.class_names(labels)))
+    # data/Towers for my_worlds:Towers
+    name = path.stem if path is not None else asked.kind.rpartition(":")[2]
+    folder = (
+        Path("data", name) if out is None else folder_of(str(out)) if is_remote(out) else Path(out)
+    )
+    return plan_dataset(folder, asked, source, seed=seed, counts=counts, **more)

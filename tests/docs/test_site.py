@@ -1,0 +1,45 @@
+"""The site of the docs is built without a warning, and its reference holds what people import."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import lidarsim
+import scenegen
+
+pytest.importorskip("mkdocs")
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder],
+        cwd=ROOT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stderr
+    return folder
+
+
+@pytest.mark.parametrize("package", [lidarsim, scenegen])
+def test_the_reference_has_every_public_name(site: Path, package: object) -> None:
+    name = package.__name__
+    page = (site / "api" / name / "index.html").read_text()
+    public = package.__all__
+    missing = [
+        one for one in public if not one.startswith("_") and f'id="{name}.{one}"' not in page
+    ]
+    assert missing == []
+
+
+def test_the_record_of_work_is_not_on_the_site(site: Path) -> None:
+    assert (site / "glossary" / "index.html").exists()
+    assert not (site / "log").exists()

@@ -1,0 +1,72 @@
+"""What `scenegen` offers goes together: from a dataset that is made to one that is checked, shown
+and measured."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scenegen
+from scenegen.errors import DatasetError, RecipeError
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> scenegen.Dataset:
+    folder = tmp_path_factory.mktemp("api") / "d"
+    return scenegen.generate("pillar", n=2, val=0, test=2, out=folder, seed=3)
+
+
+def test_a_dataset_is_made_loaded_and_checked(dataset: scenegen.Dataset) -> None:
+    samples = scenegen.load(dataset.folder, "test")
+    assert isinstance(samples[0], scenegen.Sample)
+    drawn = scenegen.stream("pillar", seed=3, split="test")[0]
+    assert drawn.sha256() == samples[0].sha256()
+    assert scenegen.verify(dataset.folder, quick=True).ok
+
+
+def test_samples_are_shown(dataset: scenegen.Dataset, tmp_path: Path) -> None:
+    sample = dataset.split("train")[0]
+    guess = scenegen.Prediction(occupancy_probability=sample.observed.astype(np.float32))
+    page = scenegen.show(sample, {"<mine>": guess}, out=tmp_path / "page.html")
+    assert "\\u003cmine>" in page.read_text(encoding="utf-8")
+    assert sample.sha256() == scenegen.stream("pillar", seed=3)[0].sha256()
+    with pytest.raises(DatasetError, match="grid"):
+        scenegen.show(scenegen.Sample(**{name: getattr(sample, name) for name in sample.names}))
+
+
+def test_methods_are_measured(dataset: scenegen.Dataset) -> None:
+    class Mine:
+        name = "mine"
+
+        def complete(self, observed: object, free: object, *, grid: object) -> scenegen.Prediction:
+            return scenegen.Prediction(occupancy_probability=np.float32(observed))
+
+    report = scenegen.bench(dataset.folder, [Mine()], workers=1, trials=4)
+    assert 0 < report["reconstruction"]["pillar"]["mine"]["iou"]["mean"] < 1
+
+
+def test_what_names_no_worlds_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecipeError, match="give a kind"):
+        scenegen.generate(n=1, out=tmp_path)
+    with pytest.raises(RecipeError, match="give one"):
+        scenegen.generate("pillar", n=1, out=tmp_path, scene=ROOT / "scenes")
+
+
+def test_a_checkout_without_links_works(tmp_path: Path) -> None:
+    """A zip, and a checkout on Windows, has a text file in the link's place."""
+    for part in ("lidarsim", "scenegen", "model"):
+        left = shutil.ignore_patterns("__pycache__", "*.safetensors", "three")
+        shutil.copytree(ROOT / part, tmp_path / part, symlinks=True, ignore=left)
+    link = tmp_path / "scenegen" / "model"
+    assert link.is_symlink()
+    link.unlink()
+    link.write_text("../model")
+    code = "import scenegen.model.config as it, scenegen; print(it.__file__, scenegen.Prediction)"
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(str(tmp_path / "model" / "config.py"))
