@@ -84,7 +84,7 @@ BAD_RECIPES = {
     ),
     "too dense": (
         "[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2",
-        "lower world.density = (4.0, 4.0)",
+        "lower world.density",
     ),
 }
 
