@@ -14,19 +14,18 @@ except ModuleNotFoundError:
         "lidarsim.gpu needs NVIDIA Warp; in scenegen's checkout: pip install -e '.[gpu]'"
     ) from None
 
-__all__ = ["EXACT", "on_device", "placed", "ready", "wp"]
+__all__ = ["EXACT", "on_device", "ready", "wp"]
 
-EXACT = {"enable_backward": False, "fuse_fp": False}
-"""Options of a module of kernels: no gradients, and no fused multiplications, which round otherwise
-than the CPU."""
+EXACT = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1}
+"""Options of a module of kernels: no gradients; no fused multiplications, which round otherwise
+than the CPU; and loops left as loops, for what is unrolled takes minutes to compile."""
 
 
 def ready(device: str) -> str:
-    """Warp's name of `device` ("cuda", "cuda:1", …), with Warp started. Raises ValueError where it
-    is not there.
+    """Warp's name of `device` ("cuda", "cuda:1", …), with Warp started.
 
     Kernels are kept beside numba's (`lidarsim.jit`), unless the user's own settings of Warp name
-    another folder.
+    another folder. Raises ValueError where the device is not there.
     """
     if not (
         wp.config.kernel_cache_dir or "WARP_CACHE_PATH" in os.environ or cache_trouble("lidarsim")
@@ -42,25 +41,19 @@ def ready(device: str) -> str:
         ) from None
 
 
-def on_device(values: Any, dtype: Any, device: str) -> Any:
+def on_device(name: str, values: Any, dtype: Any, shape: tuple[int, ...], device: str) -> Any:
     """`values` as an array of Warp's on `device`: Warp's own as they are, anything else by NumPy.
 
     A tensor of torch's is taken without a copy by ``wp.from_torch(tensor, dtype=wp.vec3d)``. Raises
-    ValueError for vectors of other than three numbers.
+    ValueError unless the array has the shape, the type and the device that a kernel relies on.
     """
-    if isinstance(values, wp.array):
-        return values
-    scalar = np.int32 if dtype is wp.int32 else np.float64  # no kernel here takes others
-    given = np.ascontiguousarray(values, dtype=scalar)
-    if dtype is wp.vec3d and given.shape[-1:] != (3,):
-        raise ValueError(f"an array {given.shape}, expected points or vectors (…, 3)")
-    return wp.array(given, dtype=dtype, device=device)
-
-
-def placed(name: str, array: Any, shape: tuple[int, ...], dtype: Any, device: str) -> None:
-    """Raise ValueError unless `array` has the shape, the type and the device that a kernel relies
-    on."""
-    found = tuple(array.shape), array.dtype, array.device.alias
+    if not isinstance(values, wp.array):
+        values = np.ascontiguousarray(values, np.float64 if dtype is wp.vec3d else None)
+        if dtype is wp.vec3d and values.shape != (*shape, 3):
+            raise ValueError(f"{name}: an array {values.shape}, expected {(*shape, 3)}")
+        values = wp.array(values, dtype=dtype, device=device)
+    found = tuple(values.shape), values.dtype, values.device.alias
     have, want = (f"{s} of {t.__name__} on {d}" for s, t, d in (found, (shape, dtype, device)))
     if have != want:
         raise ValueError(f"{name}: an array {have}, expected {want}")
+    return values

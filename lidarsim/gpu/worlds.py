@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.engines.forms import ball_around
 from lidarsim.engines.hierarchy import WIDTH, Hierarchy
-from lidarsim.gpu.device import on_device, ready, wp
+from lidarsim.gpu.device import ready, wp
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import PLANE, Solids
 
@@ -24,16 +24,16 @@ class Packed:
 
     primitive_start: wp.array[wp.int32]
     shape: wp.array[wp.int32]
-    size: wp.array[wp.vec3d]
-    position: wp.array[wp.vec3d]
-    rotation: wp.array[wp.mat33d]
+    size: wp.array2d[wp.float64]
+    position: wp.array2d[wp.float64]
+    rotation: wp.array3d[wp.float64]
     lower: wp.array[wp.vec3d]
     upper: wp.array[wp.vec3d]
     reach2: wp.array[wp.float64]  # squared radius of a ball around the primitive
     mesh_start: wp.array[wp.int32]
     filled: wp.array[wp.int32]
     triangle_start: wp.array[wp.int32]  # by mesh
-    triangles: wp.array2d[wp.vec3d]  # (T, 3)
+    triangles: wp.array3d[wp.float64]
     box_start: wp.array[wp.int32]
     box_lower: wp.array[wp.vec3d]
     box_upper: wp.array[wp.vec3d]
@@ -55,7 +55,8 @@ class Worlds:
         self.count = len(arrays["box_start"]) - 1
         self.packed = Packed()
         for name, variable in Packed.vars.items():  # type: ignore[attr-defined]
-            setattr(self.packed, name, on_device(arrays[name], variable.type.dtype, self.device))
+            array = wp.array(arrays[name], dtype=variable.type.dtype, device=self.device)
+            setattr(self.packed, name, array)
 
     def which(self, worlds: ArrayLike | None, poses: int) -> Any:
         """The world of each of `poses`, (P,) on the device: p for pose p unless `worlds` (P,) are
@@ -74,7 +75,7 @@ class Worlds:
                 f"worlds: {chosen.min()} to {chosen.max()}, expected numbers from 0 to "
                 f"{self.count - 1}"
             )
-        return on_device(chosen, wp.int32, self.device)
+        return wp.array(chosen, dtype=wp.int32, device=self.device)
 
 
 def _pack(worlds: list[dict[str, NDArray]]) -> dict[str, NDArray]:
