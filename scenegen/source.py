@@ -117,6 +117,14 @@ class SceneWorlds:
         return {name for world in worlds for name in class_names(world.model, by)}
 
 
+def read_world(path: str | Path) -> World:
+    """The world of an MJCF file. Raises SceneError for one that cannot serve."""
+    if Path(path).is_dir():
+        raise SceneError(f"{path}: is a folder; expected one MJCF file")
+    source = read_scenes(Path(path), {"train": 1, "val": 0, "test": 0}, seed=0, allow_unseen=True)
+    return source.world("train", 0, rng=np.random.default_rng(0))
+
+
 @functools.lru_cache(maxsize=8)
 def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> World:
     return compile_world(mjcf, dict(assets), name=name)

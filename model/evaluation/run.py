@@ -26,7 +26,7 @@ from scenegen.model.evaluation.study.maps import Study, stack, study_map
 from scenegen.model.evaluation.tuning import spread, tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify, scored_layers
 from scenegen.run import Executor
-from scenegen.run.local import Local
+from scenegen.run.workers import Local
 from scenegen.sample import Sample
 
 CHUNK = 10

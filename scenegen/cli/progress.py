@@ -7,7 +7,7 @@ from contextlib import ExitStack, suppress
 from typing import Any
 
 from scenegen.errors import escaped, printable
-from scenegen.run.stopping import undone_if_stopped
+from scenegen.run import undone_if_stopped
 
 SHOW_CURSOR = b"\x1b[?25h\n"
 """Undoes what a progress bar does to a terminal."""

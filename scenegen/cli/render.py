@@ -109,7 +109,8 @@ def _world(path: Path, seed: int | None) -> Any:
 
     from scenegen.display.panels import plain
     from scenegen.display.pictures import draw_world
-    from scenegen.draw import poses_in_flight, read_world
+    from scenegen.source import read_world
+    from scenegen.worlds.flight import poses_in_flight
 
     world = read_world(path)
     flight = (

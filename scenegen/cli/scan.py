@@ -81,9 +81,11 @@ def scan(
     from lidarsim import Pose
     from lidarsim.pose import rotate
     from scenegen.display.points import check_suffix, write_points
-    from scenegen.draw import pose_in_flight, poses_in_flight, read_world, scan_world
     from scenegen.files import check_ours
     from scenegen.lidar import named_lidar, named_noise
+    from scenegen.source import read_world
+    from scenegen.worlds.flight import pose_in_flight, poses_in_flight
+    from scenegen.worlds.scans import scan_world
 
     try:
         check_suffix(out)

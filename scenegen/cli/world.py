@@ -58,8 +58,8 @@ def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Pa
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
     from scenegen.display.exchange.glb import encode_world
-    from scenegen.draw import read_world
     from scenegen.files import write_result
+    from scenegen.source import read_world
 
     if number is None:
         found = read_world(Path(dataset))

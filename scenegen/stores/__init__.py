@@ -127,7 +127,7 @@ def _opened(name: str, process: int) -> Place:
     scheme, rest = match["scheme"], match["rest"]
     if "@" in rest.partition("/")[0]:
         raise DatasetError(
-            f"{scheme}://…@…: a name holds no credentials; give them as docs/places.md says"
+            f"{scheme}://…@…: a name holds no credentials; give them as docs/stores.md says"
         )
     parts = rest.rstrip("/").split("/")
     if (
