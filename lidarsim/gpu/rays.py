@@ -1,15 +1,21 @@
-"""Rays through many worlds at once: one thread a ray, by the closed forms of the analytic engine."""
+"""Rays through many worlds at once, and the voxels that they meet: one thread a ray.
 
+What a thread does is what the analytic engine and `lidarsim.voxelize` do, by their own functions.
+"""
+
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lidarsim import voxelize as _function  # noqa: F401 (first: `lidarsim.voxelize` stays it)
 from lidarsim.engines import forms, traverse
-from lidarsim.gpu.device import EXACT, on_device, wp
 from lidarsim.gpu.translate import translated
-from lidarsim.gpu.worlds import Packed, Worlds
+from lidarsim.gpu.worlds import EXACT, Packed, Worlds, on_device, wp
+from lidarsim.grid import GridSpec
 from lidarsim.solids.shapes import PLANE
+from lidarsim.voxelize import cell_at, clear
 
 wp.set_module_options(EXACT)
 INF = wp.constant(wp.float64(np.inf))
@@ -23,6 +29,8 @@ meet_solid = translated(traverse.meet_solid)
 meet_plane = translated(forms.meet_plane)
 upright = translated(forms.upright)
 meet_triangle = translated(forms.meet_triangle)
+clear_voxels = translated(clear)
+voxel_at = translated(cell_at)
 
 
 def cast(
@@ -35,13 +43,18 @@ def cast(
 ) -> Any:
     """Cast rays from poses in worlds of their own.
 
-    Pose p stands at `origins` (P, 3) in world `which` (P,), which is world p unless said otherwise,
-    and looks along the unit vectors `directions` (P, R, 3): NumPy's arrays, or Warp's of ``vec3d``,
-    (P,) and (P, R). A ray that is no unit vector, or whose origin is not finite, meets nothing.
+    A ray that is no unit vector, or whose origin is not finite, meets nothing.
+
+    Args:
+        worlds: the worlds, on a device.
+        origins: (P, 3), where the poses stand: NumPy's array, or Warp's (P,) of ``vec3d``.
+        directions: (P, R, 3), unit vectors in the world: NumPy's array, or Warp's (P, R).
+        max_range_m: beyond, nothing is met.
+        which: (P,), the world of each pose; pose p stands in world p unless it is given.
 
     Returns:
         Metres along the rays to the first surface, a Warp array (P, R) of float64 on the worlds'
-        device; ``inf`` where nothing is met within `max_range_m`.
+        device; ``inf`` where nothing is met.
 
     Raises:
         ValueError: for arrays of other shapes.
@@ -66,7 +79,8 @@ def _cast(
 ) -> None:
     p, n = wp.tid()
     o, d = origins[p], wp.vec3d(directions[p, n])
-    best, met = wp.float64(max_range_m), wp.bool(False)
+    best = wp.float64(max_range_m)
+    met = wp.bool(False)
     box = wp.int32(packed.box_start[which[p]])
     end = wp.int32(packed.box_start[which[p] + 1])
     length2 = wp.dot(d, d)
@@ -85,12 +99,7 @@ def _cast(
             box = packed.beyond[box]
             continue
         for q in range(packed.first[box], packed.last[box]):
-            g = packed.item[q]
-            t = wp.float64(INF)
-            if g < 0:
-                t = meet_triangle(packed.triangles, -1 - g, frame)
-            else:
-                t = _meet_primitive(packed, g, o, d)
+            t = _meet_item(packed, packed.item[q], o, d, frame)
             if t <= best and t < INF:
                 best = t
                 met = True
@@ -99,8 +108,10 @@ def _cast(
 
 
 @wp.func
-def _meet_primitive(packed: Packed, g: wp.int32, o: wp.vec3d, d: wp.vec3d) -> wp.float64:
-    """Distance to a primitive of the world."""
+def _meet_item(packed: Packed, g: wp.int32, o: wp.vec3d, d: wp.vec3d, frame: Any) -> wp.float64:
+    """Distance to a primitive of the world, or to a triangle."""
+    if g < 0:
+        return meet_triangle(packed.triangles, -1 - g, frame)
     if packed.shape[g] == PLANE:
         place, turn = packed.position[g], packed.rotation[g]
         return meet_plane(packed.size[g], place, turn, o[0], o[1], o[2], d[0], d[1], d[2])
@@ -110,3 +121,84 @@ def _meet_primitive(packed: Packed, g: wp.int32, o: wp.vec3d, d: wp.vec3d) -> wp
     if passes(packed.reach2[g], x, y, z, d[0], d[1], d[2]):
         return INF
     return meet_solid(g, packed.shape, packed.size, packed.rotation, x, y, z, d[0], d[1], d[2])
+
+
+def voxelize(
+    ranges: Any, origins: Any, directions: Any, max_range_m: float, *, grid: GridSpec, corners: Any
+) -> tuple[Any, Any]:
+    """Sort P scans into grids of their own.
+
+    Args:
+        ranges: (P, R) of `cast`, rounded here to float32 as in a `Scan`.
+        origins: (P, 3), as for `cast`.
+        directions: (P, R, 3), as for `cast`.
+        max_range_m: how far a ray without a return clears voxels.
+        grid: voxels and their size.
+        corners: (P, 3), the least corners of the grids in the world, metres:
+            ``grid.origin_at(origins)`` centres them.
+
+    Returns:
+        Observed and free voxels, two Warp arrays (P, *grid.shape) of bool on the device of
+        `ranges`. A voxel is free where it is not observed and a ray meets it with positive length.
+
+    Raises:
+        ValueError: for arrays of other shapes.
+    """
+    device, (poses, count) = ranges.device.alias, ranges.shape
+    scans = [
+        on_device("ranges", ranges, wp.float64, (poses, count), device),
+        on_device("origins", origins, wp.vec3d, (poses,), device),
+        on_device("directions", directions, wp.vec3d, (poses, count), device),
+        on_device("corners", corners, wp.vec3d, (poses,), device),
+        wp.vec3i(*grid.shape),
+        grid.voxel_m,
+    ]
+    shape = (poses, *grid.shape)
+    observed, free = (wp.zeros(shape, dtype=wp.bool, device=device) for _ in range(2))
+    # a grid's voxels one after the other, as the walk numbers them
+    rows = [grids.reshape((poses, math.prod(grid.shape))) for grids in (observed, free)]
+    inputs = [*scans, float(max_range_m), rows[1]]
+    wp.launch(_clear, dim=ranges.shape, inputs=inputs, device=device)
+    wp.launch(_mark, dim=ranges.shape, inputs=[*scans, *rows], device=device)
+    return observed, free
+
+
+@wp.kernel
+def _clear(
+    ranges: wp.array2d[wp.float64],
+    origins: wp.array[wp.vec3d],
+    directions: wp.array2d[wp.vec3d],
+    corners: wp.array[wp.vec3d],
+    shape: wp.vec3i,
+    voxel_m: wp.float64,
+    max_range_m: wp.float64,
+    free: wp.array2d[wp.bool],
+) -> None:
+    """The voxels on every ray's way."""
+    p, n = wp.tid()
+    reach = wp.float64(wp.float32(ranges[p, n]))
+    end = reach if reach < INF else max_range_m
+    o, d, corner = origins[p], directions[p, n], corners[p]
+    clear_voxels(o, d, end, corner, voxel_m, shape[0], shape[1], shape[2], free[p])
+
+
+@wp.kernel
+def _mark(
+    ranges: wp.array2d[wp.float64],
+    origins: wp.array[wp.vec3d],
+    directions: wp.array2d[wp.vec3d],
+    corners: wp.array[wp.vec3d],
+    shape: wp.vec3i,
+    voxel_m: wp.float64,
+    observed: wp.array2d[wp.bool],
+    free: wp.array2d[wp.bool],
+) -> None:
+    """The voxels that hold returns."""
+    p, n = wp.tid()
+    reach = wp.float64(wp.float32(ranges[p, n]))
+    if reach < INF:
+        o, d, corner = origins[p], directions[p, n], corners[p]
+        cell = voxel_at(o, d, reach, corner, voxel_m, shape[0], shape[1], shape[2])
+        if cell >= 0:
+            observed[p, cell] = True
+            free[p, cell] = False

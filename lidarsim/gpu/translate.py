@@ -1,10 +1,9 @@
-"""The processor's kernels as functions of Warp, from one source: what a GPU computes is written
-once.
+"""The processor's kernels as functions of Warp: what a thread of a GPU computes is written once.
 
 A kernel of `lidarsim.jit` that computes with numbers and with elements of arrays is Python that
-Warp reads too, but for a few words: `translated` puts Warp's in their place. The order of every
-sum stays, so the bits do. A kernel that makes lists, slices or views, or that adds whole numbers to
-floats, is refused by Warp when it compiles.
+Warp reads too, but for a few words, and `translated` puts Warp's in their place. Every sum keeps
+its order, so results keep their bits. What it does not know (a slice, a list, a whole number added
+to a float), Warp refuses when it compiles the kernel.
 """
 
 import ast
@@ -14,40 +13,36 @@ import math
 from functools import cache, reduce
 from typing import Any
 
-from lidarsim.gpu.device import wp
+from lidarsim.gpu.worlds import wp
 
 __all__ = ["translated"]
 
 
 @cache
 def translated(kernel: Any) -> Any:
-    """`kernel`, and every kernel that it calls, as a function of Warp for any types of arguments.
-
-    Warp asks for a function's source, which is given to it under a name of its own.
-    """
-    function = kernel.py_func
-    names = inspect.getclosurevars(function).globals
-    dialect = _Dialect({name: v for name, v in names.items() if isinstance(v, float)})
+    """`kernel`, with every kernel that it calls, as a function of Warp for all types of
+    arguments."""
+    function, dialect = kernel.py_func, _Dialect()
     tree = dialect.visit(ast.parse(inspect.getsource(function)))
     source = ast.unparse(ast.fix_missing_locations(tree))
     file = f"<{function.__module__}.{function.__name__} in Warp>"
+    # Warp, too, asks `inspect` for a function's source, which looks here
     linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
-    space = {
-        name: translated(value) if hasattr(value, "py_func") else value
-        for name, value in names.items()
-        if not inspect.ismodule(value)
-    }
-    space |= {"wp": wp, "np": wp, "math": wp, "Any": Any}
-    space |= dialect.floats | {"__name__": function.__module__}
-    exec(compile(source, file, "exec"), space)
-    return wp.func(space[function.__name__])
+    space = {"wp": wp, "np": wp, "math": wp, "Any": Any, "__name__": function.__module__}
+    for name, value in inspect.getclosurevars(function).globals.items():
+        if hasattr(value, "py_func"):
+            space[name] = translated(value)
+        elif not inspect.ismodule(value):
+            space[name] = wp.float64(value) if isinstance(value, float) else value
+    found: dict[str, Any] = {}
+    exec(compile(source, file, "exec"), space | dialect.floats, found)
+    return wp.func(found[function.__name__])
 
 
 class _Dialect(ast.NodeTransformer):
-    """Rewrites one function. Constants are visited under the name that `floats` gives them."""
+    """Rewrites one function; `floats` are the constants in it, by the names that they get."""
 
-    def __init__(self, constants: dict[str, float]):
-        self.constants = constants
+    def __init__(self) -> None:
         self.floats: dict[str, Any] = {}
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
@@ -59,14 +54,11 @@ class _Dialect(ast.NodeTransformer):
     def visit_Constant(self, node: ast.Constant) -> ast.AST:
         return self._float(node.value) if isinstance(node.value, float) else node
 
-    def visit_Name(self, node: ast.Name) -> ast.AST:
-        return self._float(self.constants[node.id]) if node.id in self.constants else node
-
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
         return self._float(math.inf) if node.attr == "inf" else self.generic_visit(node)
 
     def _float(self, value: float) -> ast.Name:
-        """A number of double precision, where Warp would take a literal for one of single."""
+        """A name for a number: Warp takes a literal for one of single precision."""
         name = f"float_{len(self.floats)}"
         self.floats[name] = wp.float64(value)
         return ast.Name(name)
@@ -76,8 +68,7 @@ class _Dialect(ast.NodeTransformer):
         self.generic_visit(node)
         sides = [node.left, *node.comparators]
         pairs = zip(sides, node.ops, sides[1:], strict=False)
-        parts = [ast.Compare(left, [op], [right]) for left, op, right in pairs]
-        return parts[0] if len(parts) == 1 else ast.BoolOp(ast.And(), list[ast.expr](parts))
+        return ast.BoolOp(ast.And(), [ast.Compare(one, [op], [two]) for one, op, two in pairs])
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
         """min and max by pairs; whole numbers from floor and ceil; a matrix for a small array."""

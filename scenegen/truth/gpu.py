@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lidarsim.gpu.device import EXACT, on_device, wp
 from lidarsim.gpu.translate import translated
-from lidarsim.gpu.worlds import Packed, Worlds
+from lidarsim.gpu.worlds import EXACT, Packed, Worlds, on_device, wp
 from lidarsim.grid import GridSpec
 from lidarsim.solids.shapes import BOX, CYLINDER
 from scenegen.truth import occupancy as cpu
@@ -70,12 +69,14 @@ def distance_field(occupancy: Any, grid: GridSpec) -> Any:
     device, shape = occupancy.device.alias, (len(occupancy), *grid.shape)
     on_device("occupancy", occupancy, wp.bool, shape, device)
     cap, table = lookup(grid)
-    along_x, along_y = (wp.empty(shape, dtype=wp.int32, device=device) for _ in range(2))
+    squares, spread = (wp.empty(shape, dtype=wp.int32, device=device) for _ in range(2))
+    wp.launch(_begin, dim=shape, inputs=[occupancy, cap, squares], device=device)
+    for axis in np.eye(3, dtype=int):
+        wp.launch(_spread, dim=shape, inputs=[squares, wp.vec3i(*axis), spread], device=device)
+        squares, spread = spread, squares
+    metres = wp.array(table, dtype=wp.float32, device=device)
     field = wp.empty(shape, dtype=wp.float32, device=device)
-    values = wp.array(table, dtype=wp.float32, device=device)
-    wp.launch(_along_x, dim=shape, inputs=[occupancy, cap, along_x], device=device)
-    wp.launch(_along_y, dim=shape, inputs=[along_x, along_y], device=device)
-    wp.launch(_along_z, dim=shape, inputs=[along_y, values, field], device=device)
+    wp.launch(_look_up, dim=shape, inputs=[squares, metres, field], device=device)
     return field
 
 
@@ -85,18 +86,7 @@ def _centre(origin: wp.float64, i: wp.int32, voxel_m: wp.float64) -> wp.float64:
 
 
 @wp.func
-def _is_beside(
-    low: wp.vec3d, high: wp.vec3d, o: wp.vec3d, i: wp.int32, j: wp.int32, voxel_m: wp.float64
-) -> wp.bool:
-    """Whether the column i, j passes a box by, with a voxel to spare: quicker than `span`, for
-    most."""
-    x, y = o[0] + wp.float64(i) * voxel_m, o[1] + wp.float64(j) * voxel_m
-    two = voxel_m + voxel_m
-    return x > high[0] + voxel_m or x < low[0] - two or y > high[1] + voxel_m or y < low[1] - two
-
-
-@wp.func
-def _spanned(
+def _touched(
     low: wp.vec3d,
     high: wp.vec3d,
     o: wp.vec3d,
@@ -105,11 +95,16 @@ def _spanned(
     voxel_m: wp.float64,
     shape: wp.vec3i,
 ) -> wp.vec2i:
-    """First and one past the last voxel of column i, j that touches a box."""
+    """First and one past the last voxel of the column i, j that touches a box; the last is -1 where
+    the column passes the box by."""
+    x, y = o[0] + wp.float64(i) * voxel_m, o[1] + wp.float64(j) * voxel_m
+    far = voxel_m + voxel_m  # a voxel to spare: quicker than `span`, for most
+    if x > high[0] + voxel_m or x < low[0] - far or y > high[1] + voxel_m or y < low[1] - far:
+        return wp.vec2i(0, -1)
     i0, i1 = span(low[0], high[0], o[0], voxel_m, shape[0])
     j0, j1 = span(low[1], high[1], o[1], voxel_m, shape[1])
     if i < i0 or i >= i1 or j < j0 or j >= j1:
-        return wp.vec2i(0, 0)
+        return wp.vec2i(0, -1)
     first, end = span(low[2], high[2], o[2], voxel_m, shape[2])
     return wp.vec2i(first, end)
 
@@ -126,10 +121,7 @@ def _fill_primitives(
     o = corners[p]
     shape = wp.vec3i(occupancy.shape[1], occupancy.shape[2], occupancy.shape[3])
     for n in range(packed.primitive_start[which[p]], packed.primitive_start[which[p] + 1]):
-        low, high = packed.lower[n], packed.upper[n]
-        if _is_beside(low, high, o, i, j, voxel_m):
-            continue
-        ends = _spanned(low, high, o, i, j, voxel_m, shape)
+        ends = _touched(packed.lower[n], packed.upper[n], o, i, j, voxel_m, shape)
         if ends[0] >= ends[1]:
             continue
         kind, size, axes = packed.shape[n], packed.size[n], packed.rotation[n]
@@ -164,14 +156,14 @@ def _fill_meshes(
         for n in range(packed.triangle_start[m], packed.triangle_start[m + 1]):
             a, b, c = _corner(packed, n, 0), _corner(packed, n, 1), _corner(packed, n, 2)
             low, high = wp.min(wp.min(a, b), c), wp.max(wp.max(a, b), c)
-            if _is_beside(low, high, o, i, j, voxel_m):
+            ends = _touched(low, high, o, i, j, voxel_m, shape)
+            if ends[1] < 0:
                 continue
             if packed.filled[m] != 0:
                 sign, height = crossing(a, b, c, x, y)
                 above = wp.ceil((height - o[2]) / voxel_m - HALF)
                 if sign != 0 and above < wp.float64(shape[2]):
                     winding[p, i, j, wp.int32(wp.max(above, ZERO))] += sign
-            ends = _spanned(low, high, o, i, j, voxel_m, shape)
             for k in range(ends[0], ends[1]):
                 if not occupancy[p, i, j, k]:
                     z = _centre(o[2], k, voxel_m)
@@ -192,48 +184,32 @@ def _corner(packed: Packed, n: wp.int32, k: wp.int32) -> wp.vec3d:
 
 
 @wp.kernel
-def _along_x(occupancy: wp.array4d[wp.bool], cap: wp.int32, squares: wp.array4d[wp.int32]) -> None:
-    """Squared steps to the nearest occupied voxel along x, at most `cap` (Saito and Toriwaki
-    1994)."""
+def _begin(occupancy: wp.array4d[wp.bool], cap: wp.int32, squares: wp.array4d[wp.int32]) -> None:
+    """Squared distances before any axis is looked along: 0 where occupied, else the most."""
     p, i, j, k = wp.tid()
-    step, found = wp.int32(0), wp.bool(False)
-    while step * step < cap and not found:
-        if i >= step:
-            found = occupancy[p, i - step, j, k]
-        if i + step < occupancy.shape[1]:
-            found = found or occupancy[p, i + step, j, k]
-        if not found:
-            step += 1
-    squares[p, i, j, k] = wp.min(step * step, cap)
+    squares[p, i, j, k] = 0 if occupancy[p, i, j, k] else cap
 
 
 @wp.kernel
-def _along_y(source: wp.array4d[wp.int32], squares: wp.array4d[wp.int32]) -> None:
-    """The least of a line's squares, each with its own distance along y added."""
+def _spread(source: wp.array4d[wp.int32], axis: wp.vec3i, squares: wp.array4d[wp.int32]) -> None:
+    """The least square on a voxel's line along an axis, each with its own distance added (Saito and
+    Toriwaki 1994)."""
     p, i, j, k = wp.tid()
+    shape = wp.vec3i(source.shape[1], source.shape[2], source.shape[3])
     least = wp.int32(source[p, i, j, k])
     step = wp.int32(1)
     while step * step < least:
-        if j >= step:
-            least = wp.min(least, source[p, i, j - step, k] + step * step)
-        if j + step < source.shape[2]:
-            least = wp.min(least, source[p, i, j + step, k] + step * step)
+        for side in range(2):
+            at = wp.vec3i(i, j, k) + (2 * side - 1) * step * axis
+            if wp.min(at) >= 0 and wp.min(shape - at) > 0:
+                least = wp.min(least, source[p, at[0], at[1], at[2]] + step * step)
         step += 1
     squares[p, i, j, k] = least
 
 
 @wp.kernel
-def _along_z(
-    source: wp.array4d[wp.int32], table: wp.array[wp.float32], field: wp.array4d[wp.float32]
+def _look_up(
+    squares: wp.array4d[wp.int32], metres: wp.array[wp.float32], field: wp.array4d[wp.float32]
 ) -> None:
-    """The same along z, and the distance that belongs to the square."""
     p, i, j, k = wp.tid()
-    least = wp.int32(source[p, i, j, k])
-    step = wp.int32(1)
-    while step * step < least:
-        if k >= step:
-            least = wp.min(least, source[p, i, j, k - step] + step * step)
-        if k + step < source.shape[3]:
-            least = wp.min(least, source[p, i, j, k + step] + step * step)
-        step += 1
-    field[p, i, j, k] = table[least]
+    field[p, i, j, k] = metres[squares[p, i, j, k]]
