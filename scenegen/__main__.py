@@ -13,17 +13,27 @@ import rich_click as click
 from scenegen import __version__
 from scenegen.cli.command import Commands, run_command
 
-MADE, INFERRED = "scenegen.cli", "scenegen.model.commands"
-OF_DATA = ("generate", "rescan", "world", "verify", "publish", "convert", "recipe")
-OF_SENSORS = ("sensors", "scan")
-OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce")
-OF_BOTH = ("inspect", "view", "render")
-PLACES = {
-    **{name: f"{MADE}.{name}:{name}" for name in OF_DATA},
-    **{name: f"{INFERRED}.{name}:{name}" for name in (*OF_NETWORKS, *OF_BOTH)},
-    **{name: f"{MADE}.{name}:{name}" for name in (*OF_SENSORS, "doctor", "completion")},
-    **{name: f"{MADE}.gather:{name}" for name in ("take", "merge")},
-}
+LOOKING = ("inspect", "view", "render")
+NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce")
+COMMANDS = (
+    ("Datasets", "scenegen.cli.generate", ("generate", "recipe")),
+    ("Datasets", "scenegen.cli.derive", ("rescan", "take", "merge")),
+    ("Datasets", "scenegen.cli.verify", ("verify",)),
+    ("Datasets", "scenegen.cli.publish", ("publish",)),
+    ("Datasets", "scenegen.cli.convert", ("convert", "world")),
+    ("Sensors", "scenegen.cli.scan", ("sensors", "scan")),
+    *(("To look at", f"scenegen.model.commands.{name}", (name,)) for name in LOOKING),
+    *(("Networks", f"scenegen.model.commands.{name}", (name,)) for name in NETWORKS),
+    ("This machine", "scenegen.cli.doctor", ("doctor", "completion")),
+)
+"""Groups of the list, the modules, and the commands that stand there."""
+PLACES = {name: f"{module}:{name}" for _, module, names in COMMANDS for name in names}
+PANELS = [
+    click.RichCommandPanel(
+        panel, commands=[name for one, _, names in COMMANDS if one == panel for name in names]
+    )
+    for panel in dict.fromkeys(panel for panel, _, _ in COMMANDS)
+]
 
 
 def main() -> NoReturn:
@@ -31,7 +41,7 @@ def main() -> NoReturn:
     run_command(app)
 
 
-@click.group(cls=Commands, places=PLACES)
+@click.group(cls=Commands, places=PLACES, panels=PANELS)
 @click.version_option(__version__, "-V", "--version", prog_name="scenegen")
 def app() -> None:
     """Worlds, LiDAR scans and exact truth: datasets for 3D scene completion.

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import rich_click as click
 
-from scenegen.cli.datasets import find_datasets
 from scenegen.cli.options import (
     datasets_argument,
+    find_datasets,
     json_option,
     out_option,
     quiet_option,
@@ -15,8 +15,7 @@ from scenegen.cli.options import (
     split_option,
     workers_option,
 )
-from scenegen.cli.progress import Progress, announce_compilation
-from scenegen.cli.show import say
+from scenegen.cli.show import Progress, announce_compilation, say
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 

@@ -1,12 +1,12 @@
 """Options of commands that show what methods say of samples, beside the truth."""
 
-from collections.abc import Callable, Sequence
-from functools import reduce
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import rich_click as click
 
+from scenegen.cli.options import together
 from scenegen.model.commands.weights import Weights
 
 if TYPE_CHECKING:
@@ -14,33 +14,37 @@ if TYPE_CHECKING:
     from scenegen.display.look import Guesses
 
 MOST_TRIAL = 10_000
+PREDICTED = "Predictions"
 
 
-def shown_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The options of `chosen`, by its parameters' names."""
-    options = (
-        click.option(
-            "--predictions",
-            type=click.Path(path_type=Path),
-            help="An HDF5 file of predictions of the split, as `complete` writes: shown beside "
-            "the truth.",
-        ),
-        click.option(
-            "--weights",
-            type=Weights(),
-            multiple=True,
-            help="A network that completes what is shown, as for `complete`; repeatable.",
-        ),
-        click.option(
-            "--trial",
-            type=click.IntRange(0, MOST_TRIAL),
-            default=0,
-            show_default=True,
-            help="Which of the bench's goals in the sample paths lead to.",
-        ),
-        click.option("--no-paths", is_flag=True, help="Plan no paths on what is predicted."),
-    )
-    return reduce(lambda made, option: option(made), reversed(options), function)
+shown_options = together(
+    click.option(
+        "--predictions",
+        type=click.Path(path_type=Path),
+        panel=PREDICTED,
+        help="An HDF5 file of predictions of the split, as `complete` writes: shown beside the "
+        "truth.",
+    ),
+    click.option(
+        "--weights",
+        type=Weights(),
+        multiple=True,
+        panel=PREDICTED,
+        help="A network that completes what is shown, as for `complete`; repeatable.",
+    ),
+    click.option(
+        "--trial",
+        type=click.IntRange(0, MOST_TRIAL),
+        default=0,
+        show_default=True,
+        panel=PREDICTED,
+        help="Which of the bench's goals in the sample paths lead to.",
+    ),
+    click.option(
+        "--no-paths", is_flag=True, panel=PREDICTED, help="Plan no paths on what is predicted."
+    ),
+)
+"""The options of `chosen`, by its parameters' names."""
 
 
 def chosen(

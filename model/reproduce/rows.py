@@ -22,7 +22,7 @@ from scenegen.model.training.run_folder import BEST
 from scenegen.run.workers import run as run_workers
 
 if TYPE_CHECKING:
-    from scenegen.cli.progress import Progress
+    from scenegen.cli.show import Progress
 
 TRIALS = 2000
 """Planning trials a kind at scale 1 (the paper's)."""

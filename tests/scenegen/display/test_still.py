@@ -11,7 +11,6 @@ from matplotlib.image import imread
 from PIL import Image
 
 from lidarsim import MujocoEngine
-from scenegen.cli import render as command
 from scenegen.dataset.read import Dataset
 from scenegen.display.colours import (
     DISTANCES,
@@ -28,6 +27,7 @@ from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
 from scenegen.display.panels import to_bytes
 from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
 from scenegen.errors import DatasetError
+from scenegen.model.commands import render as command
 from scenegen.source import read_world
 from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, run
