@@ -13,16 +13,23 @@ import rich_click as click
 from scenegen import __version__
 from scenegen.cli.command import Commands, run_command
 
-MADE, INFERRED = "scenegen.cli", "scenegen.model.commands"
-OF_DATA = ("generate", "rescan", "world", "verify", "publish", "convert", "recipe")
-OF_SENSORS = ("sensors", "scan")
-OF_NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce")
-OF_BOTH = ("inspect", "view", "render")
+FILES = {
+    "scenegen.cli": {
+        **{name: name for name in ("generate", "rescan", "world", "verify", "publish", "convert")},
+        **{name: name for name in ("recipe", "sensors", "scan", "doctor", "completion")},
+        **dict.fromkeys(("take", "merge"), "gather"),
+    },
+    "scenegen.model.commands": {
+        **{name: name for name in ("train", "complete", "bench", "reproduce")},
+        **dict.fromkeys(("calibrate", "export", "networks"), "networks"),
+        **dict.fromkeys(("inspect", "view", "render"), "view"),
+    },
+}
+"""Commands by package, each with the module that it stands in."""
 PLACES = {
-    **{name: f"{MADE}.{name}:{name}" for name in OF_DATA},
-    **{name: f"{INFERRED}.{name}:{name}" for name in (*OF_NETWORKS, *OF_BOTH)},
-    **{name: f"{MADE}.{name}:{name}" for name in (*OF_SENSORS, "doctor", "completion")},
-    **{name: f"{MADE}.gather:{name}" for name in ("take", "merge")},
+    name: f"{package}.{file}:{name}"
+    for package, files in FILES.items()
+    for name, file in files.items()
 }
 
 

@@ -32,8 +32,8 @@ class WarpEngine:
         """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does, and without a
         GPU."""
         from lidarsim.solids.model import (
-            solids_of,
-        )  # loads MuJoCo, which an engine over known solids does not need
+            solids_of,  # loads MuJoCo, which an engine over known solids does not need
+        )
 
         return cls(solids_of(model, data))
 

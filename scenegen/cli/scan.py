@@ -6,8 +6,7 @@ from pathlib import Path
 import rich_click as click
 
 from lidarsim.engines import ENGINES
-from lidarsim.limits import MOST_LENGTH_M
-from lidarsim.parameters import Bounds
+from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import RASTER
 from scenegen.cli.options import (
     json_option,
