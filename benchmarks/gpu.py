@@ -26,7 +26,7 @@ import numpy as np
 
 import lidarsim
 from lidarsim import AnalyticEngine, Lidar, Pose
-from lidarsim.gpu.engine import WarpEngine
+from lidarsim.gpu import WarpEngine
 from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
@@ -63,8 +63,7 @@ class Batch:
     """Poses in worlds of their own, on the device."""
 
     def __init__(self, solids: list[Solids], poses: list[Pose], lidar: Any, grid: Any, device: str):
-        from lidarsim.gpu.device import on_device, wp
-        from lidarsim.gpu.worlds import Worlds
+        from lidarsim.gpu.worlds import Worlds, wp
 
         self.solids, self.poses, self.lidar, self.grid = solids, poses, lidar, grid
         begin = time.perf_counter()
@@ -75,7 +74,7 @@ class Batch:
             [rotate(pose.quaternion, lidar.directions_body).reshape(-1, 3) for pose in poses]
         )
         self.origins, self.rays, self.corners = (
-            on_device(values, wp.vec3d, self.worlds.device)
+            wp.array(values, dtype=wp.vec3d, device=self.worlds.device)
             for values in (origins, rays, grid.origin_at(origins))
         )
 
@@ -87,7 +86,7 @@ class Batch:
 
     def sample(self) -> list[Any]:
         """Ranges, observed and free voxels, occupancy and distances."""
-        from lidarsim.gpu.voxels import voxelize
+        from lidarsim.gpu.rays import voxelize
         from scenegen.truth import gpu
 
         ranges = self.cast()

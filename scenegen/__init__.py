@@ -28,8 +28,11 @@ if TYPE_CHECKING:
     from scenegen.recipe import Recipe, preset
     from scenegen.recipes.kind import WorldKind
     from scenegen.sample import Sample
+    from scenegen.source import read_world
     from scenegen.streams.stream import stream
     from scenegen.verification.folder import verify
+    from scenegen.worlds.flight import poses_in_flight
+    from scenegen.worlds.scans import scan_world
 
 __version__ = "0.1.0"
 
@@ -53,7 +56,10 @@ __all__ = [
     "bench",
     "generate",
     "load",
+    "poses_in_flight",
     "preset",
+    "read_world",
+    "scan_world",
     "show",
     "stream",
     "train",
@@ -72,8 +78,11 @@ _MODULES = {
     "scenegen.recipe": ("Recipe", "preset"),
     "scenegen.recipes.kind": ("WorldKind",),
     "scenegen.sample": ("Sample",),
+    "scenegen.source": ("read_world",),
     "scenegen.streams.stream": ("stream",),
     "scenegen.verification.folder": ("verify",),
+    "scenegen.worlds.flight": ("poses_in_flight",),
+    "scenegen.worlds.scans": ("scan_world",),
 }
 """Where each name of `__all__` stands. No module directly in this package may be called like one
 of them: importing it would put it in the name's place."""

@@ -13,24 +13,28 @@ import rich_click as click
 from scenegen import __version__
 from scenegen.cli.command import Commands, run_command
 
-FILES = {
-    "scenegen.cli": {
-        **{name: name for name in ("generate", "rescan", "world", "verify", "publish", "convert")},
-        **{name: name for name in ("recipe", "sensors", "scan", "doctor", "completion")},
-        **dict.fromkeys(("take", "merge"), "gather"),
-    },
-    "scenegen.model.commands": {
-        **{name: name for name in ("train", "complete", "bench", "reproduce")},
-        **dict.fromkeys(("calibrate", "export", "networks"), "networks"),
-        **dict.fromkeys(("inspect", "view", "render"), "view"),
-    },
-}
-"""Commands by package, each with the module that it stands in."""
-PLACES = {
-    name: f"{package}.{file}:{name}"
-    for package, files in FILES.items()
-    for name, file in files.items()
-}
+LOOKING = ("inspect", "view", "render")
+NETWORKS = ("train", "complete", "bench", "reproduce")
+COMMANDS = (
+    ("Datasets", "scenegen.cli.generate", ("generate", "recipe")),
+    ("Datasets", "scenegen.cli.derive", ("rescan", "take", "merge")),
+    ("Datasets", "scenegen.cli.verify", ("verify",)),
+    ("Datasets", "scenegen.cli.publish", ("publish",)),
+    ("Datasets", "scenegen.cli.convert", ("convert", "world")),
+    ("Sensors", "scenegen.cli.scan", ("sensors", "scan")),
+    *(("To look at", f"scenegen.model.commands.{name}", (name,)) for name in LOOKING),
+    *(("Networks", f"scenegen.model.commands.{name}", (name,)) for name in NETWORKS),
+    ("Networks", "scenegen.model.commands.networks", ("calibrate", "export", "networks")),
+    ("This machine", "scenegen.cli.doctor", ("doctor", "completion")),
+)
+"""Groups of the list, the modules, and the commands that stand there."""
+PLACES = {name: f"{module}:{name}" for _, module, names in COMMANDS for name in names}
+PANELS = [
+    click.RichCommandPanel(
+        panel, commands=[name for one, _, names in COMMANDS if one == panel for name in names]
+    )
+    for panel in dict.fromkeys(panel for panel, _, _ in COMMANDS)
+]
 
 
 def main() -> NoReturn:
@@ -38,7 +42,7 @@ def main() -> NoReturn:
     run_command(app)
 
 
-@click.group(cls=Commands, places=PLACES)
+@click.group(cls=Commands, places=PLACES, panels=PANELS)
 @click.version_option(__version__, "-V", "--version", prog_name="scenegen")
 def app() -> None:
     """Worlds, LiDAR scans and exact truth: datasets for 3D scene completion.

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from scenegen.errors import DatasetError
-from scenegen.run.stopping import undone_if_stopped
+from scenegen.run import undone_if_stopped
 from scenegen.stores import PlacePath, note_file
 
 STALE_S = 24 * 3600.0

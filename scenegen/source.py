@@ -6,6 +6,7 @@ flight and its samples.
 
 import functools
 import hashlib
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,11 +52,11 @@ class DrawnWorlds:
     recipe: Recipe
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
-        """See `Source.number`."""
+        """A world a unit."""
         return unit, 0
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
-        """See `Source.world`."""
+        """Draw the world from `rng`. Raises RecipeError for what MuJoCo does not take."""
         kind = self.recipe.world
         if kind is None:
             raise RecipeError(
@@ -70,7 +71,7 @@ class DrawnWorlds:
             ) from None
 
     def describe(self) -> dict[str, Any]:
-        """See `Source.describe`."""
+        """Nothing: the recipe says all."""
         return {}
 
     def class_names(self, by: By) -> set[str]:
@@ -89,17 +90,17 @@ class SceneWorlds:
     """What was left out of the files or taken otherwise than one might expect: a sentence each."""
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
-        """See `Source.number`."""
+        """The split's worlds in turn."""
         turn, number = divmod(unit, len(self.scenes[split]))
         return number, turn
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
-        """See `Source.world`."""
+        """The world of a file; nothing is drawn."""
         scene = self.scenes[split][number]
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
 
     def describe(self) -> dict[str, Any]:
-        """See `Source.describe`."""
+        """The files and their digests, by split."""
         return {
             split: [{"file": scene.name, "sha256": _content_digest(scene)} for scene in scenes]
             for split, scenes in self.scenes.items()
@@ -115,6 +116,14 @@ class SceneWorlds:
             for n in range(len(of))
         )
         return {name for world in worlds for name in class_names(world.model, by)}
+
+
+def read_world(path: str | Path) -> World:
+    """The world of an MJCF file. Raises SceneError for one that cannot serve."""
+    if Path(path).is_dir():
+        raise SceneError(f"{path}: is a folder; expected one MJCF file")
+    source = read_scenes(Path(path), {"train": 1, "val": 0, "test": 0}, seed=0, allow_unseen=True)
+    return source.world("train", 0, rng=np.random.default_rng(0))
 
 
 @functools.lru_cache(maxsize=8)
@@ -137,60 +146,46 @@ def read_scenes(
     allow_unseen: bool = False,
     materials: bool = False,
 ) -> SceneWorlds:
-    """The MJCF file at `path`, all for training, or the folder of them, split by world as `SHARES`
-    says.
+    """Worlds from MJCF files, dealt to the splits as `SHARES` says.
 
-    Which world goes to which split depends on the files' names, the seed, and which splits `counts`
-    asks for, never on how many samples. With `materials`, worlds keep the names of their materials.
-    Raises SceneError for a file that cannot serve, for one with geoms that rays cannot see (unless
-    `allow_unseen`), for two of the same world, and for a folder with fewer worlds than splits.
+    Which world goes to which split depends on the files' names, the seed, and which splits are
+    asked for, never on how many samples.
+
+    Args:
+        path: An MJCF file, or a folder of them.
+        counts: How many samples each split shall have.
+        seed: What the worlds are dealt by.
+        allow_unseen: Whether worlds may have geoms that rays cannot see.
+        materials: Whether worlds keep the names of their materials.
+
+    Raises:
+        SceneError: A file cannot serve, two are the same world, or there are fewer worlds than
+            splits.
     """
     if not path.exists():
-        raise SceneError(
-            f"{path}: no such file or folder; expected an MJCF file or a folder of them"
-        )
+        raise SceneError(f"{path}: no such file or folder; expected MJCF")
     files = sorted(path.glob("*.xml")) if path.is_dir() else [path]
-    if not files:
-        raise SceneError(f"{path}: holds no .xml file; expected MJCF worlds")
     scenes, parts = _read_files(files, materials)
     if not scenes:
-        raise SceneError(
-            f"{path}: holds parts alone, which other files include; expected an MJCF world"
-        )
+        raise SceneError(f"{path}: holds no MJCF world, or parts alone, which other files include")
     _check(scenes, allow_unseen)
-    notes = tuple(note for scene in scenes.values() for note in scene.notes)
-    if parts:
-        notes = (f"{path}: {named(parts)} left out: parts, which other files include", *notes)
-    if len(scenes) == 1:
-        (file, only) = next(iter(scenes.items()))
-        for split in ("val", "test"):
-            if counts[split]:
-                raise SceneError(
-                    f"{file}: one world cannot be split: give a folder of "
-                    f"{sum(bool(counts[name]) for name in SPLITS)} worlds or more, or leave "
-                    f"--{split} out and measure "
-                    "on the training samples (bench --split train)"
-                )
-        return SceneWorlds({"train": (only,), "val": (), "test": ()}, notes)
+    notes = [f"{path}: {named(parts)} left out: parts, which other files include"] if parts else []
+    notes += [note for scene in scenes.values() for note in scene.notes]
     wanted = [split for split in SPLITS if counts[split]]
     if len(scenes) < len(wanted):
         raise SceneError(
-            f"{path}: {len(scenes)} worlds for {len(wanted)} splits; add worlds, or set --val or "
-            f"--test to 0"
+            f"{path}: {len(scenes)} worlds for {len(wanted)} splits, and no two splits share one; "
+            "add worlds, or set --val and --test to 0 and measure on the training samples (bench "
+            "--split train)"
         )
-    dealing = list(scenes.values())
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(scenes))
     whole = sum(SHARES[split] for split in wanted)
     share = {split: max(1, len(scenes) * SHARES[split] // whole) for split in wanted}
     share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])
-    dealt = iter(order)
-    return SceneWorlds(
-        {
-            split: tuple(dealing[next(dealt)] for _ in range(share.get(split, 0)))
-            for split in SPLITS
-        },
-        notes,
-    )
+    dealing = list(scenes.values())
+    dealt = iter([dealing[n] for n in order])
+    worlds = {split: tuple(itertools.islice(dealt, share.get(split, 0))) for split in SPLITS}
+    return SceneWorlds(worlds, tuple(notes))
 
 
 def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scene], list[str]]:
@@ -221,36 +216,31 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
 
 def _given_up(path: Path, reason: str) -> Reading:
     allowed = f"{SCENE_SECONDS:g} s and {SCENE_BYTES >> 30} GB"
-    return Reading(
-        path,
-        SceneError(f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world"),
-    )
+    fault = f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world"
+    return Reading(path, SceneError(fault))
 
 
 def _check(scenes: Mapping[Path, Scene], allow_unseen: bool) -> None:
     """Raise SceneError for geoms that rays cannot see, for two files of the same solids, which
     could come to lie in two splits, and for more than an archive may hold."""
-    owner: dict[bytes, Path] = {}
+    owner, files, total = dict[bytes, Path](), set[str](), 0
     for path, scene in scenes.items():
         if scene.unseen and not allow_unseen:
             raise SceneError(
-                f"{path}: rays cannot see geom {printable(named(scene.unseen))} (alpha 0); give "
-                f"it an alpha above 0, "
-                "remove it, or pass --allow-unseen to leave it out of the truth"
+                f"{path}: rays cannot see geom {printable(named(scene.unseen))} (alpha 0); give it "
+                "an alpha above 0, remove it, or pass --allow-unseen to leave it out of the truth"
             )
         first = owner.setdefault(scene.geometry, path)
         if first is not path:
             raise SceneError(
                 f"{path}: the same world as {first.name}, whatever its geoms are called; remove "
-                f"one of the two"
+                "one of the two"
             )
-    files = {
-        name: len(content) for scene in scenes.values() for name, content in scene.assets.items()
-    }
-    total = sum(files.values()) + sum(len(scene.mjcf) for scene in scenes.values())
-    if total > MOST_ARCHIVE_BYTES or len(files) + len(scenes) > MOST_MEMBERS:
-        raise SceneError(
-            f"{next(iter(scenes)).parent}: worlds of {total} bytes in {len(files) + len(scenes)} "
-            f"files, expected "
-            f"{MOST_ARCHIVE_BYTES} and {MOST_MEMBERS} at most; use coarser meshes, or fewer worlds"
-        )
+        total += len(scene.mjcf)
+        total += sum(len(scene.assets[name]) for name in scene.assets.keys() - files)
+        files |= {path.name, *scene.assets}
+        if total > MOST_ARCHIVE_BYTES or len(files) > MOST_MEMBERS:
+            raise SceneError(
+                f"{path.parent}: the worlds take more than {MOST_ARCHIVE_BYTES} bytes or "
+                f"{MOST_MEMBERS} files; use coarser meshes, or fewer worlds"
+            )

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NoReturn
 
 COMMON = (
-    *(f"scenegen.cli.{name}" for name in ("generate", "inspect", "publish", "verify", "world")),
+    *(f"scenegen.cli.{name}" for name in ("generate", "derive", "publish", "verify", "convert")),
     *(
         "scenegen.model.commands.bench",
         "scenegen.model.evaluation.run",

@@ -23,7 +23,7 @@ from tests.command_line import ROOT, run
 def test_version_completion_and_doctor(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenegen.cli.examine.SELF_TEST_S", 0.1)
+    monkeypatch.setattr("scenegen.cli.doctor.SELF_TEST_S", 0.1)
     assert __version__ in run(capsys, "--version")[1] == run(capsys, "-V")[1]
     assert "_SCENEGEN_COMPLETE" in run(capsys, "completion", "bash")[1]
     code, said, _ = run(capsys, "doctor", "--json")
@@ -172,5 +172,5 @@ def test_warnings_of_libraries_reach_nobody(
         warnings.warn("settotalmass is deprecated", stacklevel=1)
         return {"ok": True}
 
-    monkeypatch.setattr("scenegen.cli.examine.examine", warn)
+    monkeypatch.setattr("scenegen.cli.doctor.examine", warn)
     assert run(capfd, "doctor", "--json") == (0, '{"ok": true}\n', "")

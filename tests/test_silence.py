@@ -313,7 +313,7 @@ def main() -> None:
     import time
 
     from scenegen import __main__ as cli
-    from scenegen.cli import examine as doctor
+    from scenegen.cli import doctor
     from scenegen.display import panels, pictures
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for

@@ -49,7 +49,7 @@ ENGINES = Registry(
     {
         "analytic": "lidarsim.engines.analytic:AnalyticEngine",
         "mujoco": "lidarsim.engines.mujoco:MujocoEngine",
-        "warp": "lidarsim.gpu.engine:WarpEngine",
+        "warp": "lidarsim.gpu:WarpEngine",
     },
     needs={
         "of": "a class method: (model, data=None) -> engine",

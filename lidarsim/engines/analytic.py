@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.engines.forms import ball_around
+from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.engines.traverse import normals_of, traverse
-from lidarsim.jit import kernel
 from lidarsim.solids.shapes import PLANE, Solids
 
 if TYPE_CHECKING:
@@ -197,7 +196,7 @@ class AnalyticEngine:
         self._solids = solids
         self._planes = np.flatnonzero(planes).astype(np.uint64)
         self._bounded = np.concatenate([np.flatnonzero(~planes), np.arange(len(planes), count)])
-        self._reach2 = _reach2(solids.shape, solids.size)
+        self._reach2 = squared_reaches(solids.shape, solids.size)
 
     @cached_property
     def _owners(self) -> NDArray[np.int64]:
@@ -235,12 +234,3 @@ def _laid_out(
     vectors = np.array(directions, dtype=np.float64, order="C")
     shape = vectors.shape[:-1]
     return starts, vectors.reshape(len(starts), int(np.prod(shape[1:])), 3), shape
-
-
-@kernel
-def _reach2(shape, size):
-    """Squared radii (n,) of balls around primitives."""
-    reach2 = np.empty(len(shape))
-    for g in range(len(shape)):
-        reach2[g] = ball_around(shape[g], size[g]) ** 2
-    return reach2

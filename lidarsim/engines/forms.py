@@ -181,6 +181,15 @@ def ball_around(shape, size):
 
 
 @kernel
+def squared_reaches(shape, size):
+    """Squared radii (n,) of balls around primitives, planes among them."""
+    reach2 = np.empty(len(shape))
+    for g in range(len(shape)):
+        reach2[g] = ball_around(shape[g], size[g]) ** 2
+    return reach2
+
+
+@kernel
 def normal(shape, a, b, c, px, py, pz):
     """Outward unit normal (x, y, z) of the shape at p, a point on its surface, in its own frame."""
     x, y, z = 0.0, 0.0, 1.0  # a plane's

@@ -74,7 +74,7 @@ def traverse(
                 length = math.sqrt(length2)
                 x, y, z = x / length, y / length, z / length
                 directions[p, n, 0], directions[p, n, 1], directions[p, n, 2] = x, y, z
-            ix, iy, iz = _inverse(x), _inverse(y), _inverse(z)
+            ix, iy, iz = inverse(x), inverse(y), inverse(z)
             # the rows of a node's boxes where the ray comes in, and where it goes out
             ax = np.uint64(0 if ix > 0.0 else 3)
             ay = np.uint64(1 if iy > 0.0 else 4)
@@ -184,7 +184,7 @@ def _approach(box, ox, oy, oz, reach, near, kids):
 
 
 @kernel
-def _inverse(d):
+def inverse(d):
     """1 / d, or what is as good and finite where the ray runs along the slab."""
     return 1.0 / d if abs(d) > 1e-300 else 1e300
 

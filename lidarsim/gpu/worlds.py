@@ -1,16 +1,47 @@
-"""The solids of many worlds, packed into flat arrays on one device."""
+"""Warp, and the solids of many worlds, packed into flat arrays on one device."""
 
+import os
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.engines.forms import ball_around
+from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import WIDTH, Hierarchy
-from lidarsim.gpu.device import on_device, ready, wp
-from lidarsim.jit import kernel
+from lidarsim.jit import cache_folder, cache_trouble, kernel
 from lidarsim.solids.shapes import PLANE, Solids
+
+try:
+    import warp as wp
+except ModuleNotFoundError:
+    raise ImportError(
+        "lidarsim.gpu needs NVIDIA Warp; in scenegen's checkout: pip install -e '.[gpu]'"
+    ) from None
+
+__all__ = ["EXACT", "Packed", "Worlds", "on_device", "wp"]
+
+EXACT = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1}
+"""Options of a module of kernels: no gradients; no fused multiplications, which round otherwise
+than the CPU; and loops left as loops, for what is unrolled takes minutes to compile."""
+
+
+def on_device(name: str, values: Any, dtype: Any, shape: tuple[int, ...], device: str) -> Any:
+    """`values` as an array of Warp's on `device`: Warp's own as they are, anything else by NumPy.
+
+    A tensor of torch's is taken without a copy by ``wp.from_torch(tensor, dtype=wp.vec3d)``. Raises
+    ValueError unless the array has the shape, the type and the device that a kernel relies on.
+    """
+    if not isinstance(values, wp.array):
+        values = np.ascontiguousarray(values, np.float64 if dtype is wp.vec3d else None)
+        if dtype is wp.vec3d and values.shape != (*shape, 3):
+            raise ValueError(f"{name}: an array {values.shape}, expected {(*shape, 3)}")
+        values = wp.array(values, dtype=dtype, device=device)
+    found = tuple(values.shape), values.dtype, values.device.alias
+    have, want = (f"{s} of {t.__name__} on {d}" for s, t, d in (found, (shape, dtype, device)))
+    if have != want:
+        raise ValueError(f"{name}: an array {have}, expected {want}")
+    return values
 
 
 @wp.struct
@@ -24,16 +55,16 @@ class Packed:
 
     primitive_start: wp.array[wp.int32]
     shape: wp.array[wp.int32]
-    size: wp.array[wp.vec3d]
-    position: wp.array[wp.vec3d]
-    rotation: wp.array[wp.mat33d]
+    size: wp.array2d[wp.float64]
+    position: wp.array2d[wp.float64]
+    rotation: wp.array3d[wp.float64]
     lower: wp.array[wp.vec3d]
     upper: wp.array[wp.vec3d]
     reach2: wp.array[wp.float64]  # squared radius of a ball around the primitive
     mesh_start: wp.array[wp.int32]
     filled: wp.array[wp.int32]
     triangle_start: wp.array[wp.int32]  # by mesh
-    triangles: wp.array2d[wp.vec3d]  # (T, 3)
+    triangles: wp.array3d[wp.float64]
     box_start: wp.array[wp.int32]
     box_lower: wp.array[wp.vec3d]
     box_upper: wp.array[wp.vec3d]
@@ -50,12 +81,13 @@ class Worlds:
     def __init__(self, solids: Iterable[Solids], *, device: str = "cuda"):
         """Pack `solids`, one table a world (`lidarsim.solids.model.solids_of`). Raises ValueError
         without a GPU."""
-        self.device = ready(device)
+        self.device = _ready(device)
         arrays = _pack([_tables(one) for one in solids])
         self.count = len(arrays["box_start"]) - 1
         self.packed = Packed()
         for name, variable in Packed.vars.items():  # type: ignore[attr-defined]
-            setattr(self.packed, name, on_device(arrays[name], variable.type.dtype, self.device))
+            array = wp.array(arrays[name], dtype=variable.type.dtype, device=self.device)
+            setattr(self.packed, name, array)
 
     def which(self, worlds: ArrayLike | None, poses: int) -> Any:
         """The world of each of `poses`, (P,) on the device: p for pose p unless `worlds` (P,) are
@@ -74,36 +106,45 @@ class Worlds:
                 f"worlds: {chosen.min()} to {chosen.max()}, expected numbers from 0 to "
                 f"{self.count - 1}"
             )
-        return on_device(chosen, wp.int32, self.device)
+        return wp.array(chosen, dtype=wp.int32, device=self.device)
+
+
+def _ready(device: str) -> str:
+    """Warp's name of `device` ("cuda", "cuda:1", …), with Warp started.
+
+    Kernels are kept beside numba's (`lidarsim.jit`), unless the user's own settings of Warp name
+    another folder. Raises ValueError where the device is not there.
+    """
+    if not (
+        wp.config.kernel_cache_dir or "WARP_CACHE_PATH" in os.environ or cache_trouble("lidarsim")
+    ):
+        wp.config.kernel_cache_dir = str(cache_folder("lidarsim").parent / "warp")
+    wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+    try:
+        return wp.get_device(device).alias
+    except (ValueError, RuntimeError):
+        there = ", ".join(one.alias for one in wp.get_cuda_devices()) or "no GPU"
+        raise ValueError(
+            f"device {device!r}: Warp finds {there} on this machine; use the analytic engine"
+        ) from None
 
 
 def _pack(worlds: list[dict[str, NDArray]]) -> dict[str, NDArray]:
     """The tables of all worlds end to end, in numbers that count through."""
     if not worlds:
         raise ValueError("no worlds, expected one or more")
-    counted = {
-        "primitive": "shape",
-        "mesh": "filled",
-        "triangle": "triangles",
-        "box": "beyond",
-        "item": "item",
-    }
+    counted = {"primitive": "shape", "mesh": "filled", "triangle": "triangles", "box": "beyond"}
+    counted["item"] = "item"
     start = {
         what: np.cumsum([0, *(len(world[name]) for world in worlds)])
         for what, name in counted.items()
     }
+    numbers = {"beyond": "box", "first": "item", "last": "item", "triangle_start": "triangle"}
     for w, world in enumerate(worlds):
-        for name, what in (
-            ("beyond", "box"),
-            ("first", "item"),
-            ("last", "item"),
-            ("triangle_start", "triangle"),
-        ):
+        for name, what in numbers.items():
             world[name] = world[name] + start[what][w]
-        item = world["item"]
-        world["item"] = np.where(
-            item >= 0, item + start["primitive"][w], item - start["triangle"][w]
-        )
+        shift = np.where(world["item"] >= 0, start["primitive"][w], -start["triangle"][w])
+        world["item"] = world["item"] + shift
     packed = {name: np.concatenate([world[name] for world in worlds]) for name in worlds[0]}
     packed["triangle_start"] = np.append(packed["triangle_start"], start["triangle"][-1])
     return packed | {f"{what}_start": start[what] for what in ("primitive", "mesh", "box")}
@@ -111,10 +152,8 @@ def _pack(worlds: list[dict[str, NDArray]]) -> dict[str, NDArray]:
 
 def _tables(solids: Solids) -> dict[str, NDArray]:
     """One world's arrays, in its own numbers."""
-    planes = np.flatnonzero(
-        solids.shape == PLANE
-    )  # nothing bounds them: a first box of their own, which none misses
-    inside = np.flatnonzero(solids.shape != PLANE)
+    # nothing bounds planes: a first box of their own, which no ray misses
+    planes, inside = np.flatnonzero(solids.shape == PLANE), np.flatnonzero(solids.shape != PLANE)
     corners = solids.triangles
     tree = Hierarchy.over(
         np.concatenate([solids.lower[inside], corners.min(axis=1)]),
@@ -122,17 +161,11 @@ def _tables(solids: Solids) -> dict[str, NDArray]:
     )
     boxes, beyond, first, last = _walk(tree.boxes, tree.links, tree.ends, len(planes))
     bounded = np.concatenate([inside, -1 - np.arange(len(corners))])
-    return {
-        "shape": solids.shape,
-        "size": solids.size,
-        "position": solids.position,
-        "rotation": solids.rotation,
-        "lower": solids.lower,
-        "upper": solids.upper,
-        "reach2": _reach2(solids.shape, solids.size),
+    same = ("shape", "size", "position", "rotation", "lower", "upper", "triangles")
+    return {name: getattr(solids, name) for name in same} | {
+        "reach2": squared_reaches(solids.shape, solids.size),
         "filled": solids.mesh_filled,
         "triangle_start": solids.mesh_start[:-1],
-        "triangles": corners,
         "box_lower": boxes[:, :3],
         "box_upper": boxes[:, 3:],
         "beyond": beyond,
@@ -169,12 +202,3 @@ def _walk(boxes, links, ends, planes):
             walk[at], beyond[at] = boxes[node, :, k], after
             at = after
     return walk, beyond, first, last
-
-
-@kernel
-def _reach2(shape, size):
-    """Squared radii (n,) of balls around primitives."""
-    reach2 = np.empty(len(shape))
-    for g in range(len(shape)):
-        reach2[g] = ball_around(shape[g], size[g]) ** 2
-    return reach2

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from lidarsim.registry import Registry
-from scenegen.cli.datasets import find_datasets
 from scenegen.cli.options import (
     datasets_argument,
+    find_datasets,
     json_option,
     on_option,
     options_of,
@@ -22,8 +22,7 @@ from scenegen.cli.options import (
     quiet_option,
     workers_option,
 )
-from scenegen.cli.progress import Progress, announce_compilation, note
-from scenegen.cli.show import say, show_figures
+from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
 from scenegen.cli.types import Named
 from scenegen.errors import DatasetError, ScenegenError, needs
 from scenegen.model.commands.weights import Weights

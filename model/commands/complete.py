@@ -14,8 +14,7 @@ from scenegen.cli.options import (
     was_given,
     workers_option,
 )
-from scenegen.cli.progress import Progress, note
-from scenegen.cli.show import say
+from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import DatasetPath, Number, OutputFile
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights

@@ -1,14 +1,14 @@
 """`scenegen networks`, `export` and `calibrate`: what variants cost, networks as ONNX, and how sure
-one may be; and how a network is named."""
+one may be."""
 
 import json
 from pathlib import Path
 
 import rich_click as click
 
-from scenegen.cli.datasets import find_datasets
 from scenegen.cli.options import (
     datasets_argument,
+    find_datasets,
     json_option,
     out_option,
     quiet_option,
@@ -16,11 +16,10 @@ from scenegen.cli.options import (
     split_option,
     workers_option,
 )
-from scenegen.cli.progress import Progress, announce_compilation
-from scenegen.cli.show import say
+from scenegen.cli.show import Progress, announce_compilation, say
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
-from scenegen.model.config import DEFAULT_NETWORK, bundled, split_own
+from scenegen.model.config import DEFAULT_NETWORK, split_own
 
 
 @click.command()
@@ -96,7 +95,7 @@ def calibrate(
     from scenegen.files import check_ours, make_parent
     from scenegen.model.checkpoint import CheckpointError
     from scenegen.model.completion.completer import HUB, called, locate
-    from scenegen.model.config import split_own
+    from scenegen.model.config import bundled, split_own
     from scenegen.model.evaluation.calibrate import calibrate as fit
 
     talk = not (quiet or as_json)

@@ -16,8 +16,7 @@ from scenegen.cli.options import (
     taken,
     workers_option,
 )
-from scenegen.cli.progress import Progress, announce_compilation
-from scenegen.cli.show import say, show_table
+from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.model.reproduce.config import ReproduceConfig
 
 

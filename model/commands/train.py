@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli import stops
-from scenegen.cli.datasets import find_datasets
 from scenegen.cli.options import (
     device_option,
+    find_datasets,
     json_option,
     options_of,
     out_option,
@@ -22,8 +22,7 @@ from scenegen.cli.options import (
     taken,
     was_given,
 )
-from scenegen.cli.progress import Progress
-from scenegen.cli.show import curve, say
+from scenegen.cli.show import Progress, curve, say
 from scenegen.cli.types import Choice, DatasetPath, Named
 from scenegen.limits import MOST_SAMPLES, MOST_SEED
 from scenegen.model.commands.weights import Weights

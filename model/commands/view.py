@@ -1,171 +1,176 @@
-"""`scenegen inspect`, `view` and `render`: what something is and how it looks, with what methods
-say of it."""
+"""`scenegen view`: samples in three dimensions, and what was predicted of them."""
 
-from collections.abc import Callable, Sequence
-from functools import reduce
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from scenegen.cli import inspect as inspecting
-from scenegen.cli import view as viewing
-from scenegen.cli.inspect import inspect_options
-from scenegen.cli.render import draw, render_options
-from scenegen.cli.view import view_options
-from scenegen.model.commands.weights import Weights
+from scenegen.cli.options import (
+    dataset_argument,
+    examples,
+    quiet_option,
+    split_option,
+    was_given,
+)
+from scenegen.cli.show import note, say
+from scenegen.cli.types import OutputFile
+from scenegen.model.commands.shown import chosen, shown_options
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
     from scenegen.display.look import Guesses
 
-MOST_TRIAL = 10_000
+MOST_SHOWN = 200
+"""The most samples in a file."""
 
 
-def shown_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The options of `chosen`, by its parameters' names."""
-    options = (
-        click.option(
-            "--predictions",
-            type=click.Path(path_type=Path),
-            help="An HDF5 file of predictions of the split, as `complete` writes: shown beside "
-            "the truth.",
-        ),
-        click.option(
-            "--weights",
-            type=Weights(),
-            multiple=True,
-            help="A network that completes what is shown, as for `complete`; repeatable.",
-        ),
-        click.option(
-            "--trial",
-            type=click.IntRange(0, MOST_TRIAL),
-            default=0,
-            show_default=True,
-            help="Which of the bench's goals in the sample paths lead to.",
-        ),
-        click.option("--no-paths", is_flag=True, help="Plan no paths on what is predicted."),
-    )
-    return reduce(lambda made, option: option(made), reversed(options), function)
-
-
-def chosen(
-    dataset: "Dataset",
-    split: str,
-    predictions: Path | None,
-    weights: Sequence[str],
-    trial: int,
-    no_paths: bool,
-) -> "tuple[Guesses | None, tuple[str, ...]]":
-    """Who predicts samples of `dataset`, and what they are called. Raises ScenegenError for
-    predictions that do not fit `split`, and for networks that are not there."""
-    if not weights and predictions is None:
-        return None, ()
-    from scenegen.model.commands.bench import network_row, one_name_each
-    from scenegen.model.evaluation.config import BenchConfig
-    from scenegen.model.evaluation.methods import Method
-    from scenegen.model.evaluation.shown import guesses_of
-
-    methods: list[Method] = [network_row(name) for name in weights]
-    if predictions is not None:
-        from scenegen.model.evaluation.methods import Predicted
-
-        methods.append(predicted := Predicted(predictions))
-        predicted.check(dataset, split)
-    names = one_name_each(methods)
-    return guesses_of(methods, BenchConfig(), None if no_paths else trial), names
-
-
-@click.command()
-@inspect_options
-def inspect(dataset: Path | str, as_json: bool, **options: Any) -> None:
-    """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
-
-    A folder of datasets is listed; of a world (.xml), a scan, a file of predictions (.h5), or a
-    run's folder, it says what it is.
-    """
-    inspecting.show(dataset, as_json=as_json, others=_described, misfit=_misfit, **options)
-
-
-def _described(path: Path) -> dict[str, Any] | None:
-    from scenegen.model.completion.points import READERS
-
-    if path.suffix in READERS:
-        from scenegen.model.facts import scan_facts
-
-        return scan_facts(path)
-    if path.suffix == ".h5":
-        from scenegen.model.facts import prediction_facts
-
-        return prediction_facts(path)
-    if (path / "metrics.csv").is_file():
-        from scenegen.model.facts import run_facts
-
-        return run_facts(path)
-    return None
-
-
-def _misfit(grid: Any) -> list[str]:
-    from scenegen.model.config import NetworkConfig
+def _address(ctx: Any, parameter: Any, value: str) -> str:
+    from ipaddress import ip_address
 
     try:
-        NetworkConfig(height=grid.shape[2]).check_map(grid.shape)
-    except ValueError as error:
-        return [str(error)]
-    return []
+        return value if value == "localhost" else str(ip_address(value))
+    except ValueError:
+        raise click.BadParameter(
+            f"{value!r} is no IP address; give one of this machine's, such as 127.0.0.1"
+        ) from None
 
 
-@click.command()
-@view_options
+@click.command(
+    epilog=examples(
+        "view data/pillar",
+        "view data/pillar --split test --weights columns --weights proposed",
+        "view data/pillar --index 3 --index 7 --html samples.html",
+    )
+)
+@dataset_argument
+@split_option("train", help="The split to show samples of.")
+@click.option(
+    *("-o", "--html", "--output", "--out", "out"),
+    type=OutputFile(),
+    help="Write one file that shows samples without a network.  [default: serve all of them]",
+)
+@click.option(
+    *("--index", "indices"),
+    multiple=True,
+    type=click.IntRange(0),
+    help="A number of a sample; in a file, repeatable.",
+)
+@click.option(
+    *("--n", "count"),
+    type=click.IntRange(1, MOST_SHOWN),
+    default=24,
+    show_default=True,
+    help="In a file: how many samples, evenly spread, where no --index is given.",
+)
+@click.option(
+    *("--host", "host"),
+    callback=_address,
+    default="127.0.0.1",
+    show_default=True,
+    help="Address to serve on; with 0.0.0.0 all who reach this machine can look.",
+)
+@click.option(
+    *("--port", "port"),
+    type=click.IntRange(0, 65535),
+    default=8000,
+    show_default=True,
+    help="0 for any.",
+)
+@quiet_option
 @shown_options
 def view(
-    predictions: Path | None, weights: tuple[str, ...], trial: int, no_paths: bool, **options: Any
+    dataset: Path | str,
+    split: str,
+    indices: tuple[int, ...],
+    count: int,
+    out: Path | None,
+    host: str,
+    port: int,
+    quiet: bool,
+    **shown: Any,
 ) -> None:
     """Show a dataset in a browser, from this machine; or, with --html, write one file that shows
     some of it."""
-    split = options["split"]
-    viewing.show(
-        **options,
-        guesses=lambda dataset: chosen(dataset, split, predictions, weights, trial, no_paths),
-        predicted=predictions is not None,
-    )
+    for name in ("host", "port"):
+        if out is not None and was_given(name):
+            raise click.UsageError(f"--{name}: is for what is served; leave out --html")
+    if out is None and len(indices) > 1:
+        raise click.UsageError(
+            "--index: give one to begin with, or --html for a file of several samples"
+        )
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.manifest import NAME
+    from scenegen.dataset.read import Dataset
+
+    path = Path(dataset)
+    inside = sorted(path.glob(f"*/{NAME}")) if out is None and not (path / NAME).exists() else []
+    folders = [manifest.parent for manifest in inside] or [locate(dataset, shown=not quiet)]
+    if len(folders) > 1 and shown["predictions"] is not None:
+        raise click.UsageError("--predictions: is of one dataset; name that one")
+    opened = [Dataset(folder, partial=True) for folder in folders]
+    guesses, methods = chosen(opened[0], split, **shown)
+    if out is None:
+        _serve(opened, split, indices[0] if indices else 0, (host, port), guesses, methods)
+    else:
+        _write(opened[0], split, indices, count, out, quiet, guesses)
 
 
-@click.command()
-@render_options
-@shown_options
-def render(
-    predictions: Path | None, weights: tuple[str, ...], trial: int, no_paths: bool, **options: Any
+def _write(
+    found: "Dataset",
+    split: str,
+    indices: tuple[int, ...],
+    count: int,
+    out: Path,
+    quiet: bool,
+    guesses: "Guesses | None",
 ) -> None:
-    """Draw samples of a dataset, and what is predicted of them.
+    """Writes a page that holds what it shows."""
+    from scenegen.display.look import looks, spread
+    from scenegen.display.page import check_grid, page
+    from scenegen.errors import printable
+    from scenegen.files import write_result
 
-    Or a world (.xml), a scan, a completion of one (.h5), a run's curve from its folder.
-    """
-    split = options["split"]
-    draw(
-        **options,
-        guesses=lambda dataset: chosen(dataset, split, predictions, weights, trial, no_paths),
-        others=_drawn,
+    check_grid(found.grid)
+    shown, notes = looks(found, split, indices or spread(found, split, count), guesses)
+    title = printable(f"{found.folder.name}: {found.manifest.kind}, {split}")
+    content = page(shown, title=title, notes=notes)
+    write_result(out, content.encode())
+    for line in notes:
+        note(line)
+    if not quiet:
+        say(f"{out}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
+
+
+def _serve(
+    opened: "list[Dataset]",
+    split: str,
+    index: int,
+    address: tuple[str, int],
+    guesses: "Guesses | None",
+    methods: tuple[str, ...],
+) -> None:
+    """Serves until a stop, which ends the process."""
+    from scenegen.display.live import Live
+    from scenegen.display.look import incomplete
+
+    count = len(opened[0].split(split))
+    if not 0 <= index < max(count, 1):
+        raise click.UsageError(f"--index {index}: its {split} split has {count} samples")
+    for dataset in opened:
+        for line in incomplete(dataset, split):
+            note(f"{dataset.folder}: {line}")
+    host, port = address
+    server = Live(
+        opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
-
-
-def _drawn(path: Path) -> Any:
-    """The figure of a scan, a completion of one, or a run; None for anything else."""
-    from scenegen.display.panels import plain
-    from scenegen.model.completion.points import READERS, read_points
-
-    if path.suffix in READERS:
-        from scenegen.display.pictures import draw_cloud
-
-        return draw_cloud(read_points(path), title=plain(path.name))
-    if path.suffix == ".h5":
-        from scenegen.display.pictures import draw_completion
-        from scenegen.model.completion.predictions import read_completion
-
-        return draw_completion(read_completion(path), title=plain(path.name))
-    if (path / "metrics.csv").is_file():
-        from scenegen.model.training.card import draw as draw_curve
-        from scenegen.model.training.card import read_rows
-
-        return draw_curve(read_rows(path / "metrics.csv"), title=plain(path.resolve().name))
-    return None
+    folders = ", ".join(str(dataset.folder) for dataset in opened)
+    say(f"{server.address}  shows {folders}; Ctrl-C ends it")
+    if server.on_loopback:
+        bound = server.server_address[1]
+        say(
+            f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the same "
+            f"address there"
+        )
+    sys.stdout.flush()
+    server.serve_forever()

@@ -30,7 +30,7 @@ from scenegen.model.evaluation.visibility import (
     scored_layers,
 )
 from scenegen.run import Executor
-from scenegen.run.local import Local
+from scenegen.run.workers import Local
 from scenegen.sample import Sample
 
 CHUNK = 10

@@ -110,7 +110,7 @@ def _time(seconds: float) -> str:
 
 
 if TYPE_CHECKING:
-    from scenegen.cli.progress import Progress
+    from scenegen.cli.show import Progress
 
 TRIALS = 2000
 """Planning trials a kind at scale 1 (the paper's)."""

@@ -37,7 +37,7 @@ from scenegen.run.workers import run as run_workers
 from scenegen.source import DrawnWorlds
 
 if TYPE_CHECKING:
-    from scenegen.cli.progress import Progress
+    from scenegen.cli.show import Progress
 
 SETTINGS, RECORDS, STUDY, TEXT, FIGURES = (
     "settings.json",

@@ -1,20 +1,21 @@
 """Commands by name, and their end: what goes wrong ends in one line on standard error, and in an
-exit code."""
+exit code. Streams never raise: what became of a command does not depend on who reads what it
+says."""
 
 import ast
 import importlib.util
+import io
 import os
 import sys
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 import rich_click as click
 
 from lidarsim.registry import Registry
 from scenegen.cli import stops
-from scenegen.cli.streams import lost_output, open_streams
 from scenegen.errors import ScenegenError, StoppedError, is_out_of_memory, needs, printable, told
 
 EXTRAS = {
@@ -34,21 +35,18 @@ class Commands(click.RichGroup):
     among them."""
 
     def __init__(self, *, places: Mapping[str, str], **more: Any):
-        """`places` says where each of the known commands stands: name to ``module:command``."""
+        """Takes in `places` where each of the known commands stands: name to
+        ``module:command``."""
         super().__init__(context_settings={"help_option_names": ["-h", "--help"]}, **more)
-        self.registry = Registry(
-            "command",
-            places,
-            needs={"make_context": "as click's commands have it: write @click.command() above it"},
-        )
+        needs = {"make_context": "as click's commands have it: write @click.command() above it"}
+        self.registry = Registry("command", places, needs=needs)
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The known ones."""
         return sorted(self.registry.known)
 
     def get_command(self, ctx: Any, name: str) -> Any:
-        """A stand-in that has the help of the command `name`, so that a list of all imports none;
-        see `find`."""
+        """A stand-in with the help of the command `name`, so that a list of all imports none."""
         place = self.registry.known.get(name)
         return None if place is None else click.RichCommand(name=name, help=_first_paragraph(place))
 
@@ -70,8 +68,7 @@ class Commands(click.RichGroup):
             raise
 
     def invoke(self, ctx: Any) -> None:
-        """Run the command. What it returns is of no use here, so that `main` returns exit codes
-        alone."""
+        """Runs the command. What it returns is dropped, so that `main` returns exit codes alone."""
         super().invoke(ctx)
 
 
@@ -82,15 +79,14 @@ def _first_paragraph(place: str) -> str:
     spec = importlib.util.find_spec(module)
     assert spec is not None
     assert spec.origin is not None
-    tree = ast.parse(Path(spec.origin).read_bytes())
-    (found,) = (
-        item for item in tree.body if isinstance(item, ast.FunctionDef) and item.name == function
-    )
-    return (ast.get_docstring(found) or "").partition("\n\n")[0]
+    for item in ast.parse(Path(spec.origin).read_bytes()).body:
+        if isinstance(item, ast.FunctionDef) and item.name == function:
+            return (ast.get_docstring(item) or "").partition("\n\n")[0]
+    return ""
 
 
 def run_command(app: Any) -> NoReturn:
-    """Run the click group `app` on this process's arguments, and end."""
+    """Runs the click group `app` on this process's arguments, and ends the process."""
     stops.answer()
     stops.answer_hanging()
     # no window is ever opened; else importing mujoco starts a process of its own, which a stop
@@ -100,29 +96,21 @@ def run_command(app: Any) -> NoReturn:
     # leave the core to who has work; by themselves they spin, which on a busy machine costs twice
     # the processor time, and time by the clock
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    os.environ["PYTHONSAFEPATH"] = (
-        "1"  # no Python that a library starts imports what lies in the working folder
-    )
-    open_streams()
+    # no Python that a library starts imports what lies in the working folder
+    os.environ["PYTHONSAFEPATH"] = "1"
+    _open_streams()
     if not sys.warnoptions:
-        warnings.simplefilter(
-            "ignore"
-        )  # those of libraries, about their own code and to its authors
-    code, line = _outcome(app)
-    lost = lost_output()
+        warnings.simplefilter("ignore")  # of libraries, about their own code and to its authors
+    try:
+        code, line = app.main(prog_name="scenegen", standalone_mode=False) or 0, ""
+    except (Exception, KeyboardInterrupt) as error:
+        code, line = _end(error)
+    lost = _lost_output()
     if lost is not None and not code:
         code, line = 1, f"standard output: {lost.strerror}; what was to be printed is lost"
     if line:
         print(f"scenegen: {printable(line)}", file=sys.stderr)
     sys.exit(code)
-
-
-def _outcome(app: Any) -> tuple[int, str]:
-    """Exit code and line of a run."""
-    try:
-        return app.main(prog_name="scenegen", standalone_mode=False) or 0, ""
-    except (Exception, KeyboardInterrupt) as error:
-        return _end(error)
 
 
 def _end(error: BaseException) -> tuple[int, str]:
@@ -143,10 +131,55 @@ def _end(error: BaseException) -> tuple[int, str]:
         case Exception() if isinstance(error := told(error), ScenegenError):
             return 1, str(error)
         case OSError():
-            name = (
-                os.fsdecode(error.filename)
-                if isinstance(error.filename, str | bytes)
-                else "the system"
-            )
+            named = isinstance(error.filename, str | bytes)
+            name = os.fsdecode(error.filename) if named else "the system"
             return 1, f"{name}: {error.strerror or error}; nothing finished is lost"
     raise error
+
+
+def _open_streams() -> None:
+    """Makes both output streams forgiving, with characters that the terminal cannot show as
+    escapes."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        # closed; else the next file that is opened would be taken for it. Writing to this one fails
+        except OSError:
+            os.open(os.devnull, os.O_RDONLY)
+        here: TextIO | None = getattr(sys, name)
+        if number and (here is None or here is getattr(sys, f"__{name}__")):
+            setattr(sys, name, _Stream(_Forgiving(number), here.encoding if here else "utf-8"))
+
+
+def _lost_output() -> OSError | None:
+    """Why not all that was printed has reached standard output, if so. That nobody reads any more
+    is no reason."""
+    sys.stdout.flush()
+    trouble = sys.stdout.file.trouble if isinstance(sys.stdout, _Stream) else None
+    return None if isinstance(trouble, BrokenPipeError) else trouble
+
+
+class _Forgiving(io.FileIO):
+    """A file descriptor that takes everything; what it cannot write is gone."""
+
+    trouble: OSError | None = None
+
+    def __init__(self, number: int):
+        super().__init__(number, "w", closefd=False)
+
+    def write(self, content: Any) -> int:
+        """Writes, or says that it was."""
+        try:
+            return super().write(content)
+        except OSError as error:
+            self.trouble = error
+            return len(content)
+
+
+class _Stream(io.TextIOWrapper):
+    """Text on a forgiving file descriptor, line by line."""
+
+    def __init__(self, file: _Forgiving, encoding: str):
+        buffer = io.BufferedWriter(file)
+        super().__init__(buffer, encoding, errors="backslashreplace", line_buffering=True)
+        self.file = file

@@ -1,25 +1,35 @@
-"""`scenegen convert`: a dataset in another program's format."""
+"""`scenegen convert` and `scenegen world`: a dataset, or one of its worlds, for other programs."""
 
+import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
 from scenegen import SPLITS
 from scenegen.cli.options import (
     dataset_argument,
+    examples,
     on_option,
     options_of,
     out_option,
     quiet_option,
+    split_option,
+    splits_option,
     taken,
     workers_option,
 )
+from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
 
+if TYPE_CHECKING:
+    from scenegen.dataset.read import Dataset
 
-@click.command()
+
+@click.command(
+    epilog=examples("convert data/pillar --to ply", "convert data/pillar --to mcap --split val")
+)
 @dataset_argument
 @click.option(
     "--to",
@@ -29,13 +39,7 @@ from scenegen.display.exchange import FORMATS, Choices
     help=f"The format: {', '.join(FORMATS.known)}.",
 )
 @out_option("The folder to write.  [default: the dataset's name, a dash, the format]")
-@click.option(
-    "--split",
-    "splits",
-    type=click.Choice(SPLITS),
-    multiple=True,
-    help="A split; repeatable. [default: all]",
-)
+@splits_option("A split")
 @options_of(
     Choices,
     unseen_invalid="SemanticKITTI: mark voxels that no ray met as invalid, which leaves them out "
@@ -58,17 +62,11 @@ def convert(
 ) -> None:
     """Write a dataset in another program's format; the same command again goes on where it was
     stopped."""
-    from scenegen.cli.progress import Progress, note
-    from scenegen.cli.show import say
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.read import Dataset
     from scenegen.display.exchange.convert import convert as write
     from scenegen.errors import DatasetError
     from scenegen.run import executor
 
-    found = Dataset(locate(dataset, shown=not quiet), partial=True)
-    choices = Choices(**taken(Choices, options))
-    chosen = splits or SPLITS
+    found = _opened(dataset, shown=not quiet)
     target = out or Path(f"{found.folder.name}-{to.rpartition(':')[2]}")
     if not found.manifest.complete:
         note(f"{found.folder}: is incomplete; what is there is converted")
@@ -77,8 +75,8 @@ def convert(
             found,
             target,
             to=to,
-            choices=choices,
-            splits=chosen,
+            choices=Choices(**taken(Choices, options)),
+            splits=splits or SPLITS,
             execute=executor(on, workers),
             on_start=progress.start,
             on_sample=progress.count,
@@ -93,3 +91,65 @@ def convert(
     if not quiet:
         others = f"; {done.others} are for the other ranks to write there" if done.others else ""
         say(f"{target}: {done.written} samples written, {done.there} were there{others}")
+
+
+@click.command()
+@dataset_argument
+@click.argument("number", type=click.IntRange(min=0), required=False)
+@split_option("train", help="The split that the world belongs to.")
+@out_option(
+    "File to write: MJCF, or .glb for its surfaces.  [default: MJCF to standard output]", file=True
+)
+def world(dataset: Path | str, number: int | None, split: str, out: Path | None) -> None:
+    """Take one world's MJCF, and the files it refers to, out of a dataset.
+
+    With a name that ends in .glb, write its surfaces instead, or those of an MJCF file (.xml).
+    """
+    alone = isinstance(dataset, Path) and dataset.suffix == ".xml"
+    surfaces = out is not None and out.suffix == ".glb"
+    if alone and not surfaces:
+        raise click.UsageError(
+            f"{dataset}: is a world already; give -o with a name that ends in .glb"
+        )
+    if alone == (number is not None):
+        raise click.UsageError(
+            "give the number of one of the dataset's worlds, and none for an .xml file"
+        )
+    if out is not None and surfaces:
+        _write_surfaces(dataset, split, number, out)
+        say(f"written: {out}")
+        return
+    from scenegen.dataset.extract import DOCUMENT, write_extracted
+
+    assert number is not None
+    files = _opened(dataset).world(split, number)
+    if out is not None:
+        write_extracted(files, out)
+        say(f"written: {out}" + (f", {out.with_suffix('.files')}/" if len(files) > 1 else ""))
+    elif len(files) > 1:
+        raise click.UsageError(
+            f"this world refers to {len(files) - 1} other files; give -o: they go beside it"
+        )
+    else:
+        sys.stdout.buffer.write(files[DOCUMENT])
+
+
+def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Path) -> None:
+    from scenegen.dataset.extract import compile_archived
+    from scenegen.display.exchange.glb import encode_world
+    from scenegen.files import write_result
+    from scenegen.source import read_world
+
+    if number is None:
+        content = encode_world(read_world(Path(dataset)))
+    else:
+        content = encode_world(compile_archived(_opened(dataset), split, number))
+    write_result(out, content)
+
+
+def _opened(dataset: Path | str, *, shown: bool = True) -> "Dataset":
+    """The dataset, complete or not; with `shown`, a download has a bar."""
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.read import Dataset
+
+    return Dataset(locate(dataset, shown=shown), partial=True)

@@ -1,18 +1,23 @@
-"""`scenegen doctor`: whether this machine is fit, and what would make it so."""
+"""`scenegen doctor` and `scenegen completion`: whether this machine is fit, and what makes its
+shell complete the command line."""
 
 import json
+import shutil
+import time
+from pathlib import Path
 from typing import Any
 
 import rich_click as click
+from click.shell_completion import get_completion_class
 
 from scenegen.cli.options import json_option
-from scenegen.cli.progress import announce_compilation
-from scenegen.cli.show import flat, show_table
+from scenegen.cli.show import announce_compilation, flat, show_table
 from scenegen.errors import ScenegenError, needs
 
 LITTLE_GB = 5.0
 """Free disk below which `doctor` warns: a dataset of default size takes a quarter of a gigabyte, a
 run some more."""
+SELF_TEST_S = 2.0
 
 
 @click.command()
@@ -21,25 +26,15 @@ def doctor(as_json: bool) -> None:
     """Check this machine: versions, cores, disk, GPU, and a two-second self-test."""
     if not as_json:
         announce_compilation()
-    from lidarsim.jit import cache_trouble
-    from scenegen.cli.examine import examine
-
     found = examine()
     if as_json:
         print(json.dumps(found))
     else:
-        rows, advice = flat(found), _advice(found, cached=not cache_trouble("scenegen"))
-        marks = {
-            name: ("✗", "red")
-            if value is False
-            else ("!", "yellow")
-            if name in advice
-            else ("✓", "green")
-            for name, value in rows.items()
-        }
-        show_table(
-            {name: f"{value}{advice.get(name, '')}" for name, value in rows.items()}, marks=marks
-        )
+        rows, advice = flat(found), _advice(found)
+        marks = dict.fromkeys(rows, ("✓", "green")) | dict.fromkeys(advice, ("!", "yellow"))
+        marks |= {name: ("✗", "red") for name, value in rows.items() if value is False}
+        told = {name: f"{value}{advice.get(name, '')}" for name, value in rows.items()}
+        show_table(told, marks=marks)
     if not found["ok"]:
         raise ScenegenError(
             "the self-test failed: samples made here cannot be trusted; reinstall, then run it "
@@ -47,8 +42,10 @@ def doctor(as_json: bool) -> None:
         )
 
 
-def _advice(found: dict[str, Any], *, cached: bool) -> dict[str, str]:
+def _advice(found: dict[str, Any]) -> dict[str, str]:
     """What to do about what is missing, by the name of its line."""
+    from lidarsim.jit import cache_trouble
+
     advice = {}
     if found["torch"] == "absent":
         advice["torch"] = f"; training a network and completing with one {needs('torch', 'train')}"
@@ -56,8 +53,77 @@ def _advice(found: dict[str, Any], *, cached: bool) -> dict[str, str]:
         advice["disk_free_gb"] = (
             f"; less than {LITTLE_GB:g} GB: free some before generating or training"
         )
-    if not cached:
+    if cache_trouble("scenegen"):
         advice["kernel_cache"] = (
             "; kernels compile in every run: set SCENEGEN_CACHE to a folder that only you can write"
         )
     return advice
+
+
+def examine(folder: Path = Path()) -> dict[str, Any]:
+    """Everything about this machine that matters here. `ok` is False where the self-test found a
+    law broken; the free disk is that of `folder`."""
+    from lidarsim.jit import cache_folder, cache_trouble
+    from scenegen.run.software import installed, software
+    from scenegen.run.workers import cores
+
+    test = self_test()
+    return {
+        "ok": test["ok"],
+        "software": software(),
+        "torch": installed("torch"),
+        "gpu": _gpu(),
+        "cores": cores(),
+        "disk_free_gb": round(shutil.disk_usage(folder).free / 1e9, 1),
+        "kernel_cache": cache_trouble("scenegen") or str(cache_folder("scenegen").parent),
+        "self_test": test,
+    }
+
+
+def self_test() -> dict[str, Any]:
+    """Draws samples for two seconds and holds them to their laws: every return lies in an occupied
+    voxel, and a sample drawn again is the same to the bit."""
+    from scenegen import draw
+    from scenegen.recipe import preset
+    from scenegen.source import DrawnWorlds
+
+    recipe = preset("pillar")
+    source = DrawnWorlds(recipe)
+
+    def drawn(unit: int) -> Any:
+        return draw.draw_unit(source, recipe, seed=0, split="train", unit=unit).samples
+
+    first = drawn(0)  # compiles, where nothing is cached
+    repeatable = [one.sha256() for one in first] == [one.sha256() for one in drawn(0)]
+    begin, units, samples, contained = time.perf_counter(), 0, 0, True
+    while time.perf_counter() - begin < SELF_TEST_S:
+        found = drawn(units)
+        units, samples = units + 1, samples + len(found)
+        contained &= not any((one.observed & ~one.occupancy).any() for one in found)
+    rate = samples / (time.perf_counter() - begin)
+    return {
+        "ok": repeatable and contained,
+        "repeatable": repeatable,
+        "returns_occupied": contained,
+        "samples": samples,
+        "samples_per_second_per_core": round(rate, 1),
+    }
+
+
+def _gpu() -> str:
+    """Name of the GPU that torch sees, or why there is none."""
+    try:
+        import torch
+    except ModuleNotFoundError:
+        return "unknown (torch is not installed)" if shutil.which("nvidia-smi") else "none"
+    return torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none"
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+@click.pass_context
+def completion(ctx: click.Context, shell: str) -> None:
+    """Print a completion script: eval "$(scenegen completion bash)"."""
+    found = get_completion_class(shell)
+    assert found is not None
+    print(found(ctx.find_root().command, {}, "scenegen", "_SCENEGEN_COMPLETE").source())

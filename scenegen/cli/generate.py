@@ -1,5 +1,7 @@
-"""`scenegen generate`: from options to a plan, and from a plan to a dataset."""
+"""`scenegen generate` and `scenegen recipe`: from options to a plan, and from a plan to a
+dataset."""
 
+import dataclasses
 import json
 import time
 from pathlib import Path
@@ -9,6 +11,9 @@ import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
 from scenegen.cli.options import (
+    SENSING,
+    examples,
+    force_option,
     json_option,
     lidar_option,
     mapping_given,
@@ -21,40 +26,78 @@ from scenegen.cli.options import (
     seed_option,
     workers_option,
 )
-from scenegen.cli.progress import Progress, announce_compilation, note
-from scenegen.cli.show import flat, per_split, rejections, say, show_table
+from scenegen.cli.show import (
+    Progress,
+    announce_compilation,
+    flat,
+    note,
+    per_split,
+    rejections,
+    say,
+    show_table,
+)
 from scenegen.cli.types import Named, ShardRange
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:
-    from scenegen.dataset.build import Summary
     from scenegen.dataset.state import Plan
+    from scenegen.run import Executor
 
 KIND = Named(KINDS, others={".xml": "--scene", ".toml": "--recipe"})
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
+WORLDS, SIZE = "Worlds", "Size and files"
+"""Groups of options on the help page."""
+MAPPING = {field.name for field in dataclasses.fields(Mapper)}
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "generate --kind pillar -n 100",
+        "generate --scene room.xml --lidar ouster-os1-128 --noise datasheet -o data/room",
+        "generate --kind geometric --seed 7 --dry-run",
+    )
+)
 @click.argument("named", metavar="[KIND]", type=KIND, required=False)
 @click.option(
-    "--kind", type=KIND, help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS."
+    "--kind",
+    type=KIND,
+    panel=WORLDS,
+    help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.",
 )
 @click.option(
     "--scene",
     type=click.Path(path_type=Path),
+    panel=WORLDS,
     help="An MJCF file of your own world, or a folder of them.",
 )
 @click.option(
-    "--recipe", type=click.Path(path_type=Path), help="TOML file with what differs from the preset."
+    "--recipe",
+    type=click.Path(path_type=Path),
+    panel=WORLDS,
+    help="TOML file with what differs from the preset.",
 )
-@lidar_option("The sensor", "  [default: the recipe's]")
+@click.option(
+    "--allow-unseen",
+    is_flag=True,
+    panel=WORLDS,
+    help="Take scenes with geoms that rays cannot see; leave these out.",
+)
+@click.option(
+    "--labels",
+    type=click.Choice(["name", "material", "group"]),
+    panel=WORLDS,
+    help="Say of every return and voxel which geom it is of, and which class: by names or "
+    "materials of geoms, or by their group.",
+)
+@lidar_option("the recipe's")
 @noise_option
 @mapping_options()
 @options_of(
     Mapper,
+    panel=SENSING,
     tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.",
 )
 @click.option(
@@ -62,62 +105,58 @@ NETWORK_EDGE = 8
     type=Named(ENGINES),
     default=DEFAULT,
     show_default=True,
+    panel=SENSING,
     help=f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.",
 )
 @click.option(
-    "-n",
-    "--n",
+    *("-n", "--n"),
     type=click.IntRange(min=1),
     default=2500,
     show_default=True,
+    panel=SIZE,
     help="Training samples.",
 )
 @click.option(
-    "--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]"
-)
-@click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth of --n]")
-@seed_option("The same seed, the same dataset.")
-@out_option("Folder of the dataset, or s3://bucket/folder.  [default: data/<kind>]", places=True)
-@workers_option
-@on_option
-@click.option(
-    "--labels",
-    type=click.Choice(["name", "material", "group"]),
-    help="Say of every return and voxel which geom it is of, and which class: by names or "
-    "materials of geoms, or by "
-    "their group.",
+    "--val",
+    type=click.IntRange(min=0),
+    panel=SIZE,
+    help="Validation samples.  [default: a tenth of --n]",
 )
 @click.option(
-    "--compact", is_flag=True, help="Leave out what readers can derive: free space and distances."
+    "--test", type=click.IntRange(min=0), panel=SIZE, help="Test samples.  [default: a fifth]"
 )
 @click.option(
     "--shard-samples",
     type=click.IntRange(min=1),
     default=USUAL_IN_SHARD,
     show_default=True,
+    panel=SIZE,
     help="Samples in a file.",
 )
 @click.option(
     "--split-range",
     type=ShardRange(),
+    panel=SIZE,
     help="Only these shards, for a cluster; --dry-run counts them.",
 )
 @click.option(
-    "--allow-unseen",
+    "--compact",
     is_flag=True,
-    help="Take scenes with geoms that rays cannot see; leave these out.",
+    panel=SIZE,
+    help="Leave out what readers can derive: free space and distances.",
 )
-@click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
+@seed_option("The same seed, the same dataset.")
+@out_option("Folder of the dataset, or s3://bucket/folder.  [default: data/<kind>]", stores=True)
+@force_option
 @click.option(
     "--dry-run", is_flag=True, help="Say what would be made, as a recipe file, and make nothing."
 )
+@workers_option
+@on_option
 @json_option
 @quiet_option
 def generate(
     named: str | None,
-    n: int,
-    val: int | None,
-    test: int | None,
     workers: int,
     on: str,
     dry_run: bool,
@@ -136,77 +175,47 @@ def generate(
         raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
     if {"kind", "scene"} <= set(given):
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
+    shards, force = options.pop("split_range"), options.pop("force")
     talk = not (quiet or as_json)
     if talk:
         announce_compilation()
-    from scenegen.dataset.build import build, check_folder
+    from scenegen.dataset.build import check_folder
     from scenegen.dataset.generation import plan_generation
     from scenegen.run import executor
     from scenegen.run.workers import keep_memory
 
     keep_memory()
-
-    asked = [*("kind", "scene", "recipe", "out", "lidar", "noise", "labels", "seed", "engine")]
-    asked += ["compact", "shard_samples", "allow_unseen"]
+    asked = {key: value for key, value in options.items() if key not in MAPPING}
     plan = plan_generation(
-        n=n,
-        val=val,
-        test=test,
-        mapping=mapping_given(options),
-        tell=note if talk else lambda line: None,
-        **{name: options[name] for name in asked},
+        mapping=mapping_given(options), tell=note if talk else lambda line: None, **asked
     )
-    shard_range = options["split_range"]
-    if shard_range and shard_range[1] > len(plan.shards):
-        raise click.UsageError(
-            f"--split-range {shard_range[0]}:{shard_range[1]}: there are {len(plan.shards)} shards"
-        )
-    check_folder(plan, force=options["force"])
-    if talk and any(edge % NETWORK_EDGE for edge in plan.parameters["grid"]["shape"]):
+    count = len(plan.shards)
+    if shards and shards[1] > count:
+        raise click.UsageError(f"--split-range {shards[0]}:{shards[1]}: there are {count} shards")
+    check_folder(plan, force=force)
+    grid = plan.parameters["grid"]["shape"]
+    if talk and any(edge % NETWORK_EDGE for edge in grid):
         note(
             f"note: the bundled networks need edges that are multiples of {NETWORK_EDGE}, and "
-            f"grid.shape = "
-            f"{plan.parameters['grid']['shape']}; other methods take any"
+            f"grid.shape = {grid}; other methods take any"
         )
     if dry_run:
         _show_plan(plan, as_json)
         return
-    execute = executor(on, workers)
-    chosen = execute.mine(plan.shards[slice(*shard_range)] if shard_range else plan.shards)
-    names = {shard.file.name for shard in chosen}
-
-    def start() -> None:
-        progress.start(sum(shard.samples for shard in chosen))
-
-    def count(report: Any, fresh: bool) -> None:
-        progress.count(report.samples if report.file in names else 0)
-
-    with Progress(plan.parameters["kind"], shown=talk) as progress:
-        summary = build(
-            plan,
-            execute=execute,
-            workers=workers,
-            shard_range=shard_range,
-            force=options["force"],
-            on_start=start,
-            on_shard=count,
-        )
-    if as_json:
-        print(
-            json.dumps(
-                {
-                    **vars(summary),
-                    "folder": str(summary.folder),
-                    "seconds": time.perf_counter() - begin,
-                }
-            )
-        )
-    elif talk:
-        show_summary(summary, time.perf_counter() - begin)
+    make(
+        plan,
+        begin=begin,
+        execute=executor(on, workers),
+        workers=workers,
+        shards=shards,
+        force=force,
+        as_json=as_json,
+        quiet=quiet,
+    )
 
 
 def _show_plan(plan: "Plan", as_json: bool) -> None:
-    """What would be made, and the recipe file that says all of it."""
+    """Prints what would be made, and the recipe file that says all of it."""
     rows = {
         "folder": str(plan.folder),
         "samples": plan.samples,
@@ -219,30 +228,106 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
     from scenegen.share.regenerate import recipe_text
 
     of_recipe = ("kind", "recipe", "lidar", "noise", "mapping", "grid")
-    show_table(
-        rows | flat({key: value for key, value in plan.parameters.items() if key not in of_recipe}),
-        "would make",
-    )
+    others = {key: value for key, value in plan.parameters.items() if key not in of_recipe}
+    show_table(rows | flat(others), "would make")
     say(f"\n{recipe_text(plan.parameters, 'this as a recipe file')}".rstrip())
 
 
-def show_summary(summary: "Summary", seconds: float) -> None:
-    """What was made."""
-    present = sum(summary.samples.values())
+def make(
+    plan: "Plan",
+    *,
+    begin: float,
+    workers: int,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    execute: "Executor | None" = None,
+    shards: tuple[int, int] | None = None,
+) -> None:
+    """Makes a planned dataset, with a bar, and prints what was made.
+
+    Args:
+        plan: What is made.
+        begin: When the command began, by `time.perf_counter`.
+        workers: Processes.
+        force: Replace another dataset in the folder.
+        as_json: Print the result as JSON.
+        quiet: Print nothing.
+        execute: What does the work; processes of this machine unless given.
+        shards: First of the shards that are made, and the one after the last; all unless given.
+    """
+    from scenegen.dataset.build import build
+    from scenegen.run.workers import Local
+
+    execute = execute or Local("", workers)
+    chosen = execute.mine(plan.shards[slice(*shards)] if shards else plan.shards)
+    names = {shard.file.name for shard in chosen}
+    talk = not (quiet or as_json)
+
+    def count(report: Any, fresh: bool) -> None:
+        progress.count(report.samples if report.file in names else 0)
+
+    with Progress(plan.folder.name, shown=talk) as progress:
+        summary = build(
+            plan,
+            execute=execute,
+            workers=workers,
+            shard_range=shards,
+            force=force,
+            on_start=lambda: progress.start(sum(shard.samples for shard in chosen)),
+            on_shard=count,
+        )
+    seconds = time.perf_counter() - begin
+    if as_json:
+        print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": seconds}))
+    if not talk:
+        return
+    samples, written = sum(summary.samples.values()), summary.samples_written
+    size = f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(samples, 1) / 1e3:.1f} KB a sample"
+    rate = f"{written / seconds:.0f} samples a second, start-up included"
+    missing = f"none yet: {summary.shards_missing} of {summary.shards} shards are missing"
     show_table(
         {
             "folder": summary.folder,
-            "samples": f"{present}  ({per_split(summary.samples)})",
+            "samples": f"{samples}  ({per_split(summary.samples)})",
             "worlds": f"{sum(summary.worlds.values())}  ({per_split(summary.worlds)})",
             "rejected": rejections(summary.rejected),
-            "size": f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(present, 1) / 1e3:.1f} "
-            f"KB a sample",
-            "time": f"{seconds:.1f} s, {summary.samples_written / seconds:.0f} samples a second, "
-            f"start-up included"
-            if summary.samples_written
-            else f"{seconds:.1f} s; nothing was left to make",
-            "digest": summary.digest
-            or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
+            "size": size,
+            "time": f"{seconds:.1f} s" + (f", {rate}" if written else "; nothing was left to make"),
+            "digest": summary.digest or missing,
             "next": f"scenegen inspect {summary.folder}",
         }
     )
+
+
+@click.command()
+@click.argument("kind", type=Named(KINDS))
+@lidar_option("the kind's")
+@out_option("The file to write.  [default: standard output]", file=True)
+def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
+    """Print the preset of a kind of worlds as a recipe, every parameter with its value, for
+    `generate --recipe`."""
+    from lidarsim import Lidar
+    from scenegen.dataset import manifest
+    from scenegen.errors import RecipeError
+    from scenegen.files import write_result
+    from scenegen.lidar import named_lidar
+    from scenegen.recipe import preset
+    from scenegen.share.regenerate import recipe_text
+    from scenegen.source import DrawnWorlds
+
+    found = preset(kind, lidar=named_lidar(lidar) if lidar else None)
+    if not isinstance(found.lidar, Lidar):
+        raise RecipeError(
+            f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate "
+            f"--lidar"
+        )
+    counts = {"train": 0, "val": 0, "test": 0}
+    given = manifest.parameters(
+        found, DrawnWorlds(found), seed=0, counts=counts, compact=False, shard_samples=1
+    )
+    text = recipe_text(given, f"the preset of {kind}, version {found.version}; lengths are metres")
+    if out is None:
+        say(text.rstrip())
+    else:
+        write_result(out, text.encode())

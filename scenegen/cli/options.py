@@ -4,6 +4,7 @@ import dataclasses
 import math
 import typing
 from collections.abc import Callable, Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -21,7 +22,6 @@ from scenegen.cli.types import (
     Numbers,
     OutputFile,
     OutputFolder,
-    Place,
 )
 from scenegen.errors import printable
 from scenegen.limits import MOST_WORKERS
@@ -29,6 +29,20 @@ from scenegen.run import EXECUTORS, LOCAL
 from scenegen.worlds.mapping import Mapper
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Decorator = Callable[[Function], Function]
+
+SENSING, RUNNING = "Sensor and maps", "Running and printing"
+"""Groups of options on help pages."""
+
+
+def together(*options: Decorator[Any]) -> Decorator[Any]:
+    """Several options as one decorator, listed in this order."""
+    return lambda function: reduce(lambda made, option: option(made), reversed(options), function)
+
+
+def examples(*commands: str) -> str:
+    """Commands for the end of a help page."""
+    return "\n\n".join(["Examples:", *(f"scenegen {command}" for command in commands)])
 
 
 def _workers(ctx: Any, parameter: Any, given: int | None) -> int:
@@ -43,21 +57,30 @@ workers_option = click.option(
     "--workers",
     type=click.IntRange(1, MOST_WORKERS),
     callback=_workers,
+    panel=RUNNING,
     help="Processes.  [default: all cores]",
 )
 on_option = click.option(
     "--on",
-    type=Place(EXECUTORS),
+    type=Named(EXECUTORS, address=True),
     default=LOCAL,
     show_default=True,
     metavar="PLACE",
+    panel=RUNNING,
     help=f"Where the work is done: {', '.join(EXECUTORS.known)}, or MODULE:CLASS, each with "
     f"://ADDRESS or without.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-quiet_option = click.option("--quiet", is_flag=True, help="Print errors alone.")
+force_option = click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
+json_option = click.option(
+    "--json", "as_json", is_flag=True, panel=RUNNING, help="Print the result as JSON."
+)
+quiet_option = click.option("--quiet", is_flag=True, panel=RUNNING, help="Print errors alone.")
 device_option = click.option(
-    "--device", default="auto", show_default=True, help="Where to compute: cpu, cuda, cuda:1 …"
+    "--device",
+    default="auto",
+    show_default=True,
+    panel=RUNNING,
+    help="Where to compute: cpu, cuda, cuda:1 …",
 )
 kind_option = click.option(
     "--kind",
@@ -67,14 +90,25 @@ kind_option = click.option(
 )
 
 
-def split_option(default: str, help: str) -> Callable[[Function], Function]:
+def split_option(default: str, help: str) -> Decorator[Any]:
     """--split, one of a dataset's."""
     return click.option(
         "--split", type=click.Choice(SPLITS), default=default, show_default=True, help=help
     )
 
 
-def seed_option(help: str) -> Callable[[Function], Function]:
+def splits_option(help: str) -> Decorator[Any]:
+    """--split, repeatable; the parameter is `splits`."""
+    return click.option(
+        "--split",
+        "splits",
+        type=click.Choice(SPLITS),
+        multiple=True,
+        help=f"{help}; repeatable.  [default: all]",
+    )
+
+
+def seed_option(help: str) -> Decorator[Any]:
     """--seed of what is drawn."""
     return click.option(
         "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=help
@@ -82,25 +116,26 @@ def seed_option(help: str) -> Callable[[Function], Function]:
 
 
 def out_option(
-    help: str, default: Path | None = None, *, file: bool = False, places: bool = False
-) -> Callable[[Function], Function]:
-    """-o: the folder, with `places` also a place, or, with `file`, the file to write; the parameter
-    is `out`."""
-    kind = OutputFile() if file else OutputFolder(places=places)
+    help: str, default: Path | None = None, *, file: bool = False, stores: bool = False
+) -> Decorator[Any]:
+    """-o: the folder, with `stores` also one in a store, or, with `file`, the file to write; the
+    parameter is `out`."""
+    kind = OutputFile() if file else OutputFolder(stores=stores)
     names = ("--output", "--out") if file else ("--out", "--output")
     return click.option(
         "-o", *names, "out", type=kind, default=default, show_default=True, help=help
     )
 
 
-def lidar_option(what: str, default: str = "") -> Callable[[Function], Function]:
+def lidar_option(default: str) -> Decorator[Any]:
     """--lidar, or --sensor: a sensor's name, a TOML file of one, or module:Object; the parameter is
     `lidar`."""
-    told = (
-        f"{what}: a name (`scenegen sensors` lists them), a .toml file, or MODULE:CLASS.{default}"
-    )
     return click.option(
-        "--lidar", "--sensor", "lidar", type=Named(SENSORS, file=".toml"), help=told
+        *("--lidar", "--sensor", "lidar"),
+        type=Named(SENSORS, file=".toml"),
+        panel=SENSING,
+        help="The sensor: a name (`scenegen sensors` lists them), a .toml file, or MODULE:CLASS."
+        f"  [default: {default}]",
     )
 
 
@@ -122,43 +157,86 @@ noise_option = click.option(
     "--noise",
     callback=_noise,
     metavar="STAGE:VALUE…,…",
+    panel=SENSING,
     help="Faults of the sensor, such as range:0.02,dropout:0.05, or datasheet for what it comes "
     "with.  [default: none]",
 )
 
 
-def options_of(
-    config: type, prefix: str = "", *, default: str | None = None, **helps: str
-) -> Callable[[Function], Function]:
-    """An option for each field of the dataclass `config` that `helps` names, with that text. Its
-    default, type, choices and bounds are the field's; so is its name, after `prefix` and without a
-    unit: `beta_m` becomes --beta. Several numbers are given with commas between. `default` is shown
-    where an option that is not given has another effect than the field's default."""
-
-    def add(function: Function) -> Function:
-        for name, text in reversed(helps.items()):
-            function = _option(config, name, text, prefix, default or True)(function)
-        return function
-
-    return add
-
-
-def mapping_options(default: str | None = None) -> Callable[[Function], Function]:
+def mapping_options(default: str | None = None) -> Decorator[Any]:
     """Options of how maps are made, of commands that draw or scan again; for `default` see
     `options_of`."""
-    helps = {
-        "scans": "Scans that make a map: the sample's own, and those before it on the flight.",
-        "scan_spacing_m": "Metres flown from scan to scan.",
-        "fusion": "How they make one map.",
-        "map_ahead_m": "Where the map's middle lies from the sensor: metres forward, to the left, "
+    return options_of(
+        Mapper,
+        default=default,
+        panel=SENSING,
+        scans="Scans that make a map: the sample's own, and those before it on the flight.",
+        scan_spacing_m="Metres flown from scan to scan.",
+        fusion="How they make one map.",
+        map_ahead_m="Where the map's middle lies from the sensor: metres forward, to the left, "
         "and up.",
-    }
-    return options_of(Mapper, default=default, **helps)
+    )
 
 
 def mapping_given(options: Mapping[str, Any]) -> dict[str, Any]:
     """Those of `options` that the user gave and that say how maps are made."""
     return {name: value for name, value in taken(Mapper, options).items() if was_given(name)}
+
+
+def options_of(
+    config: type,
+    prefix: str = "",
+    *,
+    default: str | None = None,
+    panel: str | None = None,
+    **helps: str,
+) -> Decorator[Any]:
+    """Makes an option of each field of a dataclass that `helps` names.
+
+    Its default, type, choices and bounds are the field's; so is its name, after `prefix` and
+    without a unit: `beta_m` becomes --beta. Several numbers are given with commas between.
+
+    Args:
+        config: The dataclass.
+        prefix: What the options' names begin with.
+        default: Shown where an option that is not given has another effect than the field's
+            default.
+        panel: The group on the help page.
+        helps: The options' texts by the fields' names.
+    """
+    kinds = typing.get_type_hints(config)
+    fields = {item.name: item for item in dataclasses.fields(config)}
+    options = []
+    for name, text in helps.items():
+        flag = "--" + prefix + name.removesuffix("_m").removesuffix("_mps").replace("_", "-")
+        more = _settings(kinds[name], fields[name], flag)
+        more["show_default"] = default or more.get("show_default", True)
+        options.append(click.option(more.pop("flag", flag), name, help=text, panel=panel, **more))
+    return together(*options)
+
+
+def _settings(kind: Any, field: Any, flag: str) -> dict[str, Any]:
+    """What click is told of an option that is a dataclass's field."""
+    default = field.default
+    if kind is bool:
+        both = {"flag": f"{flag}/--no-{flag[2:]}"} if default else {"show_default": False}
+        return {**both, "is_flag": True, "default": default}
+    if typing.get_origin(kind) is Literal:
+        words = {str(choice): choice for choice in typing.get_args(kind)}
+        return {
+            "type": Choice(list(words)),
+            "default": str(default),
+            "callback": lambda ctx, parameter, value: words[value],
+        }
+    bounds = field.metadata.get(BOUNDS, Bounds())
+    if kind is float:
+        return {"type": Number(bounds), "default": default}
+    if typing.get_origin(kind) is tuple:
+        return {"type": Numbers("X,Y,Z", len(typing.get_args(kind))), "default": default}
+    least, most = (
+        None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most)
+    )
+    return {"type": click.IntRange(least, most), "default": default}
 
 
 def taken(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -174,35 +252,24 @@ def was_given(name: str) -> bool:
     return context is not None and context.get_parameter_source(name) is not ParameterSource.DEFAULT
 
 
-def _option(
-    config: type, name: str, text: str, prefix: str, shown: str | Literal[True]
-) -> Callable[[Function], Function]:
-    (item,) = (item for item in dataclasses.fields(config) if item.name == name)
-    kind = typing.get_type_hints(config)[name]
-    flag = "--" + prefix + name.removesuffix("_m").removesuffix("_mps").replace("_", "-")
-    if kind is bool:
-        flags = f"{flag}/--no-{flag[2:]}" if item.default else flag
-        return click.option(
-            flags,
-            name,
-            is_flag=True,
-            default=item.default,
-            show_default=bool(item.default),
-            help=text,
+def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Path, ...]:
+    """The folders of the datasets named, or those under data/ that hold samples. Raises UsageError
+    for none."""
+    from scenegen.cli.show import note
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.trust import load
+
+    found = tuple(locate(dataset, shown=shown) for dataset in datasets)
+    if not found:
+        there = {
+            path.parent: load(path.parent) for path in sorted(Path("data").glob("*/dataset.json"))
+        }
+        found = tuple(folder for folder, manifest in there.items() if manifest.shards)
+        for folder in there.keys() - set(found) if shown else ():
+            note(f"{folder}: holds no samples yet, so it is left out")
+    if not found:
+        raise click.UsageError(
+            "no dataset given, and none under data/; make one with `scenegen generate --kind "
+            "pillar`"
         )
-    more: dict[str, Any] = {"default": item.default, "show_default": shown, "help": text}
-    if typing.get_origin(kind) is Literal:
-        choices = {str(choice): choice for choice in typing.get_args(kind)}
-        more |= {"type": Choice(list(choices)), "default": str(item.default)}
-        return click.option(
-            flag, name, callback=lambda ctx, parameter, value: choices[value], **more
-        )
-    bounds = item.metadata.get(BOUNDS, Bounds())
-    if kind is float:
-        return click.option(flag, name, type=Number(bounds), **more)
-    if typing.get_origin(kind) is tuple:
-        return click.option(flag, name, type=Numbers("X,Y,Z", len(typing.get_args(kind))), **more)
-    least, most = (
-        None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most)
-    )
-    return click.option(flag, name, type=click.IntRange(least, most), **more)
+    return found

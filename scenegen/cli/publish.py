@@ -9,21 +9,26 @@ import rich_click as click
 
 from scenegen.cli.options import (
     dataset_argument,
+    examples,
     json_option,
     kind_option,
     out_option,
     quiet_option,
     workers_option,
 )
-from scenegen.cli.progress import Progress, announce_compilation, note
-from scenegen.cli.show import show_table
+from scenegen.cli.show import Progress, announce_compilation, note, show_table
 from scenegen.share.licence import USUAL
 
 if TYPE_CHECKING:
     from scenegen.share.upload import Published
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "publish data/pillar --repo user/pillar --dry-run",
+        "publish data/pillar --repo user/pillar --tag v1 --licence CC-BY-4.0",
+    )
+)
 @dataset_argument
 @click.option(
     "--repo", required=True, metavar="USER/NAME", help="Dataset repository on the Hugging Face Hub."
@@ -101,9 +106,8 @@ def publish(
 
 
 def _show(done: "Published", seconds: float, as_json: bool) -> None:
-    """What was made, and sent."""
+    """Prints what was made, and sent."""
     staged = done.staged
-    url = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
     size = sum(staged.files.values())
     if as_json:
         rows = {
@@ -111,34 +115,23 @@ def _show(done: "Published", seconds: float, as_json: bool) -> None:
             "repository": staged.repository,
             "tag": staged.tag,
             "commit": done.commit,
+            "digest": staged.digest,
+            "files": staged.files,
+            "bytes": size,
+            "seconds": seconds,
         }
-        print(
-            json.dumps(
-                {
-                    **rows,
-                    "digest": staged.digest,
-                    "files": staged.files,
-                    "bytes": size,
-                    "seconds": seconds,
-                }
-            )
-        )
+        print(json.dumps(rows))
         return
+    told = {
+        "folder": staged.folder,
+        "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
+        "revision": f"hf://{staged.repository}@{staged.tag}",
+        "time": f"{seconds:.1f} s",
+    }
     if done.commit is None:
-        show_table(
-            {name: f"{size:>12,}" for name, size in staged.files.items()}, "would send, in bytes"
-        )
-    show_table(
-        {
-            "folder": staged.folder,
-            "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
-            "revision": f"hf://{staged.repository}@{staged.tag}",
-            "time": f"{seconds:.1f} s",
-            **(
-                {"next": "the same command without --dry-run"}
-                if done.commit is None
-                else {"page": url}
-            ),
-        },
-        "published" if done.commit else "ready",
-    )
+        listed = {name: f"{size:>12,}" for name, size in staged.files.items()}
+        show_table(listed, "would send, in bytes")
+        show_table(told | {"next": "the same command without --dry-run"}, "ready")
+    else:
+        page = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+        show_table(told | {"page": page}, "published")

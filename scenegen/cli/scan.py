@@ -1,14 +1,19 @@
-"""`scenegen scan`: one scan of a world, or those along a flight, as clouds of points."""
+"""`scenegen sensors` and `scenegen scan`: the sensors that there are, and what one sees of a
+world."""
 
 import json
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
 from lidarsim.engines import ENGINES
 from lidarsim.parameters import MOST_LENGTH_M, Bounds
-from lidarsim.sensors import RASTER
+from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
+    SENSING,
+    examples,
     json_option,
     lidar_option,
     noise_option,
@@ -16,13 +21,99 @@ from scenegen.cli.options import (
     quiet_option,
     seed_option,
 )
-from scenegen.cli.show import show_table
+from scenegen.cli.show import say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
-from scenegen.errors import DatasetError
 from scenegen.limits import LEAST_DRAWN_M
 
+if TYPE_CHECKING:
+    from lidarsim import Pose, Sensor
+    from lidarsim.noise.chain import Noise
+    from scenegen.worlds.world import World
 
-@click.command()
+HEADS = {
+    "shape": "rays",
+    "elevation_deg": "up, °",
+    "azimuth_deg": "around, °",
+    "scan_s": "scan, s",
+    "max_range_m": "m",
+}
+"""The columns of the list."""
+
+
+@click.command(epilog=examples("sensors", "sensors ouster-os1-128 my_lidar.toml -o patterns.png"))
+@click.argument(
+    "names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml")
+)
+@out_option(
+    "A picture (.png) of the patterns, azimuth × elevation, one below the other.", file=True
+)
+@json_option
+def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
+    """List the sensors that there are, or tell of those named, and draw their patterns.
+
+    Each goes into `scenegen generate --lidar NAME`, or into a recipe as `[lidar] sensor = "NAME"`.
+    """
+    from scenegen.lidar import beam_table, named_lidar
+
+    found = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
+    for name in names:
+        try:
+            beam_table(found[name])
+        except ValueError as error:
+            raise click.ClickException(f"{name}: {error}") from None
+    rows = {name: _facts(sensor) for name, sensor in found.items()}
+    if out is not None:
+        from scenegen.display.pattern import draw_patterns
+        from scenegen.files import write_result
+
+        write_result(out, draw_patterns(list(found.values())))
+    if as_json:
+        print(json.dumps(rows))
+    elif names:
+        for name, row in rows.items():
+            show_table({key: value for key, value in row.items() if value not in ("", [])}, name)
+    else:
+        cells = {name: [_cell(row[head]) for head in HEADS] for name, row in rows.items()}
+        show_figures(cells, list(HEADS.values()))
+        say("\nscenegen sensors NAME tells where its figures come from; --out FILE draws it")
+
+
+def _facts(sensor: "Sensor") -> dict[str, Any]:
+    """What is to be said of a sensor, as plain JSON values; angles are measured on its rays."""
+    import numpy as np
+
+    from lidarsim.sensors.device import angles_deg
+
+    up, around = (
+        [round(float(angles.min()), 2), round(float(angles.max()), 2)]
+        for angles in angles_deg(sensor.directions_body)
+    )
+    told = {name: getattr(sensor, name, "") for name in ("noise", "source", "checked", "error")}
+    return {
+        "shape": list(sensor.shape),
+        "elevation_deg": up,
+        "azimuth_deg": around,
+        "scan_s": round(float(np.max(sensor.times_s)), 6),
+        "min_range_m": getattr(sensor, "min_range_m", 0.0),
+        "max_range_m": sensor.max_range_m,
+        **told,
+        "source": told["source"] or str(sensor),
+    }
+
+
+def _cell(value: Any) -> str:
+    """A figure for the list: 16 × 1808, or -15 … 15."""
+    if not isinstance(value, list):
+        return f"{value:g}"
+    return (" … " if isinstance(value[0], float) else " × ").join(f"{one:g}" for one in value)
+
+
+@click.command(
+    epilog=examples(
+        "scan room.xml --pose 1,2,0.5,30 -o scan.ply",
+        "scan room.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
+    )
+)
 @click.argument("world", type=click.Path(path_type=Path))
 @click.option(
     "--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees."
@@ -34,13 +125,14 @@ from scenegen.limits import LEAST_DRAWN_M
     help="With --flight: a scan whenever so many metres were flown, each in a file of its own, "
     "numbered from 000.",
 )
-@lidar_option("The sensor", "  [default: raster]")
+@lidar_option("raster")
 @noise_option
 @click.option(
     "--engine",
     type=Named(ENGINES),
     default="analytic",
     show_default=True,
+    panel=SENSING,
     help="What casts the rays.",
 )
 @click.option(
@@ -73,65 +165,24 @@ def scan(
         raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
     if every is not None and not flight:
         raise click.UsageError("--every goes with --flight")
-    import math
-
-    import numpy as np
-
-    from lidarsim import Pose
-    from lidarsim.pose import rotate
-    from scenegen.display.points import check_suffix, write_points
-    from scenegen.draw import pose_in_flight, poses_in_flight, read_world, scan_world
+    from scenegen.display.points import SUFFIXES
     from scenegen.files import check_ours
     from scenegen.lidar import named_lidar, named_noise
+    from scenegen.source import read_world
 
-    try:
-        check_suffix(out)
-    except DatasetError as error:
-        raise click.UsageError(str(error)) from None
+    if out.suffix not in SUFFIXES:
+        raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
     found = read_world(world)
-    if every is not None:
-        poses = poses_in_flight(found, every_m=every, seed=seed)
-    elif pose is None:
-        poses = [pose_in_flight(found, seed=seed)]
-    else:
-        poses = [Pose.level(pose[:3], math.radians(pose[3]))]
-    files = [out if every is None else _numbered(out, number) for number in range(len(poses))]
+    poses = _poses(found, pose, every, seed)
+    files = [out] if every is None else [_numbered(out, number) for number in range(len(poses))]
     for file in files:
         check_ours(file)
     rows = []
     for number, (file, at) in enumerate(zip(files, poses, strict=True)):
         drawn = seed if every is None else [seed, number]
-        seen = scan_world(found, sensor, at, chain, seed=drawn, engine=ENGINES.find(engine).of)
-        points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
-        if frame == "body":
-            back = at.quaternion * (1.0, -1.0, -1.0, -1.0)
-            points = rotate(back, points - at.position)
-        intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
-        about = {
-            "ranges": seen.ranges,
-            "times_s": sensor.times_s,
-            "position": at.position,
-            "quaternion": at.quaternion,
-        }
-        write_points(
-            file,
-            points,
-            intensity,
-            about | {"lidar": str(sensor), "noise": str(chain), "frame": frame},
-        )
-        rows.append(
-            {
-                "file": str(file),
-                "lidar": str(sensor),
-                "noise": str(chain) or "none",
-                "position": [round(float(value), 3) for value in at.position],
-                "quaternion": at.quaternion.tolist(),
-                "rays": int(sensor.times_s.size),
-                "returns": len(points),
-            }
-        )
+        rows.append(_write_scan(file, found, sensor, at, chain, drawn, engine, frame))
     if as_json:
         print(json.dumps(rows[0] if every is None else {"scans": rows}))
     elif not quiet:
@@ -143,3 +194,60 @@ def scan(
 
 def _numbered(out: Path, number: int) -> Path:
     return out.with_name(f"{out.stem}-{number:03d}{out.suffix}")
+
+
+def _poses(
+    world: "World", pose: tuple[float, ...] | None, every: float | None, seed: int
+) -> "list[Pose]":
+    """The pose given, one in a random flight, or those `every` so many metres of it."""
+    from lidarsim import Pose
+    from scenegen.worlds.flight import pose_in_flight, poses_in_flight
+
+    if every is not None:
+        return poses_in_flight(world, every_m=every, seed=seed)
+    if pose is None:
+        return [pose_in_flight(world, seed=seed)]
+    return [Pose.level(pose[:3], math.radians(pose[3]))]
+
+
+def _write_scan(
+    file: Path,
+    world: "World",
+    sensor: "Sensor",
+    at: "Pose",
+    chain: "Noise",
+    seed: int | list[int],
+    engine: str,
+    frame: str,
+) -> dict[str, Any]:
+    """Scans from a pose, writes the returns, and gives what is to be said of them."""
+    import numpy as np
+
+    from lidarsim.pose import rotate
+    from scenegen.display.points import write_points
+    from scenegen.worlds.scans import scan_world
+
+    seen = scan_world(world, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
+    points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
+    if frame == "body":
+        points = rotate(at.quaternion * (1.0, -1.0, -1.0, -1.0), points - at.position)
+    intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
+    about = {
+        "ranges": seen.ranges,
+        "times_s": sensor.times_s,
+        "position": at.position,
+        "quaternion": at.quaternion,
+        "lidar": str(sensor),
+        "noise": str(chain),
+        "frame": frame,
+    }
+    write_points(file, points, intensity, about)
+    return {
+        "file": str(file),
+        "lidar": str(sensor),
+        "noise": str(chain) or "none",
+        "position": [round(float(value), 3) for value in at.position],
+        "quaternion": at.quaternion.tolist(),
+        "rays": int(sensor.times_s.size),
+        "returns": len(points),
+    }

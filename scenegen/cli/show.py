@@ -1,31 +1,43 @@
-"""Results as people read them. All that comes from files is escaped here."""
+"""What a command prints: results on standard output, progress and notes on standard error. All that
+comes from files is escaped here."""
 
+import os
 import shutil
 import sys
+import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import rich_click as click
 
-from scenegen.errors import escaped
+from scenegen.errors import escaped, printable
+from scenegen.run import undone_if_stopped
 
 ENDLESS = 1 << 30
 """Columns of what is no terminal."""
 BARS, PLAIN_BARS = "▁▂▃▄▅▆▇█", "_.-=*#"
 """From low to high; the second where the terminal has no others."""
+SHOW_CURSOR = b"\x1b[?25h\n"
+"""Undoes what a progress bar does to a terminal."""
 
 
 def say(text: object = "") -> None:
-    """Print lines; control characters in them are escaped."""
+    """Prints lines; control characters in them are escaped."""
     for line in str(text).split("\n"):
         click.echo(escaped(line))
+
+
+def note(text: object) -> None:
+    """Says something beside the command's result."""
+    print(printable(text), file=sys.stderr)
 
 
 def show_table(
     rows: Mapping[str, Any], title: str = "", marks: Mapping[str, tuple[str, str]] | None = None
 ) -> None:
-    """A line for each of `rows`, name and value; `marks` stand before the values, text and colour
-    by name."""
+    """Prints a line for each of `rows`, name and value; `marks` stand before the values, text and
+    colour by name."""
     if title:
         say(f"\n{escaped(title)}")
     width = max((len(escaped(name)) for name in rows), default=0)
@@ -36,8 +48,8 @@ def show_table(
 
 
 def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title: str = "") -> None:
-    """A line for each of `rows`, a name and a cell under each of `heads`; one table below another
-    where the terminal is too narrow for all columns."""
+    """Prints a line for each of `rows`, a name and a cell under each of `heads`; one table below
+    another where the terminal is too narrow for all columns."""
     if title:
         say(f"\n{title}")
     first = max(len(escaped(name)) for name in rows)
@@ -51,29 +63,25 @@ def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title:
         end = begin + 1
         while end < len(heads) and first + sum(widths[begin : end + 1]) <= wide:
             end += 1
-        columns = range(begin, end)
-        say(" " * first + "".join(heads[n].rjust(widths[n]) for n in columns))
-        for name, cells in rows.items():
-            say(escaped(name).ljust(first) + "".join(cells[n].rjust(widths[n]) for n in columns))
+        for name, cells in ((" " * first, heads), *rows.items()):
+            shown = (cells[n].rjust(widths[n]) for n in range(begin, end))
+            say(escaped(name).ljust(first) + "".join(shown))
         begin = end
 
 
 def curve(values: Sequence[float], *, most: int = 60) -> str:
     """Numbers as a line of bars, the least the lowest; of more than `most` as many, evenly
     spread."""
-    shown = (
-        [values[n * (len(values) - 1) // max(most - 1, 1)] for n in range(most)]
-        if len(values) > most
-        else values
-    )
-    least, height = min(shown), max(shown) - min(shown)
+    if len(values) > most:
+        values = [values[n * (len(values) - 1) // max(most - 1, 1)] for n in range(most)]
+    least, height = min(values), max(values) - min(values)
     try:
         BARS.encode(sys.stdout.encoding or "ascii")
         bars = BARS
     except UnicodeEncodeError:
         bars = PLAIN_BARS
     return "".join(
-        bars[round((value - least) / (height or 1) * (len(bars) - 1))] for value in shown
+        bars[round((value - least) / (height or 1) * (len(bars) - 1))] for value in values
     )
 
 
@@ -92,9 +100,84 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested tables as one, names joined by dots."""
     found: dict[str, Any] = {}
     for name, value in values.items():
-        found |= (
-            flat(value, f"{prefix}{name}.")
-            if isinstance(value, dict)
-            else {f"{prefix}{name}": value}
-        )
+        inner = isinstance(value, dict)
+        found |= flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
     return found
+
+
+def announce_compilation() -> None:
+    """Says why a run takes longer: the first one, or every one where kernels cannot be kept."""
+    from lidarsim.jit import cache_folder, cache_trouble
+
+    trouble = cache_trouble("scenegen")
+    if trouble:
+        note(f"compiling kernels, about 20 seconds; they cannot be kept: {trouble} …")
+    elif not any(cache_folder("scenegen").rglob("*.nbc")):
+        note("compiling kernels: once on this machine, about 20 seconds …")
+
+
+class Progress:
+    """A bar of samples, rate and time left. It runs a thread, so it begins after the workers."""
+
+    def __init__(self, label: str, *, shown: bool):
+        self._label, self._shown = label, shown
+        self._done = 0
+        self._bar: Any = None
+        self._begun = ExitStack()
+
+    def __enter__(self) -> "Progress":
+        self._begun.enter_context(undone_if_stopped(self._leave))
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+        self._begun.close()
+
+    def stop(self) -> None:
+        """Leaves the bar as it stands."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def start(self, total: int) -> None:
+        """Shows the bar, of `total` samples less those counted already."""
+        if not self._shown:
+            return
+        from rich import progress
+        from rich.console import Console
+
+        self._bar = progress.Progress(
+            progress.TextColumn("{task.description}", markup=False),
+            progress.BarColumn(),
+            progress.MofNCompleteColumn(),
+            progress.TextColumn("{task.fields[rate]}"),
+            progress.TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self._begin, self._at_begin = time.perf_counter(), self._done
+        label = escaped(self._label)
+        self._task = self._bar.add_task(label, total=total, completed=self._done, rate="")
+        self._bar.start()
+
+    def restart(self, label: str, total: int, done: int) -> None:
+        """Shows a new bar of `total` samples, `done` of them already."""
+        self.stop()
+        self._label, self._done = label, done
+        self.start(total)
+
+    def note(self, text: str) -> None:
+        """Shows `text` behind the label."""
+        if self._bar is not None:
+            self._bar.update(self._task, description=escaped(f"{self._label} {text}"))
+
+    def count(self, samples: int) -> None:
+        """Counts samples as done."""
+        self._done += samples
+        if self._bar is not None:
+            rate = (self._done - self._at_begin) / max(time.perf_counter() - self._begin, 1e-9)
+            self._bar.update(self._task, completed=self._done, rate=f"{rate:.0f} samples/s")
+
+    def _leave(self) -> None:
+        """For a stop: the bar's thread and locks are let be."""
+        if self._bar is not None and os.isatty(2):
+            with suppress(OSError):
+                os.write(2, SHOW_CURSOR)

@@ -1,6 +1,7 @@
 """Types of options and arguments: what is wrong with one is told before anything begins."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,18 @@ from click.shell_completion import CompletionItem
 from lidarsim.parameters import Bounds
 from lidarsim.registry import MOST_NAMED, Registry, suggestion
 
+MOST_REPEATED = 60
+"""Characters of a value that an error repeats."""
+
 
 class Named(click.ParamType):
-    """The name of something in a registry, or a user's own as module:Object, or, with `file`, a
-    file that ends so.
+    """The name of something in a registry, or a user's own as module:Object.
 
-    `others` are endings of files that another option takes, each with that option.
+    Args:
+        registry: What can be named.
+        file: A name that ends so is that of a file.
+        others: Endings of files that another option takes, each with that option.
+        address: Whether an address may follow, as in ray://host:10001.
     """
 
     def __init__(
@@ -24,13 +31,10 @@ class Named(click.ParamType):
         *,
         file: str | None = None,
         others: Mapping[str, str] | None = None,
+        address: bool = False,
     ):
-        self.registry, self.name, self.file, self.others = (
-            registry,
-            registry.what,
-            file,
-            others or {},
-        )
+        self.registry, self.name = registry, registry.what
+        self.file, self.others, self.address = file, others or {}, address
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """The name, if it can be one; a user's own is imported later."""
@@ -38,8 +42,9 @@ class Named(click.ParamType):
             return str(value)
         if option := self.others.get(Path(value).suffix):
             self.fail(f"{value} is a file; give it as {option} {value}", param, ctx)
-        if ":" not in value and value not in self.registry.known:
-            self.fail(self.registry.unknown(value), param, ctx)
+        name = value.partition("://")[0] if self.address else value
+        if ":" not in name and name not in self.registry.known:
+            self.fail(self.registry.unknown(name), param, ctx)
         return str(value)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
@@ -52,23 +57,13 @@ class Choice(click.Choice[str]):
 
     def get_invalid_choice_message(self, value: Any, ctx: Any) -> str:
         """What is wrong with `value`."""
-        return (
-            f"{str(value)[:MOST_NAMED]!r} is none of them; {suggestion(str(value), self.choices)}"
-        )
-
-
-class Place(Named):
-    """The name of an executor, with an address or without: ray://host:10001."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """As it is, if its name can be one."""
-        super().convert(value.partition("://")[0], param, ctx)
-        return str(value)
+        hint = suggestion(str(value), self.choices)
+        return f"{str(value)[:MOST_NAMED]!r} is none of them; {hint}"
 
 
 class DatasetPath(click.ParamType):
-    """A dataset: a folder, hf://user/name[@revision], or a place, s3://bucket/folder; the command
-    fetches, and not the parsing."""
+    """A dataset: a folder, hf://user/name[@revision], or s3://bucket/folder; the command fetches
+    it, and not the parsing."""
 
     name = "dataset"
 
@@ -88,34 +83,18 @@ class DatasetPath(click.ParamType):
 
 
 class OutputFolder(click.Path):
-    """A folder to write; with `places`, also a place, s3://bucket/folder."""
+    """A folder to write; with `stores`, also one in a store, s3://bucket/folder."""
 
-    def __init__(self, *, places: bool = False) -> None:
+    def __init__(self, *, stores: bool = False) -> None:
         super().__init__(path_type=Path)
-        self.places = places
+        self.stores = stores
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
         """The folder."""
         from scenegen.stores import folder_of
 
-        _refuse(self, value, param, ctx, places=self.places)
-        return folder_of(value) if self.places and isinstance(value, str) else Path(value)
-
-
-def _refuse(
-    kind: click.ParamType, value: Any, param: Any, ctx: Any, *, places: bool = False
-) -> None:
-    """Fail where a name with a scheme is given to write to, and no such thing is written there."""
-    from scenegen.stores import PLACES, is_remote
-
-    scheme = str(value).partition("://")[0]
-    if is_remote(value) and not (places and scheme in PLACES.known):
-        told = (
-            " or a place, s3://bucket/folder"
-            if places
-            else "; only `generate` and `rescan` write to s3://"
-        )
-        kind.fail(f"{scheme}://… is not written to; give a folder{told}", param, ctx)
+        _refuse_remote(self, value, param, ctx, stores=self.stores)
+        return folder_of(value) if self.stores and isinstance(value, str) else Path(value)
 
 
 class OutputFile(click.Path):
@@ -131,7 +110,7 @@ class OutputFile(click.Path):
         from scenegen.errors import DatasetError
         from scenegen.files import check_ours, check_target
 
-        _refuse(self, value, param, ctx)
+        _refuse_remote(self, value, param, ctx)
         path = Path(value)
         if self.folders and path.is_dir():
             return path
@@ -142,77 +121,16 @@ class OutputFile(click.Path):
         return path
 
 
-class Number(click.ParamType):
-    """A finite number within bounds."""
+def _refuse_remote(
+    kind: click.ParamType, value: Any, param: Any, ctx: Any, *, stores: bool = False
+) -> None:
+    """Fails where a name with a scheme is given to write to, and no such thing is written there."""
+    from scenegen.stores import PLACES, is_remote
 
-    name = "float"
-
-    def __init__(self, bounds: Bounds | None = None):
-        self.bounds = bounds or Bounds()
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """The number."""
-        number = float(click.FLOAT.convert(value, param, ctx))
-        if not self.bounds.hold(number):
-            self.fail(f"{value} is not {self.bounds}", param, ctx)
-        return number
-
-
-class Numbers(click.ParamType):
-    """So many finite numbers, with commas between them."""
-
-    def __init__(self, name: str, count: int):
-        self.name, self.count = name, count
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, ...]:
-        """The numbers."""
-        if isinstance(value, tuple):  # a default
-            return value
-        parts = str(value).split(",")
-        if len(parts) != self.count:
-            self.fail(
-                f"{str(value)[:60]!r}: expected {self.name}, {self.count} numbers with commas "
-                f"between",
-                param,
-                ctx,
-            )
-        return tuple(Number().convert(part, param, ctx) for part in parts)
-
-
-class ShardRange(click.ParamType):
-    """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
-
-    name = "first:stop"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
-        """The two numbers."""
-        first, colon, stop = str(value).partition(":")
-        short = len(str(value)) <= 40  # and no more digits than int() takes
-        if not (
-            colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)
-        ):
-            self.fail(
-                f"{str(value)[:60]!r} is not FIRST:STOP with FIRST < STOP, such as 0:8", param, ctx
-            )
-        return int(first), int(stop)
-
-
-class Ranges(click.ParamType):
-    """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20."""
-
-    name = "n,first:stop"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[tuple[int, int], ...]:
-        """(first, stop) of each."""
-        if isinstance(value, tuple):
-            return value
-        found = []
-        for part in str(value).split(","):
-            if part.isdecimal() and len(part) <= 12:
-                found.append((int(part), int(part) + 1))
-            else:
-                found.append(ShardRange().convert(part, param, ctx))
-        return tuple(found)
+    scheme = str(value).partition("://")[0]
+    if is_remote(value) and not (stores and scheme in PLACES.known):
+        hint = " or s3://bucket/folder" if stores else "; only generate and rescan write to s3://"
+        kind.fail(f"{scheme}://… is not written to; give a folder{hint}", param, ctx)
 
 
 class Written(click.ParamType):
@@ -222,10 +140,72 @@ class Written(click.ParamType):
         self.read, self.name = read, name.lower()
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The value."""
+        """The value; a default is one already."""
         if not isinstance(value, str):
             return value
         try:
             return self.read(value)
         except ValueError as error:
             self.fail(str(error), param, ctx)
+
+
+class Number(Written):
+    """A finite number within bounds."""
+
+    def __init__(self, bounds: Bounds | None = None):
+        super().__init__(partial(_number, bounds or Bounds()), "float")
+
+
+class Numbers(Written):
+    """So many finite numbers, with commas between them: `name` shows them, X,Y,Z."""
+
+    def __init__(self, name: str, count: int):
+        super().__init__(partial(_numbers, name, count), name)
+
+
+class ShardRange(Written):
+    """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
+
+    def __init__(self) -> None:
+        super().__init__(_range, "first:stop")
+
+
+class Ranges(Written):
+    """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20. The
+    value has (first, stop) of each."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda text: tuple(map(_one_or_range, text.split(","))), "n,first:stop")
+
+
+def _number(bounds: Bounds, text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        raise ValueError(f"{text[:MOST_REPEATED]!r} is not a valid float") from None
+    if not bounds.hold(number):
+        raise ValueError(f"{text[:MOST_REPEATED]} is not {bounds}")
+    return number
+
+
+def _numbers(name: str, count: int, text: str) -> tuple[float, ...]:
+    parts = text.split(",")
+    if len(parts) != count:
+        told = f"expected {name}, {count} numbers with commas between"
+        raise ValueError(f"{text[:MOST_REPEATED]!r}: {told}")
+    return tuple(_number(Bounds(), part) for part in parts)
+
+
+def _range(text: str) -> tuple[int, int]:
+    first, colon, stop = text.partition(":")
+    short = len(text) <= 40  # and no more digits than int() takes
+    if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
+        told = "is not FIRST:STOP with FIRST < STOP, such as 0:8"
+        raise ValueError(f"{text[:MOST_REPEATED]!r} {told}")
+    return int(first), int(stop)
+
+
+def _one_or_range(text: str) -> tuple[int, int]:
+    if text.isdecimal() and len(text) <= 12:
+        return int(text), int(text) + 1
+    return _range(text)

@@ -9,6 +9,7 @@ import rich_click as click
 
 from scenegen.cli.options import (
     dataset_argument,
+    examples,
     json_option,
     kind_option,
     on_option,
@@ -16,15 +17,16 @@ from scenegen.cli.options import (
     seed_option,
     workers_option,
 )
-from scenegen.cli.progress import Progress, announce_compilation
-from scenegen.cli.show import say, show_table
+from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.errors import ScenegenError
 
 if TYPE_CHECKING:
     from scenegen.verification import Report
 
 
-@click.command()
+@click.command(
+    epilog=examples("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")
+)
 @dataset_argument
 @click.option(
     "--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits."
@@ -78,13 +80,13 @@ def verify(
 
 
 def _show(report: "Report", seconds: float) -> None:
+    """Prints a line for each check."""
     rows, marks = {}, {}
     for check in report.checks:
-        verdict = "FAILED " if not check.ok else "skipped" if check.skipped else "ok     "
-        marks[check.name] = (
-            verdict,
-            "red" if not check.ok else "yellow" if check.skipped else "green",
-        )
+        if not check.ok:
+            marks[check.name] = "FAILED ", "red"
+        else:
+            marks[check.name] = ("skipped", "yellow") if check.skipped else ("ok     ", "green")
         rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
     show_table(rows, marks=marks)
     say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")

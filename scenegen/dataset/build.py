@@ -31,9 +31,8 @@ from scenegen.limits import (
     USUAL_IN_SHARD,
 )
 from scenegen.recipe import Recipe
-from scenegen.run import Executor
-from scenegen.run.local import Local
-from scenegen.run.stopping import undone_if_stopped
+from scenegen.run import Executor, undone_if_stopped
+from scenegen.run.workers import Local
 from scenegen.source import Source
 from scenegen.stores import PlacePath
 

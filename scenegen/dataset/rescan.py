@@ -19,14 +19,14 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.rules import noise_entry, sensor_entry
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
-from scenegen.draw import Rejections, Unit, engine_of, flight_rng, sample_of, scans_from
+from scenegen.draw import Rejections, Unit, engine_of, flight_rng, samples_of
 from scenegen.errors import DatasetError, GenerationError, printable, short
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.sample import stored_fields
 from scenegen.truth import rasterize
 from scenegen.worlds.flight import plan, viewpoints
-from scenegen.worlds.noise import with_noise
+from scenegen.worlds.scans import scans_from
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import World, compile_world
 
@@ -82,29 +82,13 @@ def scan_again(
     bit. Raises GenerationError.
     """
     caster = engine_of(engine, world)
-    number, first = names
-    samples = tuple(
-        sample_of(
-            with_noise(
-                scans_from(views, caster, recipe),
-                recipe.noise,
-                world,
-                caster,
-                seed=seed,
-                split=split,
-                unit=unit,
-                view=n,
-            ),
-            rasterize(world.solids, recipe.grid, recipe.mapping.origin(recipe.grid, views[0])),
-            recipe,
-            world,
-            number=number,
-            viewpoint=first + n,
-            derived=derived,
-        )
-        for n, views in enumerate(poses)
-    )
-    return Unit(number, world, samples, Rejections())
+    views = []
+    for before in poses:
+        origin = recipe.mapping.origin(recipe.grid, before[0])
+        occupancy = rasterize(world.solids, recipe.grid, origin)
+        views.append((scans_from(before, caster, recipe.lidar), occupancy))
+    samples = samples_of(views, recipe, world, caster, seed, split, unit, names, derived)
+    return Unit(names[0], world, samples, Rejections())
 
 
 MOST_WORLDS = 8

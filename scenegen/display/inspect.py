@@ -224,7 +224,7 @@ def inspect_all(folder: Path) -> list[dict[str, Any]]:
 
 def inspect_world(path: Path) -> dict[str, Any]:
     """What stands in the world of an MJCF file. Raises SceneError for one that cannot serve."""
-    from scenegen.draw import read_world  # which loads what compiles worlds
+    from scenegen.source import read_world  # which loads what compiles worlds
 
     world = read_world(path)
     codes, counts = np.unique(world.solids.shape, return_counts=True)

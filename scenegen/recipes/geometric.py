@@ -72,19 +72,17 @@ class Geometric(WorldKind):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.standing_share + self.stacked_share > 1:
-            raise ValueError(
-                f"standing_share = {self.standing_share} and stacked_share = "
-                f"{self.stacked_share}: at most 1"
-            )
+        both = self.standing_share + self.stacked_share
+        if both > 1:
+            raise ValueError(f"standing_share + stacked_share = {both}: expected at most 1")
 
     def most_solids(self) -> float:
-        """See `WorldKind.most_solids`: a heap counts as what is in it."""
+        """How many solids a world may have: a heap counts as what is in it."""
         heaps = self.clutter_density[1] * self.size_m[0] * self.size_m[1]
         return super().most_solids() + heaps * (self.clutter_count[1] - 1)
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
-        """See `WorldKind.add_to`."""
+        """Draw solids, walls and heaps, each of a density drawn once a world."""
         self.add_ground(spec)
         area = self.size_m[0] * self.size_m[1]
         scale = rng.uniform(*self.scale)
@@ -120,10 +118,8 @@ class Geometric(WorldKind):
         )
         x, y, length, half_thickness, height, yaw = rng.uniform(low, high, (count, 6)).T
         sizes, centres = (length / 2, half_thickness, height / 2), (x, y, height / 2)
-        shapes = np.full(count, BOX)
-        spec.add_geoms(
-            shapes, np.stack(sizes, axis=1), np.stack(centres, axis=1), yaw_quaternion(yaw)
-        )
+        turn = yaw_quaternion(yaw)
+        spec.add_geoms(np.full(count, BOX), np.transpose(sizes), np.transpose(centres), turn)
 
     def _add_clutter(self, spec: Drawing, heaps: int, *, rng: np.random.Generator) -> None:
         """Heaps of small tilted solids on the ground."""
@@ -135,13 +131,8 @@ class Geometric(WorldKind):
             offset = self.clutter_spread_m * normal((count, 3), rng=rng)
             tilt = attitudes(count, 1.0, rng=rng)
             z = _half_height(shape, size, tilt) + np.abs(offset[:, 2])
-            spec.add_geoms(
-                SHAPES[shape],
-                size,
-                np.column_stack([centre + offset[:, :2], z]),
-                tilt,
-                COLOURS[shape],
-            )
+            place = np.column_stack([centre + offset[:, :2], z])
+            spec.add_geoms(SHAPES[shape], size, place, tilt, COLOURS[shape])
 
 
 def _half_height(
@@ -149,11 +140,7 @@ def _half_height(
 ) -> NDArray[np.float64]:
     """How far solids (n,) reach above their centres, metres."""
     w, x, y, z = quaternion.T
-    u, v, up = (
-        np.abs(2 * (x * z - w * y)),
-        np.abs(2 * (y * z + w * x)),
-        np.abs(1 - 2 * (x * x + y * y)),
-    )
+    u, v, up = np.abs([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
     box = u * size[:, 0] + v * size[:, 1] + up * size[:, 2]
     cylinder = up * size[:, 1] + np.sqrt(np.maximum(1 - up * up, 0.0)) * size[:, 0]
     return np.choose(shape, [size[:, 0], box, cylinder])

@@ -14,6 +14,85 @@ from lidarsim.parameters import Bounds, check, shown
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
 from scenegen.worlds.drawing import Drawing
 
+Range = tuple[float, float]
+"""A lower and an upper bound, both included; worlds or solids draw from between."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldKind(ABC):
+    """Parameters of a kind of world, and how to draw one.
+
+    Worlds span x and y from 0 to `size_m`; the ground is z = 0.
+    """
+
+    version: ClassVar[int]
+    """The preset's version: raised whenever the same parameters would give other worlds, or the
+    defaults change."""
+    crowded_by: ClassVar[tuple[str, ...]]
+    """The parameters to lower when worlds are too crowded to fly through, or to raise when they are
+    too empty."""
+    flight_defaults: ClassVar[dict[str, object]] = {}
+    """Fields of `scenegen.worlds.flight.Flight` in which this kind's preset differs from the
+    general default."""
+    accept_defaults: ClassVar[dict[str, object]] = {}
+    """The same for `scenegen.recipe.Acceptance`."""
+
+    size_m: tuple[float, float, float] = (40.0, 40.0, 10.0)
+    """Extent of the world along x, y and z, metres; z is how high floating solids may have their
+    centres."""
+    ground: bool = False
+    """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
+    ground_m: float = 0.2
+    """Thickness of that slab, metres."""
+
+    def __post_init__(self) -> None:
+        check(self, _bounds_by_name)
+        most = self.most_solids()
+        if most > MOST_DRAWN_SOLIDS:
+            given = ", ".join(f"{name} = {shown(getattr(self, name))}" for name in self.crowded_by)
+            raise ValueError(
+                f"{given}: up to {most:.4g} solids in a world of {list(self.size_m)} metres, "
+                f"expected {MOST_DRAWN_SOLIDS} at most; lower them or size_m"
+            )
+
+    def most_solids(self) -> float:
+        """How many solids a world may have. Here, parameters named `…density` count them per square
+        metre; a kind that counts otherwise says so."""
+        densities = [value for name, value in vars(self).items() if name.endswith("density")]
+        return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
+
+    @abstractmethod
+    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+        """Draw one world and add its solids to `spec`, by `add_geoms` or `add_geom`, or as to any
+        `mujoco.MjSpec`."""
+
+    def add_ground(self, spec: Drawing) -> None:
+        """Add the floor, where there is one."""
+        if self.ground:
+            x, y, _ = self.size_m
+            half, centre = (x / 2, y / 2, self.ground_m / 2), (x / 2, y / 2, -self.ground_m / 2)
+            spec.add_geom(mujoco.mjtGeom.mjGEOM_BOX, half, centre, rgba=(0.55, 0.53, 0.5, 1.0))
+
+
+def _bounds_by_name(name: str, value: Any) -> Bounds:
+    """What a parameter that declares no bounds may be: its name's ending says so, and ranges of two
+    rise."""
+    pair = isinstance(value, list | tuple) and len(value) == 2
+    if name.endswith("_share"):
+        return Bounds(least=0, most=1, rising=pair)
+    if name.endswith("_m"):
+        return Bounds(above=0, most=MOST_DRAWN_M, rising=pair)
+    if name.endswith("density") or pair:
+        return Bounds(least=0, rising=pair)
+    return Bounds()
+
+
+def yaw_quaternion(yaw_rad: ArrayLike) -> NDArray[np.float64]:
+    """Turns (...) about the vertical as quaternions (..., 4), w x y z."""
+    sine, cosine = sin_cos(np.asarray(yaw_rad) / 2)
+    still = np.zeros_like(sine)
+    return np.stack([cosine, still, still, sine], axis=-1)
+
 
 def log_uniform(low: float, high: float, *, rng: np.random.Generator) -> float:
     """One number between `low` and `high`, both above 0, whose logarithm is uniform."""
@@ -54,90 +133,3 @@ def _disc(
         square[missing] = drawn[:, 0] * drawn[:, 0] + drawn[:, 1] * drawn[:, 1]
         missing = missing[(square[missing] >= 1.0) | (square[missing] == 0.0)]
     return points, square
-
-
-Range = tuple[float, float]
-"""A lower and an upper bound, both included; worlds or solids draw from between."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class WorldKind(ABC):
-    """Parameters of a kind of world, and how to draw one.
-
-    Worlds span x and y from 0 to `size_m`; the ground is z = 0.
-    """
-
-    version: ClassVar[int]
-    """The preset's version: raised whenever the same parameters would give other worlds, or the
-    defaults change."""
-    crowded_by: ClassVar[tuple[str, ...]]
-    """The parameters to lower when worlds are too crowded to fly through, or to raise when they are
-    too empty."""
-    flight_defaults: ClassVar[dict[str, object]] = {}
-    """Fields of `scenegen.worlds.flight.Flight` in which this kind's preset differs from the general
-    default."""
-    accept_defaults: ClassVar[dict[str, object]] = {}
-    """The same for `scenegen.recipe.Acceptance`."""
-
-    size_m: tuple[float, float, float] = (40.0, 40.0, 10.0)
-    """Extent of the world along x, y and z, metres; z is how high floating solids may have their
-    centres."""
-    ground: bool = False
-    """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
-    ground_m: float = 0.2
-    """Thickness of that slab, metres."""
-
-    def __post_init__(self) -> None:
-        check(self, _bounds_by_name)
-        most = self.most_solids()
-        if most > MOST_DRAWN_SOLIDS:
-            given = ", ".join(f"{name} = {shown(getattr(self, name))}" for name in self.crowded_by)
-            raise ValueError(
-                f"{given}: up to {most:.4g} solids in a world of {list(self.size_m)} metres, "
-                f"expected "
-                f"{MOST_DRAWN_SOLIDS} at most; lower them or size_m"
-            )
-
-    def most_solids(self) -> float:
-        """How many solids a world may have. Here, parameters named `…density` count them per square
-        metre; a kind that counts otherwise says so."""
-        densities = [value for name, value in vars(self).items() if name.endswith("density")]
-        return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
-
-    @abstractmethod
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
-        """Draw one world and add its solids to `spec`, by `add_geoms` or `add_geom`, or as to any
-        `mujoco.MjSpec`."""
-
-    def add_ground(self, spec: Drawing) -> None:
-        """Add the floor, where there is one."""
-        if self.ground:
-            x, y, _ = self.size_m
-            half, centre = (x / 2, y / 2, self.ground_m / 2), (x / 2, y / 2, -self.ground_m / 2)
-            add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, half, centre, rgba=(0.55, 0.53, 0.5, 1.0))
-
-
-def _bounds_by_name(name: str, value: Any) -> Bounds:
-    """What a parameter that declares no bounds may be: its name's ending says so, and ranges of two
-    rise."""
-    pair = isinstance(value, list | tuple) and len(value) == 2
-    if name.endswith("_share"):
-        return Bounds(least=0, most=1, rising=pair)
-    if name.endswith("_m"):
-        return Bounds(above=0, most=MOST_DRAWN_M, rising=pair)
-    if name.endswith("density") or pair:
-        return Bounds(least=0, rising=pair)
-    return Bounds()
-
-
-def add_geom(spec: Drawing, shape: mujoco.mjtGeom, size: Any, position: Any, **more: Any) -> None:
-    """Add one solid straight under the world body, where mj_multiRay is fastest. `more` may give
-    `quat` and `rgba`."""
-    spec.add_geom(shape, size, position, **more)
-
-
-def yaw_quaternion(yaw_rad: ArrayLike) -> NDArray[np.float64]:
-    """Turns (...) about the vertical as quaternions (..., 4), w x y z."""
-    sine, cosine = sin_cos(np.asarray(yaw_rad) / 2)
-    still = np.zeros_like(sine)
-    return np.stack([cosine, still, still, sine], axis=-1)

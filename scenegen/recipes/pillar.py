@@ -49,13 +49,11 @@ class Pillar(WorldKind):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.round_share + self.oblong_share > 1:
-            raise ValueError(
-                f"round_share + oblong_share = {self.round_share + self.oblong_share}: expected "
-                f"at most 1"
-            )
+            both = self.round_share + self.oblong_share
+            raise ValueError(f"round_share + oblong_share = {both}: expected at most 1")
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
-        """See `WorldKind.add_to`."""
+        """Draw all pillars at once, then move those of the passages beside earlier ones."""
         self.add_ground(spec)
         x_m, y_m, _ = self.size_m
         count = max(round(rng.uniform(*self.density) * x_m * y_m), 1)

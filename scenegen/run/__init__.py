@@ -1,10 +1,12 @@
-"""Executors: where tasks run. One file an executor; each fills `Executor`.
+"""Executors: where tasks run. `workers` has the processes of this machine, `ray` and `slurm` have
+clusters.
 
 What one task gives depends on the task alone, so what a command makes of them has the same bits
 wherever they run.
 """
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 from lidarsim.registry import Registry
@@ -27,11 +29,17 @@ class Executor(Protocol):
     ) -> Generator[Any, None, None]:
         """Have `function` applied to `tasks`, and yield the results as they come, in any order.
 
-        `on_start` is called once the work has begun. `function` and tasks can be pickled; files
-        that they name are reached from everywhere, but for copies of a place:
-        `scenegen.run.remote` sends its name instead, and has nodes that have another scenegen
-        refuse. Closing the generator ends what it began, and only that. Raises GenerationError
-        where a task is lost for good, and whatever `function` raises.
+        Closing the generator ends what it began, and only that.
+
+        Args:
+            function: Can be pickled, as the tasks can. Files that they name are reached from
+                everywhere, but for copies of a store's: `scenegen.run.remote` sends its name
+                instead, and has nodes that have another scenegen refuse.
+            tasks: What it is applied to.
+            on_start: Called once the work has begun.
+
+        Raises:
+            GenerationError: A task is lost for good. Whatever `function` raises is raised, too.
         """
         ...
 
@@ -39,8 +47,8 @@ class Executor(Protocol):
 EXECUTORS = Registry(
     "executor",
     {
-        "local": "scenegen.run.local:Local",
-        "rank": "scenegen.run.local:Rank",
+        "local": "scenegen.run.workers:Local",
+        "rank": "scenegen.run.workers:Rank",
         "ray": "scenegen.run.ray:Ray",
         "slurm": "scenegen.run.slurm:Slurm",
     },
@@ -61,8 +69,27 @@ def executor(place: str, workers: int) -> Executor:
     """
     name, _, address = place.partition("://")
     try:
-        found = EXECUTORS.find(name)
+        return EXECUTORS.find(name)(address, workers)
     except ValueError as error:
         raise ScenegenError(f"--on: {error}") from None
-    made: Executor = found(address, workers)
-    return made
+
+
+_begun: list[Callable[[], object]] = []
+
+
+@contextmanager
+def undone_if_stopped(undo: Callable[[], object]) -> Iterator[None]:
+    """While the block runs, `undo_all` calls `undo`, which must be quick and wait for nobody."""
+    _begun.append(undo)
+    try:
+        yield
+    finally:
+        _begun.remove(undo)
+
+
+def undo_all() -> None:
+    """Undo what is begun and not finished, the latest first, for a process that ends at once:
+    drafts are removed, workers ended."""
+    for undo in reversed(_begun):
+        with suppress(Exception):  # what cannot be undone must not keep the rest
+            undo()

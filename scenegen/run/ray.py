@@ -57,29 +57,26 @@ class Ray(Executor):
 
     def _connect(self) -> bool:
         """Whether this process was not connected before."""
-        ray = self.ray
+        ray, where = self.ray, self.address
         if ray.is_initialized():
             return False
-        common = {"log_to_driver": False, "logging_level": "ERROR", "configure_logging": False}
+        if where in ("", "local"):
+            there = {"address": "local", "num_cpus": self.workers, "include_dashboard": False}
+        elif where == "auto":
+            there = {"address": "auto"}
+        elif find_spec("grpc") is None:  # Ray's own line advises another package
+            raise GenerationError(f"--on ray://{where}: {needs('grpcio', 'ray')}")
+        else:
+            there = {"address": f"ray://{where}"}
         try:
             with safe_path(), chdir("/"):  # the workers import from where the driver stands, first
-                if self.address in ("", "local"):
-                    ray.init(
-                        address="local", num_cpus=self.workers, include_dashboard=False, **common
-                    )
-                else:
-                    where = "auto" if self.address == "auto" else f"ray://{self.address}"
-                    if (
-                        where != "auto" and find_spec("grpc") is None
-                    ):  # Ray's own line advises another package
-                        raise GenerationError(
-                            f"--on ray://{self.address}: {needs('grpcio', 'ray')}"
-                        )
-                    ray.init(address=where, **common)
+                ray.init(
+                    log_to_driver=False, logging_level="ERROR", configure_logging=False, **there
+                )
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             reason = str(error).splitlines()[0]
             raise GenerationError(
-                f"--on ray://{self.address}: no cluster answers there ({reason})"
+                f"--on ray://{where}: no cluster answers there ({reason})"
             ) from None
         return True
 

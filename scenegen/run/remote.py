@@ -57,8 +57,7 @@ def _unpack(packed: bytes) -> Any:
     class Unpacker(pickle.Unpickler):
         def persistent_load(self, pid: Any) -> Path:
             open_there, *name = pid
-            found: Path = open_there(*name)
-            return found
+            return open_there(*name)
 
     return Unpacker(io.BytesIO(packed)).load()
 
@@ -70,40 +69,47 @@ def sent(
 
     Pickled by value, as cloudpickle does with functions within functions, it needs no scenegen.
     """
-    parcel, sender, folder = pack(function, pickler), identity(), str(Path.cwd())
-    importable = folder in sys.path
+    folder = str(Path.cwd())
+    command = pack(function, pickler), identity(), folder, folder in sys.path
 
     def there(task: bytes) -> tuple[Any, str]:
         try:
             from scenegen.run.remote import received
 
-            return received(parcel, task, sender, folder, importable)
+            return received(task, *command)
         except ImportError as error:
             from socket import gethostname
 
-            lacks = f"no task can be done: {error}; have the same scenegen, with its extras, on every node"
-            return lacks, gethostname()
+            fix = "have the same scenegen, with its extras, on every node"
+            return f"no task can be done: {error}; {fix}", gethostname()
 
     return there
 
 
 def received(
-    parcel: bytes, task: bytes, sender: dict[str, Any], folder: str, importable: bool
+    task: bytes, parcel: bytes, sender: dict[str, Any], folder: str, importable: bool
 ) -> Outcome:
-    """The function in `parcel` of `task`, in the `folder` where the command was given if it is
-    there; whatever comes of it. That folder can be imported from if it is `importable` where the
-    command was given: a user named a module in it. Nothing is done unless this is the scenegen that
-    the `sender` is. Raises ImportError."""
+    """What comes of a task, on the machine that it was sent to.
+
+    Args:
+        task: The task, packed.
+        parcel: The function, packed.
+        sender: The `identity` of the scenegen that sent both; another one does nothing.
+        folder: Where the command was given. The task is done there, if the folder is here, too.
+        importable: Whether modules are imported from that folder: a user named one in it.
+
+    Raises:
+        ImportError: Something is not installed here.
+    """
     try:
-        if (own := identity()) != sender:
+        own = identity()
+        if own != sender:
+            odd = [
+                f"{key} {own.get(key)}, not {it}" for key, it in sender.items() if own[key] != it
+            ]
             raise GenerationError(
-                "another scenegen there than here: "
-                + ", ".join(
-                    f"{name} {own.get(name)}, not {it}"
-                    for name, it in sender.items()
-                    if own.get(name) != it
-                )
-                + f"; have the same on every node; {GO_ON}"
+                f"another scenegen there than here: {', '.join(odd)}; have the same on every node; "
+                f"{GO_ON}"
             )
         with suppress(OSError):
             os.chdir(folder)
@@ -119,8 +125,7 @@ def received(
 @lru_cache(maxsize=1)
 def _function(parcel: bytes) -> Callable[[Any], Any]:
     """The same for all tasks of a process: it may keep something from one to the next."""
-    found: Callable[[Any], Any] = _unpack(parcel)
-    return found
+    return _unpack(parcel)
 
 
 def named(task: Any) -> str:

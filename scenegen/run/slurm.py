@@ -75,7 +75,7 @@ class Slurm(Executor):
         if not tasks:
             on_start()
             return
-        each = math.ceil(len(tasks) / (JOBS * self.workers))
+        each = math.ceil(len(tasks) / min(JOBS * self.workers, _most_in_array()))
         folder = Path(tempfile.mkdtemp(prefix="scenegen-slurm-", dir=Path.cwd()))
         with _cancelled(folder.name):
             jobs = self._submit(
@@ -89,7 +89,7 @@ class Slurm(Executor):
     def _submit(
         self, folder: Path, function: Callable[[Any], Any], parts: Sequence[Sequence[Any]]
     ) -> list[Any]:
-        """One job for each of `parts`, in as many arrays as the cluster's limit makes of them."""
+        """An array with one job for each of `parts`."""
         from cloudpickle import CloudPickler  # which submitit needs
 
         there = sent(function, CloudPickler)
@@ -106,23 +106,18 @@ class Slurm(Executor):
         packed = [[pack(task, CloudPickler) for task in part] for part in parts]
         try:
             executor = self.submitit.SlurmExecutor(folder=folder)
-            arrays = math.ceil(len(parts) / _most_in_array())
             executor.update_parameters(
                 job_name=folder.name,
                 cpus_per_task=1,
-                array_parallelism=max(self.workers // arrays, 1),
+                array_parallelism=self.workers,
                 stderr_to_stdout=True,
                 time=int(self.minutes),  # of submitit's own, which counts with it
                 additional_parameters=self.options,
             )
             with safe_path():  # the jobs' environment is this one; they are begun by python -m
-                return [
-                    job
-                    for n in range(arrays)
-                    for job in executor.map_array(several, packed[n::arrays])
-                ]
+                return executor.map_array(several, packed)
         except (RuntimeError, OSError) as error:
-            reason = printable(str(error).strip().splitlines()[-1])
+            reason = _last_line(str(error))
             raise GenerationError(f"--on slurm: nothing could be submitted ({reason})") from None
 
     def _ended(self, jobs: list[Any], folder: Path) -> Generator[Any, None, None]:
@@ -141,7 +136,9 @@ class Slurm(Executor):
                 elif queued is not None and job.job_id not in queued:
                     looks[job.job_id] += 1  # a shared disk may show the result a little later
                     if looks[job.job_id] > LOOKS:
-                        said = _last_line(job.paths.stdout) or "it was cancelled, or killed"
+                        log = job.paths.stdout  # where Slurm names the node, if it began the job
+                        said = _last_line(log.read_text(errors="replace") if log.exists() else "")
+                        said = said or "it was cancelled, or killed"
                         raise _lost(job.job_id, f"left the queue without a result: {said}", folder)
             time.sleep(WAIT_S if jobs else 0)
 
@@ -150,9 +147,10 @@ class Slurm(Executor):
             for outcome in job.result():
                 yield Outcome(*outcome).taken()
         except (self.submitit.core.utils.UncompletedJobError, OwnCodeError) as error:
-            said = printable(str(error).strip().splitlines()[-1])[:200]
+            said = _last_line(str(error))
             if TIMED_OUT in str(error):  # in whatever code the signal met the task
-                said = f"{TIMED_OUT}: its {self.minutes} minutes are too few, give more as slurm://…?time="
+                said = f"{TIMED_OUT}: its {self.minutes} minutes are too few"
+                said += ", give more as slurm://…?time="
             elif isinstance(error, OwnCodeError):
                 raise
             raise _lost(job.job_id, said, folder) from None
@@ -162,10 +160,9 @@ def _lost(job: str, reason: str, folder: Path) -> GenerationError:
     return GenerationError(f"--on slurm: job {job}: {reason}; see {folder}; {GO_ON}")
 
 
-def _last_line(log: Path) -> str:
-    """What Slurm said last of a job, where it began one: it names the node."""
-    said = log.read_text(errors="replace").splitlines() if log.exists() else []
-    return printable(said[-1])[:200] if said else ""
+def _last_line(text: str) -> str:
+    """The last line of a log, or of an error."""
+    return printable(text.strip().rpartition("\n")[2])[:200]
 
 
 @contextmanager

@@ -48,7 +48,7 @@ def identity() -> dict[str, Any]:
 def commit() -> str:
     """The checkout's commit, with a + where it has changes; ``unknown`` outside of one, or in
     another project's."""
-    here = Path(__file__).resolve().parents[1]
+    here = Path(__file__).resolve().parents[2]
     if _git("rev-parse", "--show-toplevel") != str(here):
         return "unknown"
     return _git("describe", "--always", "--dirty=+", "--abbrev=12") or "unknown"

@@ -1,6 +1,7 @@
-"""Local processes that work off tasks, and end with their parent whatever ends it.
+"""Processes of this machine that work off tasks, and end with their parent whatever ends it.
 
-No threads, queues or locks of the parent's are involved, so that a signal may end it at any point
+`run` is all that most need; `guarded` calls a library that a stranger's bytes may crash. No
+threads, queues or locks of the parent's are involved, so that a signal may end it at any point
 without a deadlock.
 """
 
@@ -14,28 +15,88 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from scenegen.errors import GenerationError, GuardError, ScenegenError, told
-from scenegen.run.stopping import undone_if_stopped
+from scenegen.errors import DatasetError, GenerationError, GuardError, ScenegenError, short, told
+from scenegen.run import Executor, undone_if_stopped
 
 PR_SET_PDEATHSIG = 1
 """Linux's name for it."""
 MOST_REPLACED = 5
 """Workers that may die in a run with limits before the rest is given up."""
-
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """The C library's names for the most free memory that it keeps, and the least that it takes from
 the system apart."""
-
 SAFE_PATH = "PYTHONSAFEPATH"
 """Where this is set, Python looks for no modules in the working folder unless it is told to."""
+RANKS = (
+    ("SCENEGEN_RANK", "SCENEGEN_WORLD_SIZE"),
+    ("JOB_COMPLETION_INDEX", "SCENEGEN_WORLD_SIZE"),
+    ("RANK", "WORLD_SIZE"),
+    ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_COUNT"),
+    ("SLURM_PROCID", "SLURM_NTASKS"),
+)
+"""Where rank and world size stand in the environment; the first pair that is there counts. What the
+user set, for an indexed Job of Kubernetes the size alone, comes first. Then torchrun, which begins
+several processes in one of Slurm's tasks; then Slurm's own job arrays and tasks."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+
+class Local(Executor):
+    """Processes of this machine. Raises DatasetError where an address is given."""
+
+    def __init__(self, address: str, workers: int):
+        if address:
+            name = type(self).__name__.lower()
+            raise DatasetError(f"--on {name}://{address}: takes no address; give --on {name}")
+        self.workers = workers
+
+    def __call__(
+        self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
+    ) -> Generator[Any, None, None]:
+        """Apply `function` to `tasks`, see `run`."""
+        return run(function, tasks, self.workers, on_start)
+
+
+class Rank(Local):
+    """One of many jobs that are the same but for their rank, begun by something else: it does every
+    world-size-th task, from its rank on.
+
+    Raises DatasetError where an address is given, and where the environment tells no rank.
+    """
+
+    def __init__(self, address: str, workers: int):
+        super().__init__(address, workers)
+        self.rank, self.size = rank_of(os.environ)
+
+    def mine(self, tasks: Sequence[Any]) -> Sequence[Any]:
+        """Those of all tasks that are this job's."""
+        return tasks[self.rank :: self.size]
+
+
+def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
+    """Rank, from 0, and world size. Raises DatasetError where `environment` does not tell both, or
+    impossible ones."""
+    names = next((pair for pair in RANKS if set(pair) <= environment.keys()), None)
+    if names is None:
+        ways = ", or ".join(" and ".join(pair) for pair in RANKS)
+        raise DatasetError(f"--on rank: the environment tells no rank; set {ways}")
+    given = [environment[name] for name in names]
+    # the least number of a job array need not be 0
+    first = environment.get("SLURM_ARRAY_TASK_MIN", "0") if "ARRAY" in names[0] else "0"
+    if all(value.isascii() and value.isdigit() for value in given):
+        rank, size = int(given[0]) - int(first), int(given[1])
+        if 0 <= rank < size:
+            return rank, size
+    raise DatasetError(
+        f"--on rank: {names[0]}={short(given[0])}, {names[1]}={short(given[1])}; expected whole "
+        "numbers, the first from 0 to one less than the second"
+    )
 
 
 def cores() -> int:
@@ -49,9 +110,7 @@ def keep_memory() -> None:
     (docs/log.md). For programs, not libraries."""
     import ctypes
 
-    with contextlib.suppress(
-        AttributeError, OSError
-    ):  # elsewhere than with glibc, it stays as it is
+    with contextlib.suppress(AttributeError, OSError):  # other C libraries than glibc
         library = ctypes.CDLL(None)
         library.mallopt(M_MMAP_THRESHOLD, 32 << 20)
         library.mallopt(M_TRIM_THRESHOLD, 64 << 20)
@@ -110,7 +169,7 @@ def run(
     start = "fork" if sys.platform == "linux" else "spawn"
     waiting = iter(tasks)
     busy: list[Worker] = []
-    replaced = 0
+    deaths = 0
     with undone_if_stopped(lambda: _kill(busy)):
         try:
             for task in itertools.islice(waiting, workers):
@@ -120,20 +179,17 @@ def run(
             while busy:
                 for worker in _ready(busy):
                     result = worker.take(workers)
-                    following = (
-                        next(waiting, None) if worker.alive or replaced < MOST_REPLACED else None
-                    )
-                    if following is None or not worker.alive:
+                    deaths += not worker.alive
+                    ended = not worker.alive and deaths > MOST_REPLACED
+                    following = [] if ended else list(itertools.islice(waiting, 1))
+                    if not (following and worker.alive):
                         busy.remove(worker)
                         worker.end()
-                    if following is not None:
-                        if (
-                            not worker.alive
-                        ):  # by now there may be threads, so this one is not forked
-                            worker = Worker(function, "spawn")
-                            busy.append(worker)
-                            replaced += 1
-                        worker.give(following)
+                        # by now there may be threads, so that these are not forked
+                        busy += [Worker(function, "spawn") for _ in following]
+                        worker = busy[-1] if following else worker
+                    for task in following:
+                        worker.give(task)
                     yield result
             for task in waiting:
                 assert isinstance(function, Limited)
@@ -194,10 +250,8 @@ class Worker:
 
     def give(self, task: Any) -> None:
         """Have a task worked off; its time begins."""
-        self._task = task
-        self._deadline = time.monotonic() + (
-            self._limits.seconds(task) if self._limits else math.inf
-        )
+        seconds = self._limits.seconds(task) if self._limits else math.inf
+        self._task, self._deadline = task, time.monotonic() + seconds
         self.pipe.send(task)
 
     @property
@@ -208,30 +262,26 @@ class Worker:
     def take(self, workers: int) -> Any:
         """The task's result, or its exception raised here; with limits, what stands for one that
         did not come."""
-        if not self.pipe.poll():
-            return self._give_up("took too long")
+        value: Any
         try:
-            succeeded, value = self.pipe.recv()
+            succeeded, value = self.pipe.recv() if self.pipe.poll() else (False, None)
         except (EOFError, ConnectionResetError):
-            if self._limits:
-                return self._give_up("ended its process: it crashed, or took too much memory")
-            raise GenerationError(
-                "a worker process was killed (out of memory?); finished shards are kept: give the "
-                "same command again "
-                f"to go on, with fewer --workers than {workers} if it happens again"
-            ) from None
-        if not succeeded:
-            if self._limits:
-                reason = " ".join(str(value).split())[:200]
-                return self._limits.given_up(
-                    self._task, f"ended in {type(value).__name__}: {reason}"
-                )
-            raise value
-        return value
-
-    def _give_up(self, reason: str) -> Any:
-        assert self._limits is not None
-        self.alive = False
+            self.alive = False
+            if self._limits is None:
+                raise GenerationError(
+                    "a worker process was killed (out of memory?); finished shards are kept: give "
+                    f"the same command again to go on, with fewer --workers than {workers} if it "
+                    "happens again"
+                ) from None
+            reason = "ended its process: it crashed, or took too much memory"
+        else:
+            if succeeded:
+                return value
+            if self._limits is None:
+                raise value
+            self.alive = value is not None
+            said = " ".join(str(value).split())[:200]
+            reason = f"ended in {type(value).__name__}: {said}" if self.alive else "took too long"
         return self._limits.given_up(self._task, reason)
 
     def end(self) -> None:
@@ -282,14 +332,12 @@ def _ready(busy: list[Worker]) -> list[Worker]:
 
 def _limit_memory(more_bytes: int) -> None:
     """Let this process grow by so much and no further, where the system can see to that."""
-    try:
+    with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         most = pages * os.sysconf("SC_PAGE_SIZE") + more_bytes
         resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
-    except (ImportError, OSError, ValueError):
-        return
 
 
 def _serve(

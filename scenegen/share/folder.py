@@ -13,7 +13,7 @@ from scenegen.dataset import manifest
 from scenegen.dataset.locate import file_sha256
 from scenegen.errors import DatasetError, PublishError
 from scenegen.files import disk_error, draft_of, remove_drafts, sync_folder, write_whole
-from scenegen.run.stopping import undone_if_stopped
+from scenegen.run import undone_if_stopped
 
 SUMS = "SHA256SUMS"
 """Digest and name of every other file, as sha256sum writes and checks them."""

@@ -20,7 +20,7 @@ from scenegen.errors import PublishError, RecipeError, short
 from scenegen.lidar import named_lidar
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
-from scenegen.run.stopping import undone_if_stopped
+from scenegen.run import undone_if_stopped
 from scenegen.source import DrawnWorlds
 
 RECIPE, SENSOR = "recipe.toml", "sensor.toml"

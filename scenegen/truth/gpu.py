@@ -1,48 +1,56 @@
 """Exact occupancy and distances of many worlds at once, in Warp: the bits of `rasterize` and
 `distance_field`.
 
-One thread fills one column of voxels, or finds the distance of one voxel.
+One thread fills one column of voxels, by the functions of `rasterize`, or finds the distance of one
+voxel.
 """
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from lidarsim.gpu.device import EXACT, on_device, placed, wp
-from lidarsim.gpu.worlds import Packed, Worlds
+from lidarsim.gpu.translate import translated
+from lidarsim.gpu.worlds import EXACT, Packed, Worlds, on_device, wp
 from lidarsim.grid import GridSpec
 from lidarsim.solids.shapes import BOX, CYLINDER
+from scenegen.truth import occupancy as cpu
+from scenegen.truth import triangles
 from scenegen.truth.distance import lookup
-from scenegen.truth.gpu_shapes import crossing, distance, touches, triangle_touches
-from scenegen.truth.occupancy import SLACK_M
 
-wp.set_module_options(EXACT | {"max_unroll": 1})
+wp.set_module_options(EXACT)
 ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
-ONE = wp.constant(wp.float64(1.0))
-ROOT_3 = wp.constant(wp.float64(3.0**0.5))
-SLACK = wp.constant(wp.float64(SLACK_M))
+SLACK = wp.constant(wp.float64(cpu.SLACK_M))
+span = translated(cpu.span)
+column_touches = translated(cpu.column_touches)
+fill_column = translated(cpu.fill_column)
+triangle_touches = translated(triangles.triangle_touches)
+crossing = translated(triangles.crossing)
 
 
 def rasterize(
     worlds: Worlds, grid: GridSpec, corners: Any, *, which: ArrayLike | None = None
 ) -> Any:
-    """Occupancy (P, *grid.shape) of P grids, a Warp array of bool on the worlds' device.
+    """Mark the voxels of P grids whose closed cube lies within `SLACK_M` of a solid.
 
     Grid p has its least corner at `corners` (P, 3), in world `which` (P,), which is world p unless
-    said otherwise. A voxel is occupied where its closed cube lies within `SLACK_M` of a solid.
-    Raises ValueError for other shapes, and for a grid that is `hollow`.
+    said otherwise.
+
+    Returns:
+        Occupancy (P, *grid.shape), a Warp array of bool on the worlds' device.
+
+    Raises:
+        ValueError: for other shapes, and for a grid that is `hollow`.
     """
     if grid.hollow:
         raise ValueError(
             "grid.hollow = True: expected False on the GPU; scenegen.truth.rasterize knows surfaces"
         )
-    lows = on_device(corners, wp.vec3d, worlds.device)
-    poses = len(lows)
-    placed("corners", lows, (poses,), wp.vec3d, worlds.device)
-    chosen = worlds.which(which, poses)
+    poses = (*np.shape(corners), 0)[0]
+    lows = on_device("corners", corners, wp.vec3d, (poses,), worlds.device)
     occupancy = wp.zeros((poses, *grid.shape), dtype=wp.bool, device=worlds.device)
-    inputs = [worlds.packed, chosen, lows, grid.voxel_m, occupancy]
+    inputs = [worlds.packed, worlds.which(which, poses), lows, grid.voxel_m, occupancy]
     columns = occupancy.shape[:3]
     wp.launch(_fill_primitives, dim=columns, inputs=inputs, device=worlds.device)
     if len(worlds.packed.triangles):
@@ -52,63 +60,53 @@ def rasterize(
 
 
 def distance_field(occupancy: Any, grid: GridSpec) -> Any:
-    """The TUDFs of P grids, a Warp array (P, *grid.shape) of float32 on the device of `occupancy`,
-    of the same shape: metres from each voxel's centre to the nearest occupied one's, at most
-    `grid.truncation_m`."""
-    device = occupancy.device.alias
-    placed("occupancy", occupancy, (len(occupancy), *grid.shape), wp.bool, device)
+    """The TUDFs of P grids from their `occupancy` (P, *grid.shape), a Warp array.
+
+    Returns:
+        Metres from each voxel's centre to the nearest occupied one's, at most `grid.truncation_m`:
+        a Warp array (P, *grid.shape) of float32 on the same device.
+    """
+    device, shape = occupancy.device.alias, (len(occupancy), *grid.shape)
+    on_device("occupancy", occupancy, wp.bool, shape, device)
     cap, table = lookup(grid)
-    along_x, along_y = (wp.empty(occupancy.shape, dtype=wp.int32, device=device) for _ in range(2))
-    field = wp.empty(occupancy.shape, dtype=wp.float32, device=device)
-    values = wp.array(table, dtype=wp.float32, device=device)
-    wp.launch(_along_x, dim=field.shape, inputs=[occupancy, cap, along_x], device=device)
-    wp.launch(_along_y, dim=field.shape, inputs=[along_x, along_y], device=device)
-    wp.launch(_along_z, dim=field.shape, inputs=[along_y, values, field], device=device)
+    squares, spread = (wp.empty(shape, dtype=wp.int32, device=device) for _ in range(2))
+    wp.launch(_begin, dim=shape, inputs=[occupancy, cap, squares], device=device)
+    for axis in np.eye(3, dtype=int):
+        wp.launch(_spread, dim=shape, inputs=[squares, wp.vec3i(*axis), spread], device=device)
+        squares, spread = spread, squares
+    metres = wp.array(table, dtype=wp.float32, device=device)
+    field = wp.empty(shape, dtype=wp.float32, device=device)
+    wp.launch(_look_up, dim=shape, inputs=[squares, metres, field], device=device)
     return field
 
 
 @wp.func
-def _first(low: wp.float64, origin: wp.float64, voxel_m: wp.float64, count: wp.int32) -> wp.int32:
-    """First voxel along an axis whose closed extent touches what begins at `low`."""
-    return wp.int32(
-        wp.ceil(wp.min(wp.max((low - SLACK - origin) / voxel_m - ONE, ZERO), wp.float64(count)))
-    )
+def _centre(origin: wp.float64, i: wp.int32, voxel_m: wp.float64) -> wp.float64:
+    return origin + (wp.float64(i) + HALF) * voxel_m
 
 
 @wp.func
-def _last(high: wp.float64, origin: wp.float64, voxel_m: wp.float64, count: wp.int32) -> wp.int32:
-    """Last voxel along an axis whose closed extent touches what ends at `high`."""
-    return wp.int32(
-        wp.floor(wp.max(wp.min((high + SLACK - origin) / voxel_m, wp.float64(count) - ONE), -ONE))
-    )
-
-
-@wp.func
-def _is_beside(
-    low: wp.vec3d, high: wp.vec3d, o: wp.vec3d, i: wp.int32, j: wp.int32, voxel_m: wp.float64
-) -> wp.bool:
-    """Whether the column i, j passes a box by, with a voxel to spare: quicker than the exact
-    answer, for most."""
-    x, y = o[0] + wp.float64(i) * voxel_m, o[1] + wp.float64(j) * voxel_m
-    two = voxel_m + voxel_m
-    return x > high[0] + voxel_m or x < low[0] - two or y > high[1] + voxel_m or y < low[1] - two
-
-
-@wp.func
-def _reaches(
+def _touched(
     low: wp.vec3d,
     high: wp.vec3d,
     o: wp.vec3d,
     i: wp.int32,
     j: wp.int32,
     voxel_m: wp.float64,
-    nx: wp.int32,
-    ny: wp.int32,
-) -> wp.bool:
-    """Whether the voxels of column i, j touch a box, seen from above."""
-    if i < _first(low[0], o[0], voxel_m, nx) or i > _last(high[0], o[0], voxel_m, nx):
-        return False
-    return j >= _first(low[1], o[1], voxel_m, ny) and j <= _last(high[1], o[1], voxel_m, ny)
+    shape: wp.vec3i,
+) -> wp.vec2i:
+    """First and one past the last voxel of the column i, j that touches a box; the last is -1 where
+    the column passes the box by."""
+    x, y = o[0] + wp.float64(i) * voxel_m, o[1] + wp.float64(j) * voxel_m
+    far = voxel_m + voxel_m  # a voxel to spare: quicker than `span`, for most
+    if x > high[0] + voxel_m or x < low[0] - far or y > high[1] + voxel_m or y < low[1] - far:
+        return wp.vec2i(0, -1)
+    i0, i1 = span(low[0], high[0], o[0], voxel_m, shape[0])
+    j0, j1 = span(low[1], high[1], o[1], voxel_m, shape[1])
+    if i < i0 or i >= i1 or j < j0 or j >= j1:
+        return wp.vec2i(0, -1)
+    first, end = span(low[2], high[2], o[2], voxel_m, shape[2])
+    return wp.vec2i(first, end)
 
 
 @wp.kernel
@@ -121,60 +119,22 @@ def _fill_primitives(
 ) -> None:
     p, i, j = wp.tid()
     o = corners[p]
-    half = HALF * voxel_m
-    outer = half * ROOT_3 + SLACK
-    nx, ny, nz = occupancy.shape[1], occupancy.shape[2], occupancy.shape[3]
-    x, y = o[0] + (wp.float64(i) + HALF) * voxel_m, o[1] + (wp.float64(j) + HALF) * voxel_m
+    shape = wp.vec3i(occupancy.shape[1], occupancy.shape[2], occupancy.shape[3])
     for n in range(packed.primitive_start[which[p]], packed.primitive_start[which[p] + 1]):
-        low, high = packed.lower[n], packed.upper[n]
-        if _is_beside(low, high, o, i, j, voxel_m) or not _reaches(
-            low, high, o, i, j, voxel_m, nx, ny
-        ):
+        ends = _touched(packed.lower[n], packed.upper[n], o, i, j, voxel_m, shape)
+        if ends[0] >= ends[1]:
             continue
-        begin, last = _first(low[2], o[2], voxel_m, nz), _last(high[2], o[2], voxel_m, nz)
-        shape, size, axes = packed.shape[n], packed.size[n], packed.rotation[n]
-        dx, dy = x - packed.position[n][0], y - packed.position[n][1]
-        if axes[2, 0] == ZERO and axes[2, 1] == ZERO and (shape == CYLINDER or shape == BOX):  # noqa: SIM109
-            if _column_touches(shape, size, axes, dx, dy, half):
-                for k in range(begin, last + 1):
+        kind, size, axes = packed.shape[n], packed.size[n], packed.rotation[n]
+        dx = _centre(o[0], i, voxel_m) - packed.position[n, 0]
+        dy = _centre(o[1], j, voxel_m) - packed.position[n, 1]
+        dz = _centre(o[2], ends[0], voxel_m) - packed.position[n, 2]
+        if axes[2, 0] == ZERO and axes[2, 1] == ZERO and (kind == CYLINDER or kind == BOX):  # noqa: SIM109
+            if column_touches(kind, size, axes, dx, dy, HALF * voxel_m):
+                for k in range(ends[0], ends[1]):
                     occupancy[p, i, j, k] = True
-            continue
-        dz = o[2] + (wp.float64(begin) + HALF) * voxel_m - packed.position[n][2]
-        inwards = wp.transpose(axes)
-        k = wp.int32(begin)
-        while k <= last:
-            at = inwards * wp.vec3d(dx, dy, dz + wp.float64(k - begin) * voxel_m)
-            gap = distance(shape, size, at)
-            if gap > outer:  # which cannot fall faster than one walks: far ones are skipped
-                k += wp.max(wp.int32(wp.min((gap - outer) / voxel_m, wp.float64(nz))), 1)
-                continue
-            if gap <= half or touches(shape, size, axes, at, half, SLACK):
-                occupancy[p, i, j, k] = True
-            k += 1
-
-
-@wp.func
-def _column_touches(
-    shape: wp.int32,
-    size: wp.vec3d,
-    axes: wp.mat33d,
-    dx: wp.float64,
-    dy: wp.float64,
-    half: wp.float64,
-) -> wp.bool:
-    """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches
-    its section."""
-    if shape == CYLINDER:
-        g, h = wp.max(wp.abs(dx) - half, ZERO), wp.max(wp.abs(dy) - half, ZERO)
-        return g * g + h * h <= (size[0] + SLACK) * (size[0] + SLACK)
-    c, s = wp.abs(axes[0, 0]), wp.abs(axes[1, 0])
-    if wp.abs(dx) > c * size[0] + s * size[1] + half + SLACK:
-        return False
-    if wp.abs(dy) > s * size[0] + c * size[1] + half + SLACK:
-        return False
-    u, v = axes[0, 0] * dx + axes[1, 0] * dy, axes[0, 1] * dx + axes[1, 1] * dy
-    reach = half * (c + s) + SLACK
-    return wp.abs(u) <= size[0] + reach and wp.abs(v) <= size[1] + reach
+        else:
+            column = occupancy[p, i, j]
+            fill_column(kind, size, axes, dx, dy, dz, voxel_m, column, ends[0], ends[1])
 
 
 @wp.kernel
@@ -190,80 +150,66 @@ def _fill_meshes(
     voxels' centres."""
     p, i, j = wp.tid()
     o = corners[p]
-    half = HALF * voxel_m
-    nx, ny, nz = occupancy.shape[1], occupancy.shape[2], occupancy.shape[3]
-    x, y = o[0] + (wp.float64(i) + HALF) * voxel_m, o[1] + (wp.float64(j) + HALF) * voxel_m
+    shape = wp.vec3i(occupancy.shape[1], occupancy.shape[2], occupancy.shape[3])
+    x, y = _centre(o[0], i, voxel_m), _centre(o[1], j, voxel_m)
     for m in range(packed.mesh_start[which[p]], packed.mesh_start[which[p] + 1]):
         for n in range(packed.triangle_start[m], packed.triangle_start[m + 1]):
-            a, b, c = packed.triangles[n, 0], packed.triangles[n, 1], packed.triangles[n, 2]
+            a, b, c = _corner(packed, n, 0), _corner(packed, n, 1), _corner(packed, n, 2)
             low, high = wp.min(wp.min(a, b), c), wp.max(wp.max(a, b), c)
-            if _is_beside(low, high, o, i, j, voxel_m):
+            ends = _touched(low, high, o, i, j, voxel_m, shape)
+            if ends[1] < 0:
                 continue
             if packed.filled[m] != 0:
                 sign, height = crossing(a, b, c, x, y)
                 above = wp.ceil((height - o[2]) / voxel_m - HALF)
-                if sign != 0 and above < wp.float64(nz):
+                if sign != 0 and above < wp.float64(shape[2]):
                     winding[p, i, j, wp.int32(wp.max(above, ZERO))] += sign
-            if _reaches(low, high, o, i, j, voxel_m, nx, ny):
-                for k in range(
-                    _first(low[2], o[2], voxel_m, nz), _last(high[2], o[2], voxel_m, nz) + 1
-                ):
-                    if not occupancy[p, i, j, k]:
-                        centre = wp.vec3d(x, y, o[2] + (wp.float64(k) + HALF) * voxel_m)
-                        if triangle_touches(a, b, c, centre, half, SLACK):
-                            occupancy[p, i, j, k] = True
+            for k in range(ends[0], ends[1]):
+                if not occupancy[p, i, j, k]:
+                    z = _centre(o[2], k, voxel_m)
+                    if triangle_touches(a, b, c, x, y, z, HALF * voxel_m, SLACK):
+                        occupancy[p, i, j, k] = True
         if packed.filled[m] != 0:
             total = wp.int32(0)
-            for k in range(nz):
+            for k in range(shape[2]):
                 total += winding[p, i, j, k]
                 winding[p, i, j, k] = 0
                 if total != 0:
                     occupancy[p, i, j, k] = True
 
 
-@wp.kernel
-def _along_x(occupancy: wp.array4d[wp.bool], cap: wp.int32, squares: wp.array4d[wp.int32]) -> None:
-    """Squared steps to the nearest occupied voxel along x, at most `cap` (Saito and Toriwaki
-    1994)."""
-    p, i, j, k = wp.tid()
-    step, found = wp.int32(0), wp.bool(False)
-    while step * step < cap and not found:
-        if i >= step:
-            found = occupancy[p, i - step, j, k]
-        if i + step < occupancy.shape[1]:
-            found = found or occupancy[p, i + step, j, k]
-        if not found:
-            step += 1
-    squares[p, i, j, k] = wp.min(step * step, cap)
+@wp.func
+def _corner(packed: Packed, n: wp.int32, k: wp.int32) -> wp.vec3d:
+    return wp.vec3d(packed.triangles[n, k, 0], packed.triangles[n, k, 1], packed.triangles[n, k, 2])
 
 
 @wp.kernel
-def _along_y(source: wp.array4d[wp.int32], squares: wp.array4d[wp.int32]) -> None:
-    """The least of a line's squares, each with its own distance along y added."""
+def _begin(occupancy: wp.array4d[wp.bool], cap: wp.int32, squares: wp.array4d[wp.int32]) -> None:
+    """Squared distances before any axis is looked along: 0 where occupied, else the most."""
     p, i, j, k = wp.tid()
+    squares[p, i, j, k] = 0 if occupancy[p, i, j, k] else cap
+
+
+@wp.kernel
+def _spread(source: wp.array4d[wp.int32], axis: wp.vec3i, squares: wp.array4d[wp.int32]) -> None:
+    """The least square on a voxel's line along an axis, each with its own distance added (Saito and
+    Toriwaki 1994)."""
+    p, i, j, k = wp.tid()
+    shape = wp.vec3i(source.shape[1], source.shape[2], source.shape[3])
     least = wp.int32(source[p, i, j, k])
     step = wp.int32(1)
     while step * step < least:
-        if j >= step:
-            least = wp.min(least, source[p, i, j - step, k] + step * step)
-        if j + step < source.shape[2]:
-            least = wp.min(least, source[p, i, j + step, k] + step * step)
+        for side in range(2):
+            at = wp.vec3i(i, j, k) + (2 * side - 1) * step * axis
+            if wp.min(at) >= 0 and wp.min(shape - at) > 0:
+                least = wp.min(least, source[p, at[0], at[1], at[2]] + step * step)
         step += 1
     squares[p, i, j, k] = least
 
 
 @wp.kernel
-def _along_z(
-    source: wp.array4d[wp.int32], table: wp.array[wp.float32], field: wp.array4d[wp.float32]
+def _look_up(
+    squares: wp.array4d[wp.int32], metres: wp.array[wp.float32], field: wp.array4d[wp.float32]
 ) -> None:
-    """The same along z, and the distance that belongs to the square."""
     p, i, j, k = wp.tid()
-    least = wp.int32(source[p, i, j, k])
-    step = wp.int32(1)
-    while step * step < least:
-        if k >= step:
-            least = wp.min(least, source[p, i, j, k - step] + step * step)
-        if k + step < source.shape[3]:
-            least = wp.min(least, source[p, i, j, k + step] + step * step)
-        step += 1
-    field[p, i, j, k] = table[least]
+    field[p, i, j, k] = metres[squares[p, i, j, k]]

@@ -222,12 +222,12 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
     a, b, c = 1.0 / size[0], 1.0 / size[1], 1.0 / size[2]
     m = np.empty((4, 3))  # the scaled half edges, and the scaled centre
     for i in range(3):
-        m[i, 0], m[i, 1], m[i, 2] = (
-            half * axes[i, 0] * a,
-            half * axes[i, 1] * b,
-            half * axes[i, 2] * c,
-        )
-    m[3, 0], m[3, 1], m[3, 2] = x * a, y * b, z * c
+        m[i, 0] = half * axes[i, 0] * a
+        m[i, 1] = half * axes[i, 1] * b
+        m[i, 2] = half * axes[i, 2] * c
+    m[3, 0] = x * a
+    m[3, 1] = y * b
+    m[3, 2] = z * c
     least = math.inf
     nx, ny, nz = 0.0, 0.0, 0.0
     for i in range(3):  # every edge along half edge i, and the faces that the other two span

@@ -18,7 +18,9 @@ def triangle_touches(a, b, c, x, y, z, half, slack):
     p = np.empty((3, 3))
     for i in range(3):
         centre = x if i == 0 else (y if i == 1 else z)
-        p[0, i], p[1, i], p[2, i] = a[i] - centre, b[i] - centre, c[i] - centre
+        p[0, i] = a[i] - centre
+        p[1, i] = b[i] - centre
+        p[2, i] = c[i] - centre
         if (
             min(p[0, i], p[1, i], p[2, i]) > half + slack
             or max(p[0, i], p[1, i], p[2, i]) < -half - slack

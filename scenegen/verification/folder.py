@@ -18,8 +18,7 @@ from scenegen.dataset.rules import files_of
 from scenegen.draw import draw_unit
 from scenegen.recipe import make_recipe
 from scenegen.run import Executor
-from scenegen.run.local import Local
-from scenegen.run.workers import Limited
+from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
 from scenegen.stores.cache import fetch_all, note_of

@@ -46,8 +46,7 @@ class Drawing:
 
     def __init__(self, flight_bounds: NDArray[np.float64]):
         self._bounds = tuple(np.asarray(flight_bounds, dtype=np.float64).reshape(-1).tolist())
-        self._shapes: list[int] = []
-        self._numbers: list[NDArray[np.float64]] = []
+        self._solids: list[tuple[int, NDArray[np.float64]]] = []
         self._spec: mujoco.MjSpec | None = None
 
     def add_geom(
@@ -72,35 +71,43 @@ class Drawing:
         quats: ArrayLike = UPRIGHT,
         rgba: ArrayLike = COLOUR,
     ) -> None:
-        """Add n solids at once, which is quicker than one by one: shapes (n,), codes of
-        `mujoco.mjtGeom`; sizes (n, 3) as MuJoCo has them and positions (n, 3), metres; attitudes
-        (n, 4), w x y z; colours (n, 4). What is the same for all may lack the first axis."""
+        """Add n solids at once, which is quicker than one by one. What is the same for all may lack
+        the first axis.
+
+        Args:
+            shapes: Codes of `mujoco.mjtGeom`, (n,).
+            sizes: Sizes as MuJoCo has them, (n, 3), metres.
+            positions: Positions, (n, 3), metres.
+            quats: Attitudes, (n, 4), w x y z.
+            rgba: Colours, (n, 4).
+        """
         codes = np.asarray(shapes, dtype=np.int64).tolist()
-        numbers = np.empty((len(codes), 14))
+        rows = np.empty((len(codes), 14))
         for columns, values in zip(COLUMNS, (sizes, positions, quats, rgba), strict=True):
-            numbers[:, columns] = values
-        if self._spec is None:
-            self._shapes += codes
-            self._numbers.append(numbers)
-        else:
-            _add(self._spec, codes, numbers)
+            rows[:, columns] = values
+        for code, row in zip(codes, rows, strict=True):
+            if self._spec is None:
+                self._solids.append((code, row))
+            else:
+                _add(self._spec, code, row)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         if self._spec is None:
             self._spec = _empty(self._bounds)
-            _add(self._spec, self._shapes, np.concatenate([np.empty((0, 14)), *self._numbers]))
+            for code, row in self._solids:
+                _add(self._spec, code, row)
         return getattr(self._spec, name)
 
     def mjcf(self) -> bytes:
         """The document, UTF-8. Raises ValueError for what MuJoCo does not take, and BrokenError for
         what no reader of the archive would."""
-        if self._spec is None and len(self._shapes) <= MOST_WRITTEN:
-            lines = _lines(self._shapes, np.concatenate([np.empty((0, 14)), *self._numbers]))
+        if self._spec is None and len(self._solids) <= MOST_WRITTEN:
+            lines = _lines(self._solids)
             if lines is not None:
                 before, after = _around(self._bounds)
-                return (before + lines + after).encode()
+                return f"{before}{lines}{after}".encode()
         self.worldbody  # noqa: B018 (from here on, there is a spec)
         assert self._spec is not None
         self._spec.memory = least_memory(len(self._spec.geoms))
@@ -136,54 +143,44 @@ def _around(bounds: tuple[float, ...]) -> tuple[str, str]:
     return before, light + after
 
 
-def _add(spec: mujoco.MjSpec, shapes: list[int], numbers: NDArray[np.float64]) -> None:
-    """Add solids, their numbers (n, 14) as `COLUMNS` says."""
-    for shape, row in zip(shapes, numbers, strict=True):
-        size, position, quat, rgba = (row[columns] for columns in COLUMNS)
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom(shape), size=size, pos=position, quat=quat, rgba=rgba
-        )
+def _add(spec: mujoco.MjSpec, shape: int, row: NDArray[np.float64]) -> None:
+    """Add a solid, its numbers (14,) as `COLUMNS` says."""
+    size, position, quat, rgba = (row[columns] for columns in COLUMNS)
+    kind = mujoco.mjtGeom(shape)
+    spec.worldbody.add_geom(type=kind, size=size, pos=position, quat=quat, rgba=rgba)
 
 
-def _lines(shapes: list[int], numbers: NDArray[np.float64]) -> str | None:
+def _lines(solids: list[tuple[int, NDArray[np.float64]]]) -> str | None:
     """Geoms as MuJoCo writes them; None where one is left to MuJoCo."""
-    counts = [NUMBERS.get(shape, ("", 0))[1] for shape in shapes]
-    size, position, quat, rgba = (numbers[:, columns] for columns in COLUMNS)
-    sized = np.arange(3) < np.array(counts, dtype=np.int64)[:, None]
-    square = quat * quat
+    if any(shape not in NUMBERS for shape, _ in solids):
+        return None
+    rows = np.array([row for _, row in solids]).reshape(-1, 14)
+    square = rows[:, 6:10] * rows[:, 6:10]
     length = np.sqrt(((square[:, 0] + square[:, 1]) + square[:, 2]) + square[:, 3])
-    lengths = np.abs(np.concatenate([size[sized], position.ravel(), quat.ravel()]))
+    counts = np.array([NUMBERS[shape][1] for shape, _ in solids], dtype=np.int64)
+    lengths = np.abs(rows[:, :10])
+    lengths[:, :3][np.arange(3) >= counts[:, None]] = 0.0
     # MuJoCo writes most numbers like this, but not what it rounds to 0 itself, or large whole ones
     plain = (lengths == 0.0) | ((lengths >= 1e-9) & (lengths < 1e5))
-    if not (plain.all() and all(counts) and ((length > 0.5) & (length < 2.0)).all()):
+    if not (plain.all() and ((length > 0.5) & (length < 2.0)).all()):
         return None
-    turn = quat / length[:, None]
-    placed, turned, coloured = (
-        (position != 0.0).any(1),
-        (turn != UPRIGHT).any(1),
-        (rgba != COLOUR).any(1),
-    )
-    forms = map(_form, shapes, placed.tolist(), turned.tolist(), coloured.tolist())
-    masks = (
-        sized,
-        placed[:, None].repeat(3, 1),
-        turned[:, None].repeat(4, 1),
-        coloured[:, None].repeat(4, 1),
-    )
-    written = np.concatenate([size, position, turn, rgba], axis=1)[np.concatenate(masks, axis=1)]
-    return "".join(forms) % tuple((written + 0.0).tolist())  # a zero has no sign
+    rows[:, 6:10] /= length[:, None]
+    written = (rows + 0.0).tolist()  # a zero has no sign
+    return "".join(_line(shape, row) for (shape, _), row in zip(solids, written, strict=True))
 
 
-@functools.cache
-def _form(shape: int, placed: bool, turned: bool, coloured: bool) -> str:
+def _line(shape: int, row: list[float]) -> str:
     """A geom's line, with six digits for every number that is written, as C++ writes them."""
     attribute, count = NUMBERS[shape]
-    parts = (("size", count), ("pos", 3 * placed), ("quat", 4 * turned))
-    line = "".join(
-        f' {name}="{" ".join(["%.6g"] * numbers)}"' for name, numbers in parts if numbers
-    )
-    colour = ' rgba="%.6g %.6g %.6g %.6g"' if coloured else ""
-    return f"    <geom{line}{attribute}{colour}/>\n"
+    place, turn, colour = row[3:6], row[6:10], row[10:]
+    line = "    <geom" + _said("size", row[:count])
+    line += _said("pos", place) if any(place) else ""
+    line += _said("quat", turn) if tuple(turn) != UPRIGHT else ""
+    return line + attribute + (_said("rgba", colour) if tuple(colour) != COLOUR else "") + "/>\n"
+
+
+def _said(name: str, numbers: list[float]) -> str:
+    return f' {name}="{" ".join([f"{number:.6g}" for number in numbers])}"'
 
 
 def flatten(
@@ -200,7 +197,7 @@ def flatten(
     custom = ElementTree.SubElement(root, "custom")
     for number in map(model.numeric, range(model.nnumeric)):
         if number.name == FLIGHT_BOUNDS:
-            ElementTree.SubElement(custom, "numeric", name=FLIGHT_BOUNDS, data=_said(number.data))
+            ElementTree.SubElement(custom, "numeric", name=FLIGHT_BOUNDS, data=_exact(number.data))
     asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
     files: dict[str, bytes] = {}
     named: dict[tuple[int, int], str] = {}
@@ -209,11 +206,11 @@ def flatten(
         shape, number = int(model.geom_type[geom]), int(model.geom_dataid[geom])
         about = {
             "type": mujoco.mjtGeom(shape).name.removeprefix("mjGEOM_").lower(),
-            "pos": _said(data.geom_xpos[geom]),
+            "pos": _exact(data.geom_xpos[geom]),
         }
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, data.geom_xmat[geom])
-        about["quat"] = _said(quaternion)
+        about["quat"] = _exact(quaternion)
         if model.geom(geom).name:
             about["name"] = model.geom(geom).name
         if shape in (MESH, HFIELD):
@@ -222,11 +219,11 @@ def flatten(
                 named[shape, number] = add(asset, files, model, number)
             about[about["type"]] = named[shape, number]
         else:
-            about["size"] = "0 0 1" if shape == PLANE else _said(model.geom_size[geom])
+            about["size"] = "0 0 1" if shape == PLANE else _exact(model.geom_size[geom])
         if model.geom_group[geom]:
             about["group"] = str(model.geom_group[geom])
         dress = model.geom_matid[geom]
-        about["rgba"] = _said(model.mat_rgba[dress] if dress >= 0 else model.geom_rgba[geom])
+        about["rgba"] = _exact(model.mat_rgba[dress] if dress >= 0 else model.geom_rgba[geom])
         if materials and dress >= 0:
             about["material"] = model.mat(int(dress)).name
             worn[about["material"]] = about["rgba"]
@@ -269,7 +266,7 @@ def _add_field(
     content = np.array([rows, columns], "<i4").tobytes()
     content += model.hfield_data[first : first + rows * columns].astype("<f4").tobytes()
     name = model.hfield(field).name or f"hfield{field}"
-    size = _said(model.hfield_size[field])
+    size = _exact(model.hfield_size[field])
     ElementTree.SubElement(
         asset, "hfield", name=name, file=_put(files, content, name, "bin"), size=size
     )
@@ -285,6 +282,6 @@ def _put(files: dict[str, bytes], content: bytes, name: str, ending: str) -> str
     return called
 
 
-def _said(numbers: object) -> str:
+def _exact(numbers: object) -> str:
     """Numbers as MJCF writes them, every bit kept."""
     return " ".join(repr(float(number)) for number in np.ravel(np.asarray(numbers)))

@@ -1,6 +1,7 @@
 """Flights: OMPL's RRT between a random start and goal, the viewpoints along the path, and how a
 quadrotor leans there."""
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +26,7 @@ from scenegen.limits import (
 )
 from scenegen.worlds.clearance import CAP_M, Clearance
 from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.world import World
 
 GRAVITY = 9.81
 """Metres a second squared."""
@@ -32,47 +34,8 @@ LEAST_THRUST = 0.5
 """The vertical part of the thrust, a share of what hovering takes, is never less."""
 
 
-def acceleration(
-    turns: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
-    flown_m: float,
-    *,
-    speed_mps: float,
-    settle_s: float,
-) -> tuple[float, float, float]:
-    """Acceleration, metres a second squared, `flown_m` along a path of straight legs that is flown
-    at `speed_mps`.
-
-    `turns` (n, 3) say how the direction, a unit vector, changes at the path's points, `ends_m` (n,)
-    along it. Each change of velocity is spread over `settle_s` before and after, by a triangle:
-    this is the second derivative of the path smoothed by that triangle.
-    """
-    total = [0.0, 0.0, 0.0]
-    for turn, end in zip(turns.tolist(), ends_m.tolist(), strict=True):
-        share = 1.0 - abs((flown_m - end) / speed_mps) / settle_s
-        if share > 0.0:
-            for axis in range(3):
-                total[axis] += speed_mps * turn[axis] * share / settle_s
-    return total[0], total[1], total[2]
-
-
-def leaning(pose: Pose, pull: tuple[float, float, float], *, most_deg: float) -> Pose:
-    """The level `pose` of a body that accelerates by `pull`, metres a second squared, as its thrust
-    has it: turned the shortest way, so that its heading stays. It leans by `most_deg` at most."""
-    up = max(GRAVITY + pull[2], LEAST_THRUST * GRAVITY)
-    w, _, _, z = pose.quaternion.tolist()
-    cosine, sine = w * w - z * z, 2 * w * z
-    forward, left = cosine * pull[0] + sine * pull[1], cosine * pull[1] - sine * pull[0]
-    sideways = math.sqrt(forward * forward + left * left)
-    most_sine, most_cosine = (float(value) for value in sin_cos(math.radians(most_deg)))
-    if sideways * most_cosine > up * most_sine:
-        share = up * most_sine / (most_cosine * sideways)
-        forward, left = forward * share, left * share
-    length = math.sqrt(forward * forward + left * left + up * up)
-    half = math.sqrt(0.5 + 0.5 * up / length)
-    x, y = -left / (2 * half * length), forward / (2 * half * length)
-    return Pose(pose.position, np.array([w * half, w * x - z * y, w * y + z * x, z * half]))
-
+TRIES = 50
+"""Flights tried before a world counts as too narrow, where one pose is asked for."""
 
 ou.noOutputHandler()
 
@@ -119,13 +82,8 @@ class Flight:
 
         Raises ValueError where the margin leaves none.
         """
-        low, high = self.altitude_m
-        box = np.array(
-            [
-                [self.margin_m, self.margin_m, low],
-                [size_m[0] - self.margin_m, size_m[1] - self.margin_m, high],
-            ]
-        )
+        (low, high), margin = self.altitude_m, self.margin_m
+        box = np.array([[margin, margin, low], [size_m[0] - margin, size_m[1] - margin, high]])
         if not (box[0] < box[1]).all():
             raise ValueError(
                 f"[flight] margin_m = {self.margin_m}: leaves no room to fly in a world of "
@@ -149,23 +107,20 @@ def plan(
     if ends is None:
         return None
     ou.RNG.setSeed(seed)
-    space = ob.RealVectorStateSpace(3)
-    box = ob.RealVectorBounds(3)
-    for axis in range(3):
-        box.setLow(axis, float(bounds[0, axis]))
-        box.setHigh(axis, float(bounds[1, axis]))
+    space, box = ob.RealVectorStateSpace(3), ob.RealVectorBounds(3)
+    for axis, (low, high) in enumerate(bounds.T.tolist()):
+        box.setLow(axis, low)
+        box.setHigh(axis, high)
     space.setBounds(box)
     information = ob.SpaceInformation(space)
-    information.setStateValidityChecker(
-        lambda state: True
-    )  # motions are checked whole, their ends included
+    # motions are checked whole, their ends included
+    information.setStateValidityChecker(lambda state: True)
     information.setMotionValidator(_Motions(information, clearance, flight.robot_radius_m))
     information.setup()
     problem = ob.ProblemDefinition(information)
     states = space.allocState(), space.allocState()
     for state, point in zip(states, ends, strict=True):
-        for axis in range(3):
-            state[axis] = float(point[axis])
+        state[0], state[1], state[2] = point.tolist()
     problem.setStartAndGoalStates(*states, flight.goal_tolerance_m)
     planner = og.RRT(information)
     planner.setRange(flight.step_m)
@@ -175,9 +130,11 @@ def plan(
     status = planner.solve(ob.PlannerTerminationCondition(lambda: next(rounds, None) is None))
     if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
         return None
-    return np.array(
-        [[state[0], state[1], state[2]] for state in problem.getSolutionPath().getStates()]
-    )
+    return np.array([_place(state) for state in problem.getSolutionPath().getStates()])
+
+
+def _place(state: ob.State) -> tuple[float, float, float]:
+    return state[0], state[1], state[2]
 
 
 class _Motions(ob.MotionValidator):
@@ -186,13 +143,10 @@ class _Motions(ob.MotionValidator):
 
     def __init__(self, information: ob.SpaceInformation, clearance: Clearance, radius_m: float):
         super().__init__(information)
-        self._clearance = clearance
-        self._radius_m = radius_m
+        self._clearance, self._radius_m = clearance, radius_m
 
     def checkMotion(self, a: ob.State, b: ob.State, last_valid: object = None) -> bool:  # noqa: N802 (OMPL's name)
-        return self._clearance.motion_is_free(
-            (a[0], a[1], a[2]), (b[0], b[1], b[2]), self._radius_m
-        )
+        return self._clearance.motion_is_free(_place(a), _place(b), self._radius_m)
 
 
 def _start_and_goal(
@@ -211,35 +165,20 @@ def _start_and_goal(
     return None
 
 
-@dataclass(frozen=True, eq=False)
 class Route:
     """A path of straight legs, (n, 3) world metres, by the metres flown along it."""
 
-    path: NDArray[np.float64]
-
-    @cached_property
-    def legs(self) -> NDArray[np.float64]:
-        """(n - 1, 3): from each point to the next, metres."""
-        return np.diff(self.path, axis=0)
-
-    @cached_property
-    def lengths(self) -> NDArray[np.float64]:
-        """(n - 1,): of the legs, metres."""
-        return np.sqrt((self.legs**2).sum(axis=1))
-
-    @cached_property
-    def ends(self) -> NDArray[np.float64]:
+    def __init__(self, path: NDArray[np.float64]):
+        self.path, self.legs = path, np.diff(path, axis=0)
+        self.lengths = np.sqrt((self.legs**2).sum(axis=1))
+        self.ends = np.concatenate([[0.0], np.cumsum(self.lengths)])
         """(n,): metres flown at each point."""
-        return np.concatenate([[0.0], np.cumsum(self.lengths)])
-
-    @cached_property
-    def headings(self) -> NDArray[np.float64]:
-        """(n - 1, 2): x and y of the legs; where one climbs straight up, the body looks as it did
-        before."""
-        legs = self.legs
-        level = np.sqrt(legs[:, 0] * legs[:, 0] + legs[:, 1] * legs[:, 1]) > 1e-6
-        turned = np.maximum.accumulate(np.where(level, np.arange(len(legs)), 0))
-        return np.asarray(np.where(level[:, None], legs[:, :2], (1.0, 0.0))[turned])
+        # where a leg climbs straight up, the body looks as it did before
+        level = np.sqrt(self.legs[:, 0] * self.legs[:, 0] + self.legs[:, 1] * self.legs[:, 1])
+        turned = np.where(level > 1e-6, np.arange(len(self.legs)), 0)
+        headings = np.where(level[:, None] > 1e-6, self.legs[:, :2], (1.0, 0.0))
+        self.headings = headings[np.maximum.accumulate(turned)]
+        """(n - 1, 2): where the body looks, x and y, of any length."""
 
     @cached_property
     def turns(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -248,9 +187,8 @@ class Route:
         there = self.lengths > 0.0
         direction = self.legs[there] / self.lengths[there, None]
         still = np.zeros((1, 3))
-        return np.diff(np.concatenate([still, direction, still]), axis=0), self.ends[
-            np.append(there, True)
-        ]
+        change = np.diff(np.concatenate([still, direction, still]), axis=0)
+        return change, self.ends[np.append(there, True)]
 
     def at(self, flown_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions (m, 3) and headings (m, 2) at `flown_m` (m,)."""
@@ -260,8 +198,8 @@ class Route:
 
     def pose(self, flown_m: float, mapping: Mapper) -> Pose:
         """The body's pose at `flown_m`, level, or leaning as `mapping` has it."""
-        positions, headings = self.at(np.array([flown_m]))
-        level = Pose.facing(positions[0], headings[0])
+        (position,), (heading,) = self.at(np.array([flown_m]))
+        level = Pose.facing(position, heading)
         if not mapping.tilt_mps:
             return level
         pull = acceleration(
@@ -275,29 +213,28 @@ class Viewpoints:
     """Places along a flight where the sensor could scan: m of them, in the order in which to try
     them."""
 
+    route: Route
     flown_m: NDArray[np.float64]
     """(m,): metres flown from the start."""
-    positions: NDArray[np.float64]
-    """(m, 3): world metres."""
-    headings: NDArray[np.float64]
-    """(m, 2): world x and y, of any length; the body is level and looks along the flight."""
-    route: Route
 
     def __len__(self) -> int:
         return len(self.flown_m)
 
+    @cached_property
+    def positions(self) -> NDArray[np.float64]:
+        """(m, 3): world metres."""
+        return self.route.at(self.flown_m)[0]
+
     def pose(self, n: int, mapping: Mapper | None = None) -> Pose:
-        """The body's pose at viewpoint `n`, level unless `mapping` tilts it."""
-        if mapping is not None and mapping.tilt_mps:
-            return self.route.pose(float(self.flown_m[n]), mapping)
-        return Pose.facing(self.positions[n], self.headings[n])
+        """The body's pose at viewpoint `n`, which looks along the flight; level unless `mapping`
+        tilts it."""
+        return self.route.pose(float(self.flown_m[n]), mapping or Mapper())
 
     def before(self, n: int, mapping: Mapper) -> list[Pose]:
         """The poses from which the earlier scans of viewpoint `n` are made, the last one first."""
         back = [mapping.scan_spacing_m * number for number in range(1, mapping.scans)]
-        return [
-            self.route.pose(max(float(self.flown_m[n]) - metres, 0.0), mapping) for metres in back
-        ]
+        flown = float(self.flown_m[n])
+        return [self.route.pose(max(flown - metres, 0.0), mapping) for metres in back]
 
 
 def viewpoints(
@@ -308,13 +245,92 @@ def viewpoints(
     Raises GenerationError where there would be more than `MOST_CANDIDATES`.
     """
     route = Route(path)
-    ends = route.ends
-    if ends[-1] > MOST_CANDIDATES * spacing_m:
+    length = route.ends[-1]
+    if length > MOST_CANDIDATES * spacing_m:
         raise GenerationError(
-            f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on "
-            f"a flight of "
-            f"{ends[-1]:.0f} m; raise it"
+            f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on a "
+            f"flight of {length:.0f} m; raise it"
         )
-    flown = np.arange(rng.uniform(0.0, spacing_m), ends[-1], spacing_m)
-    flown = flown[rng.permutation(len(flown))]
-    return Viewpoints(flown, *route.at(flown), route)
+    flown = np.arange(rng.uniform(0.0, spacing_m), length, spacing_m)
+    return Viewpoints(route, flown[rng.permutation(len(flown))])
+
+
+def poses_in_flight(
+    world: World, *, seed: int, every_m: float | None = None, flight: Flight | None = None
+) -> list[Pose]:
+    """The viewpoints of a random flight through a world, in the order in which they are passed.
+
+    Args:
+        world: The world.
+        seed: What the flight is drawn by.
+        every_m: Metres between them; the flight's own spacing by default.
+        flight: How the sensor flies.
+
+    Raises:
+        GenerationError: No flight fits.
+    """
+    flight = flight or Flight()
+    found = _flown(world, dataclasses.replace(flight, spacing_m=every_m or flight.spacing_m), seed)
+    return [found.pose(int(n)) for n in np.argsort(found.flown_m)]
+
+
+def pose_in_flight(world: World, *, seed: int) -> Pose:
+    """A random viewpoint of a random flight. Raises GenerationError where none fits."""
+    return _flown(world, Flight(), seed).pose(0)
+
+
+def _flown(world: World, flight: Flight, seed: int) -> Viewpoints:
+    rng = np.random.default_rng(seed)
+    for _ in range(TRIES):
+        path = plan(world.clearance, world.flight_bounds, flight, rng=rng)
+        if path is not None and len(found := viewpoints(path, flight.spacing_m, rng=rng)):
+            return found
+    raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")
+
+
+def acceleration(
+    turns: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+    flown_m: float,
+    *,
+    speed_mps: float,
+    settle_s: float,
+) -> tuple[float, float, float]:
+    """Acceleration, metres a second squared, `flown_m` along a path of straight legs that is flown
+    at `speed_mps`.
+
+    `turns` (n, 3) say how the direction, a unit vector, changes at the path's points, `ends_m` (n,)
+    along it. Each change of velocity is spread over `settle_s` before and after, by a triangle:
+    this is the second derivative of the path smoothed by that triangle.
+    """
+    x, y, z = 0.0, 0.0, 0.0
+    for turn, end in zip(turns.tolist(), ends_m.tolist(), strict=True):
+        share = 1.0 - abs((flown_m - end) / speed_mps) / settle_s
+        if share > 0.0:
+            x, y, z = (
+                before + speed_mps * change * share / settle_s
+                for before, change in zip((x, y, z), turn, strict=True)
+            )
+    return x, y, z
+
+
+def leaning(pose: Pose, pull: tuple[float, float, float], *, most_deg: float) -> Pose:
+    """The level `pose` of a body that accelerates by `pull`, metres a second squared, as its thrust
+    has it: turned the shortest way, so that its heading stays. It leans by `most_deg` at most."""
+    up = max(GRAVITY + pull[2], LEAST_THRUST * GRAVITY)
+    w, _, _, z = pose.quaternion.tolist()
+    cosine, sine = w * w - z * z, 2 * w * z
+    forward, left = cosine * pull[0] + sine * pull[1], cosine * pull[1] - sine * pull[0]
+    sideways = math.sqrt(forward * forward + left * left)
+    most_sine, most_cosine = (float(value) for value in sin_cos(math.radians(most_deg)))
+    if sideways * most_cosine > up * most_sine:
+        share = up * most_sine / (most_cosine * sideways)
+        forward, left = forward * share, left * share
+    length = math.sqrt(forward * forward + left * left + up * up)
+    half = math.sqrt(0.5 + 0.5 * up / length)
+    x, y = -left / (2 * half * length), forward / (2 * half * length)
+    return Pose(pose.position, np.array([w * half, w * x - z * y, w * y + z * x, z * half]))
+
+
+TRIES = 50
+"""Flights tried before a world counts as too narrow, where one pose is asked for."""

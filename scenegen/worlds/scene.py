@@ -27,83 +27,7 @@ wants no space between attributes."""
 ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 PART = "mujocoinclude"
 """Root of a file that only others include."""
-
-
-def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
-    """Read an MJCF file and all that it includes or attaches: whether it is a world of its own, and
-    which files it includes, resolved.
-
-    Raises SceneError for a file that is not regular or too large, for numbers that no solid can
-    have, and for more geoms than MuJoCo can cope with.
-    """
-    is_world, included, waiting, seen, geoms = True, set[Path](), [main], set[Path](), 0.0
-    while waiting:
-        path = waiting.pop()
-        if path.resolve() in seen:  # MuJoCo says what it thinks of a circle
-            continue
-        seen.add(path.resolve())
-        for tag, attributes, times in _elements(path):
-            is_world &= not (tag == PART and path is main)
-            geoms += times * (tag == "geom")
-            if (
-                max(geoms, times * _count(tag, attributes)) > MOST_GEOMS
-            ):  # over many more, MuJoCo takes hours
-                raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
-            _check(tag, attributes, path)
-            if tag in ("include", "model") and "file" in attributes:
-                # MuJoCo looks from the file that includes, or from the main one
-                for folder in (path.parent, main.parent):
-                    other = folder / attributes["file"]
-                    if other.exists():
-                        waiting.append(other)
-                        if tag == "include":
-                            included.add(other.resolve())
-                        break
-    return is_world, frozenset(included)
-
-
-def _check(tag: str, attributes: dict[str, str], path: Path) -> None:
-    try:
-        check_numbers(tag, attributes, str(path))
-        check_amounts(tag, attributes, str(path))
-    except BrokenError as error:
-        raise SceneError(str(error)) from None
-    except ValueError:  # no number at all: MuJoCo says so
-        pass
-
-
-def _count(tag: str, attributes: dict[str, str]) -> float:
-    """How often an element gives what is within it."""
-    count = attributes.get("count", "") if tag == "replicate" else ""
-    return float(count) if count.isdecimal() else 1.0
-
-
-def _elements(path: Path) -> Iterator[tuple[str, dict[str, str], float]]:
-    """Names and attributes of a file's elements, and how often the file's <replicate>s around each
-    repeat it.
-
-    They are read as forgivingly as MuJoCo does; expat would refuse some.
-    """
-    try:
-        text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
-    except (DatasetError, FileNotFoundError) as error:
-        raise SceneError(str(error)) from None
-    first, *rest = text.split("<!--")
-    times = [1.0]
-    for piece in (first, *(after.partition("-->")[2] for after in rest)):
-        for found in ELEMENT.finditer(piece):
-            ended, tag, written, empty = found.groups()
-            if ended:
-                if tag == "replicate" and len(times) > 1:
-                    times.pop()
-                continue
-            pairs = (pair.groups(default="") for pair in ATTRIBUTE.finditer(written))
-            attributes = {key: double or single for key, double, single in pairs}
-            yield tag, attributes, times[-1]
-            if tag == "replicate" and not empty:
-                times.append(times[-1] * _count(tag, attributes))
-
-
+COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 MOST_MOVED = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
 as much again: what float32 vertices keep."""
@@ -149,9 +73,9 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
     """Read an MJCF file and make it self-contained: geoms alone, where MuJoCo puts them, and with
     `materials` the names of theirs.
 
-    The document is compiled again, and its solids compared with those of the file. Raises
-    SceneError. MuJoCo may read other files, run long and take memory: for files that nobody vouches
-    for, call this in a process with limits.
+    The document is compiled again, and its solids compared with those of the file. MuJoCo may read
+    other files, run long and take memory: for files that nobody vouches for, call this in a process
+    with limits. Raises SceneError.
     """
     with quiet_mujoco() as warnings:
         drawn, skins = _compile(path)
@@ -164,86 +88,61 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
         except ValueError as error:
             raise SceneError(f"{path}: {printable(error)}") from None
     mjcf, assets = flatten(drawn, data, materials=materials)
-    _check_kept(path, mjcf, assets)
-    world = compile_world(mjcf, assets, name=str(path))
-    _check_same(path, expected, world.solids)
-    notes = tuple(f"{path.name}: {note}" for note in _notes(drawn, expected, skins))
-    return Scene(path.name, mjcf, assets, world.unseen, notes, geometry_digest(world.solids))
-
-
-def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
-    """The model of a file without what only dresses its geoms, and how many skins were dropped.
-    Raises SceneError."""
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        skins = len(spec.skins)
-        _undress(spec, path)
-        return spec.compile(), skins
-    except (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError) as error:
-        raise SceneError(f"{path}: not valid MJCF: {printable(error)}") from None
-
-
-def _undress(spec: mujoco.MjSpec, path: Path) -> None:
-    """Drop what only dresses the geoms, with the files that it needs, and refuse what cannot be a
-    world before it is compiled."""
-    if len(spec.geoms) > MOST_GEOMS:
-        raise SceneError(
-            f"{path}: {len(spec.geoms)} geoms, expected {MOST_GEOMS} at most; merge some into "
-            f"meshes"
-        )
-    if spec.flexes:
-        raise SceneError(f"{path}: has flexes, which rays do not see; use geoms instead")
-    for material in spec.materials:
-        material.textures = [""] * len(material.textures)
-    for item in (*spec.skins, *spec.textures):
-        spec.delete(item)
-    spec.memory = least_memory(len(spec.geoms))
-    spec.nuserdata = spec.nkey = (
-        0  # memory that no geom needs; MuJoCo would fill as much as is asked
-    )
-
-
-def _check_kept(path: Path, mjcf: bytes, assets: Mapping[str, bytes]) -> None:
-    """Raise SceneError for what whoever reads the dataset would refuse."""
-    try:
+    try:  # what whoever reads the dataset would refuse
         screen(mjcf, assets, str(path))
     except BrokenError as error:
         raise SceneError(str(error)) from None
     largest = max(map(len, assets.values()), default=0)
     if len(mjcf) > MOST_DOCUMENT_BYTES or largest > MOST_ASSET_BYTES:
         raise SceneError(
-            f"{path}: made self-contained, {len(mjcf)} bytes and files of up to {largest}, "
-            f"expected "
+            f"{path}: made self-contained, {len(mjcf)} bytes and files of up to {largest}, expected "
             f"{MOST_DOCUMENT_BYTES} and {MOST_ASSET_BYTES} at most; use fewer geoms and coarser "
-            f"meshes"
+            "meshes"
         )
-
-
-def _check_same(path: Path, expected: Solids, found: Solids) -> None:
-    """Raise SceneError unless the solids of the document are those that MuJoCo makes of the
-    file."""
-    sized = expected.shape != PLANE
-    same = all(
-        np.array_equal(getattr(expected, name), getattr(found, name))
-        for name in ("shape", "mesh_start", "mesh_filled")
-    )
-    if same:
-        reach = max(
-            np.abs(expected.position).max(initial=0.0), np.abs(expected.triangles).max(initial=0.0)
-        )
-        pairs = [
-            (getattr(expected, name), getattr(found, name))
-            for name in ("position", "rotation", "triangles")
-        ]
-        moved = max(float(np.abs(one - other).max(initial=0.0)) for one, other in pairs)
-        same = moved <= MOST_MOVED * (1 + reach) and np.allclose(
-            expected.size[sized], found.size[sized], 1e-12, 0.0
-        )
-    if not same:
+    world = compile_world(mjcf, assets, name=str(path))
+    if not _same(expected, world.solids):
         raise SceneError(
             f"{path}: made self-contained, its solids are not those that MuJoCo makes of it; "
-            f"simplify its meshes"
+            "simplify its meshes"
         )
+    notes = tuple(f"{path.name}: {note}" for note in _notes(drawn, expected, skins))
+    return Scene(path.name, mjcf, assets, world.unseen, notes, geometry_digest(world.solids))
+
+
+def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
+    """The model of a file without what only dresses its geoms, which may need files that are not
+    there, and how many skins were dropped. Raises SceneError."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        skins = len(spec.skins)
+        if len(spec.geoms) > MOST_GEOMS:
+            raise SceneError(f"{path}: more than {MOST_GEOMS} geoms; merge some into meshes")
+        if spec.flexes:
+            raise SceneError(f"{path}: has flexes, which rays do not see; use geoms instead")
+        for material in spec.materials:
+            material.textures = [""] * len(material.textures)
+        for item in (*spec.skins, *spec.textures):
+            spec.delete(item)
+        spec.memory = least_memory(len(spec.geoms))
+        # memory that no geom needs; MuJoCo would fill as much as is asked
+        spec.nuserdata = spec.nkey = 0
+        return spec.compile(), skins
+    except (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError) as error:
+        raise SceneError(f"{path}: not valid MJCF: {printable(error)}") from None
+
+
+def _same(expected: Solids, found: Solids) -> bool:
+    """Whether the solids of the document are those that MuJoCo makes of the file."""
+    for name in ("shape", "mesh_start", "mesh_filled"):
+        if not np.array_equal(getattr(expected, name), getattr(found, name)):
+            return False
+    reach = max(np.abs(a).max(initial=0.0) for a in (expected.position, expected.triangles))
+    sized = expected.shape != PLANE
+    return np.allclose(expected.size[sized], found.size[sized], 1e-12, 0.0) and all(
+        np.abs(getattr(expected, name) - getattr(found, name)).max(initial=0.0)
+        <= MOST_MOVED * (1 + reach)
+        for name in ("position", "rotation", "triangles")
+    )
 
 
 def _notes(model: mujoco.MjModel, solids: Solids, skins: int) -> Iterator[str]:
@@ -257,9 +156,77 @@ def _notes(model: mujoco.MjModel, solids: Solids, skins: int) -> Iterator[str]:
     geoms = np.flatnonzero(bent)[~solids.mesh_filled]
     meshes = sorted({model.mesh(int(model.geom_dataid[geom])).name for geom in geoms})
     if meshes:
-        yield f"mesh {named(meshes)} is not closed, or its triangles disagree on what is outside: its surface is solid"
+        yield (
+            f"mesh {named(meshes)} is not closed, or its triangles disagree on what is outside: "
+            "its surface is solid"
+        )
 
 
 def named(names: Sequence[str]) -> str:
     """Some names, and how many there are besides."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
+    """Read an MJCF file and all that it includes or attaches: whether it is a world of its own, and
+    which files it includes, resolved.
+
+    Raises SceneError for a file that is not regular or too large, for numbers that no solid can
+    have, and for more geoms than MuJoCo can cope with.
+    """
+    is_world, included, waiting, seen, geoms = True, set[Path](), [main], set[Path](), 0.0
+    while waiting:
+        path = waiting.pop()
+        if path.resolve() in seen:  # MuJoCo says what it thinks of a circle
+            continue
+        seen.add(path.resolve())
+        for tag, attributes, times in _elements(path):
+            is_world &= not (tag == PART and path is main)
+            geoms += times * (tag == "geom")
+            # over many more, MuJoCo takes hours
+            if max(geoms, times * _count(tag, attributes)) > MOST_GEOMS:
+                raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
+            try:
+                check_numbers(tag, attributes, str(path))
+                check_amounts(tag, attributes, str(path))
+            except BrokenError as error:
+                raise SceneError(str(error)) from None
+            except ValueError:  # no number at all: MuJoCo says so
+                pass
+            if tag in ("include", "model") and "file" in attributes:
+                # MuJoCo looks from the file that includes, or from the main one
+                places = (folder / attributes["file"] for folder in (path.parent, main.parent))
+                there = [place for place in places if place.exists()][:1]
+                waiting += there
+                included.update(place.resolve() for place in there if tag == "include")
+    return is_world, frozenset(included)
+
+
+def _count(tag: str, attributes: dict[str, str]) -> float:
+    """How often an element gives what is within it."""
+    count = attributes.get("count", "") if tag == "replicate" else ""
+    return float(count) if count.isdecimal() else 1.0
+
+
+def _elements(path: Path) -> Iterator[tuple[str, dict[str, str], float]]:
+    """Names and attributes of a file's elements, and how often the file's <replicate>s around each
+    repeat it.
+
+    They are read as forgivingly as MuJoCo does; expat would refuse some.
+    """
+    try:
+        text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
+    except (DatasetError, FileNotFoundError) as error:
+        raise SceneError(str(error)) from None
+    times = [1.0]
+    for found in ELEMENT.finditer(COMMENT.sub(" ", text)):
+        ended, tag, written, empty = found.groups()
+        if ended:
+            if tag == "replicate" and len(times) > 1:
+                times.pop()
+            continue
+        pairs = (pair.groups(default="") for pair in ATTRIBUTE.finditer(written))
+        attributes = {key: double or single for key, double, single in pairs}
+        yield tag, attributes, times[-1]
+        if tag == "replicate" and not empty:
+            times.append(times[-1] * _count(tag, attributes))

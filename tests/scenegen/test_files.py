@@ -14,7 +14,7 @@ import pytest
 from scenegen import files
 from scenegen.errors import DatasetError
 from scenegen.files import check_target, draft_of, make_parent, remove_drafts, whole, write_whole
-from scenegen.run.stopping import undo_all
+from scenegen.run import undo_all
 
 
 def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path: Path) -> None:

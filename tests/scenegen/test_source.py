@@ -99,7 +99,7 @@ def test_a_changed_scene_is_another_dataset(folder: Path, tmp_path: Path) -> Non
 
 
 def test_too_few_worlds_for_the_splits_are_refused(folder: Path) -> None:
-    with pytest.raises(SceneError, match="one world cannot be split"):
+    with pytest.raises(SceneError, match=r"1 worlds for 3 splits.*bench --split train"):
         read_scenes(folder / "room0.xml", COUNTS, seed=0)
     for n in range(2, 5):
         (folder / f"room{n}.xml").unlink()

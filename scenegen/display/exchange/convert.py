@@ -15,9 +15,8 @@ from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.exchange import FORMATS, Choices
 from scenegen.errors import DatasetError, printable
 from scenegen.files import disk_error, draft_of, make_parent, remove_drafts, write_whole
-from scenegen.run import Executor
-from scenegen.run.local import Local
-from scenegen.run.stopping import undone_if_stopped
+from scenegen.run import Executor, undone_if_stopped
+from scenegen.run.workers import Local
 from scenegen.sample import Sample
 
 STATE = "convert.json"

@@ -13,7 +13,7 @@ from lidarsim.engines import ENGINES
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
-from scenegen.draw import Unit, draw_unit, scans_from
+from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError, RecipeError, SceneError
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
@@ -24,7 +24,7 @@ from scenegen.verification.contract import Archive, Contract, archived_world
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Sample, Shard, Worlds
-from scenegen.worlds.noise import with_noise
+from scenegen.worlds.scans import scans_from, with_noise
 from scenegen.worlds.world import World, compile_world
 
 
@@ -155,7 +155,7 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
     world, engine = worlds.made(sample.world)
     unit, view = divmod(sample.shard.places[sample.row], contract.viewpoints)
     try:
-        clean = scans_from([scan.pose for scan in sample.scans], engine, contract.recipe)
+        clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
         seen = with_noise(
             clean,
             contract.recipe.noise,

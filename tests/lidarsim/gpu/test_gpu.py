@@ -15,10 +15,8 @@ from tests.lidarsim.engines.test_laws import SIZES, model_of, random_model, rand
 
 wp = pytest.importorskip("warp", reason="NVIDIA Warp is not installed: pip install -e '.[gpu]'")
 
-from lidarsim.gpu import engine as engine_module  # noqa: E402
-from lidarsim.gpu.engine import WarpEngine  # noqa: E402
-from lidarsim.gpu.rays import cast  # noqa: E402
-from lidarsim.gpu.voxels import voxelize  # noqa: E402
+from lidarsim.gpu import WarpEngine  # noqa: E402
+from lidarsim.gpu.rays import cast, voxelize  # noqa: E402
 from lidarsim.gpu.worlds import Worlds  # noqa: E402
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
@@ -149,8 +147,8 @@ def test_what_a_kernel_cannot_take_is_refused_in_one_line() -> None:
         (np.zeros((2, 3)), [0, 1], "worlds: 0 to 1, expected numbers from 0 to 0"),
         (np.zeros((2, 3)), [0], "expected 2 integers"),
         (np.zeros((2, 3)), [0.0, 0.0], "expected 2 integers"),
-        (np.zeros((2, 2)), [0, 0], r"\(2, 2\), expected points or vectors"),
-        (np.zeros((3, 3)), [0, 0], r"origins: an array \(3,\) of vec3d on cpu, expected \(2,\)"),
+        (np.zeros((2, 2)), [0, 0], r"origins: an array \(2, 2\), expected \(2, 3\)"),
+        (np.zeros((3, 3)), [0, 0], r"origins: an array \(3, 3\), expected \(2, 3\)"),
     ):
         with pytest.raises(ValueError, match=message):
             cast(worlds, origins, rays, 1.0, which=which)
@@ -170,12 +168,12 @@ def test_without_a_gpu_the_engine_says_so_in_one_line() -> None:
 
 
 def test_without_warp_the_engine_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine_module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert "pip install -e '.[gpu]'" in WarpEngine.missing()
     monkeypatch.setitem(sys.modules, "warp", None)
-    monkeypatch.delitem(sys.modules, "lidarsim.gpu.device")
+    monkeypatch.delitem(sys.modules, "lidarsim.gpu.worlds")
     with pytest.raises(ImportError, match=r"needs NVIDIA Warp.*\.\[gpu\]"):
-        importlib.import_module("lidarsim.gpu.device")
+        importlib.import_module("lidarsim.gpu.worlds")
 
 
 @pytest.mark.slow
@@ -183,13 +181,12 @@ def test_kernels_compile_for_gpus_without_fused_multiplications(tmp_path) -> Non
     """A fused multiplication rounds once where the processor rounds twice, and bits would differ.
     No GPU is needed."""
     import lidarsim.gpu.rays
-    import lidarsim.gpu.voxels
     import scenegen.truth.gpu
 
-    for module in (lidarsim.gpu.rays, lidarsim.gpu.voxels, scenegen.truth.gpu):
+    for module in (lidarsim.gpu.rays, scenegen.truth.gpu):
         wp.compile_aot_module(module, arch=86, module_dir=str(tmp_path), use_ptx=True)
     found = [path.read_text() for path in tmp_path.glob("*.ptx")]
-    assert len(found) == 3
+    assert len(found) == 2
     for code in found:
         assert "mul.f64" in code or "mul.rn.f64" in code
         assert "fma.rn.f64" not in code

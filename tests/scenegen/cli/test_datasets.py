@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.cli.datasets import find_datasets
+from scenegen.cli.options import find_datasets
 from tests.command_line import run
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenegen.cli import examine as doctor
+from scenegen.cli import doctor
 from scenegen.draw import Unit, draw_unit
 from scenegen.run.software import installed
 from scenegen.sample import Sample
@@ -32,7 +32,7 @@ def spoil(monkeypatch: pytest.MonkeyPatch, change: Callable[[int, Sample], Sampl
         samples = (*unit.samples[:-1], change(next(draws), unit.samples[-1]))
         return dataclasses.replace(unit, samples=samples)
 
-    monkeypatch.setattr(doctor, "draw_unit", spoilt)
+    monkeypatch.setattr("scenegen.draw.draw_unit", spoilt)
 
 
 def without_one_solid_voxel(number: int, sample: Sample) -> Sample:
@@ -61,7 +61,7 @@ def test_a_fit_machine_is_found_fit(
         asked.append(named["unit"])
         return draw_unit(*arguments, **named)
 
-    monkeypatch.setattr(doctor, "draw_unit", noted)
+    monkeypatch.setattr("scenegen.draw.draw_unit", noted)
     found = doctor.self_test()
     assert found["ok"] is found["repeatable"] is found["returns_occupied"] is True
     assert asked == [0, 0, *range(len(asked) - 2)], "the same unit twice, then one after the other"

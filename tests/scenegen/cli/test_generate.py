@@ -289,8 +289,8 @@ def test_what_a_scene_leaves_out_is_said_once(
 def test_a_scene_recipe_needs_its_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "r.toml").write_text('kind = "scene"')
     code, _, error = run(capsys, "generate", "--recipe", tmp_path / "r.toml")
-    assert code == 2
-    assert "give --scene" in error
+    assert code == 1
+    assert "give a scene" in error
 
 
 def test_an_unwritable_folder_ends_in_one_line(

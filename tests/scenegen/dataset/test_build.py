@@ -31,7 +31,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.recipe import Recipe
-from scenegen.run.local import Local
+from scenegen.run.workers import Local
 from scenegen.sample import SCHEMA
 from scenegen.source import DrawnWorlds
 from tests.conftest import Once, picky_recipe, small_recipe

@@ -13,8 +13,8 @@ import pytest
 from lidarsim import BeamTable, Lidar
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR
+from scenegen.cli.derive import rescan
 from scenegen.cli.options import mapping_given
-from scenegen.cli.rescan import rescan
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset

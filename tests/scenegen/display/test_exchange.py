@@ -21,9 +21,9 @@ from scenegen.dataset.read import Dataset
 from scenegen.display.exchange import Choices
 from scenegen.display.exchange.convert import STATE, convert
 from scenegen.display.exchange.recordings import rerun as import_rerun
-from scenegen.draw import read_world
 from scenegen.errors import DatasetError
 from scenegen.sample import Sample
+from scenegen.source import read_world
 from tests.command_line import run
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 

@@ -11,7 +11,6 @@ from matplotlib.image import imread
 from PIL import Image
 
 from lidarsim import MujocoEngine
-from scenegen.cli import render as command
 from scenegen.dataset.read import Dataset
 from scenegen.display.colours import (
     DISTANCES,
@@ -27,8 +26,9 @@ from scenegen.display.look import Guess, Look, Route, looks
 from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
 from scenegen.display.panels import to_bytes
 from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
-from scenegen.draw import read_world
 from scenegen.errors import DatasetError
+from scenegen.model.commands import render as command
+from scenegen.source import read_world
 from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, run
 
@@ -169,7 +169,7 @@ def test_the_command_draws_samples_sheets_and_worlds(
 
 
 def test_viewpoints_of_a_flight_are_in_order_and_in_the_open() -> None:
-    from scenegen.draw import poses_in_flight
+    from scenegen.worlds.flight import poses_in_flight
 
     world = read_world(ROOT / "scenes" / "room_with_gap.xml")
     places = np.array([pose.position for pose in poses_in_flight(world, seed=1)])

@@ -1,7 +1,5 @@
 """Every parameter of pillar worlds does what it says."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -102,7 +100,7 @@ def test_square_and_oblong_pillars_are_turned_about_the_vertical_at_will() -> No
     assert looks_uniform([p.yaw for p in pillars], 0.0, np.pi)
 
 
-@pytest.mark.parametrize("sections", [(1.0, 0.0), (0.0, 0.0), (0.0, 1.0), (0.4, 0.3)])
+@pytest.mark.parametrize("sections", [(1.0, 0.0), (0.4, 0.3)])
 def test_pillars_of_a_passage_stand_its_width_from_an_earlier_ones_hull(
     sections: tuple[float, float],
 ) -> None:
@@ -139,62 +137,3 @@ def test_passages_are_drawn_between_their_bounds_in_every_direction() -> None:
         angles.append(np.arctan2(*(second.position - first.position)[1::-1]) % (2 * np.pi))
     assert looks_uniform(widths, 0.3, 1.9)
     assert looks_uniform(angles, 0.0, 2 * np.pi)
-
-
-def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0() -> None:
-    without = draw(Pillar(**PAIR))
-    floor, *pillars = draw(Pillar(**PAIR, ground=True, ground_m=0.35))
-    assert floor.shape == Geom.mjGEOM_BOX
-    np.testing.assert_allclose(floor.size, [10.0, 5.0, 0.175])
-    np.testing.assert_allclose(floor.position, [10.0, 5.0, -0.175])
-    assert floor.upright
-    assert floor.span == pytest.approx((-0.35, 0.0), abs=1e-12)
-    assert len(pillars) == len(without)
-
-
-def test_a_world_depends_on_the_state_of_the_generator_alone() -> None:
-    first, again, other = (draw(Pillar(), seed) for seed in (5, 5, 6))
-    for name in ("size", "position", "quaternion"):
-        same = [
-            np.array([getattr(p, name) for p in pillars[:50]]) for pillars in (first, again, other)
-        ]
-        np.testing.assert_array_equal(same[0], same[1])
-        assert not np.array_equal(same[0], same[2])
-
-
-BAD = [
-    ("density", (0.2, 0.1)),
-    ("density", (-0.1, 0.1)),
-    ("density", (0.1, float("inf"))),
-    ("half_width_m", (0.5, 0.2)),
-    ("half_width_m", (0.0, 0.2)),
-    ("round_share", -0.01),
-    ("round_share", 1.01),
-    ("round_share", 0.95),
-    ("oblong_share", 2.0),
-    ("oblong_share", 0.4),
-    ("oblong_ratio", 0.9),
-    ("oblong_ratio", float("nan")),
-    ("passage_share", float("nan")),
-    ("passage_share", 1.5),
-    ("passage_m", (1.2, 0.7)),
-    ("passage_m", (-0.7, 1.2)),
-    ("height_m", (0.0, 10.0)),
-    ("height_m", (float("nan"), 10.0)),
-    ("size_m", (40.0, 0.0, 10.0)),
-    ("size_m", (40.0, 40.0, float("inf"))),
-    ("ground_m", 0.0),
-    ("ground_m", float("nan")),
-]
-
-
-@pytest.mark.parametrize(("name", "value"), BAD)
-def test_bad_values_are_named(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=name):
-        Pillar(**{name: value})
-
-
-def test_every_parameter_has_bad_values() -> None:
-    assert {name for name, _ in BAD} == {field.name for field in dataclasses.fields(Pillar)} - {
-        "ground"
-    }

@@ -13,9 +13,9 @@ import pytest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.run import EXECUTORS, executor
-from scenegen.run.local import rank_of
 from scenegen.run.remote import Outcome, sent
 from scenegen.run.software import identity
+from scenegen.run.workers import rank_of
 from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT
 from tests.conftest import small_recipe

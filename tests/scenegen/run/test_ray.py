@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from scenegen.cli.progress import Progress
+from scenegen.cli.show import Progress
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.run import executor

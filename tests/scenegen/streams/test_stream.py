@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import scenegen
+from lidarsim.noise.chain import Noise
 from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.draw import Unit
@@ -21,7 +22,6 @@ from scenegen.recipe import Recipe, preset
 from scenegen.sample import SCHEMA, Sample
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
-from scenegen.worlds.noise import Noise
 from tests.conftest import picky_recipe, small_recipe
 
 SCENES = Path(__file__).parents[3] / "scenes"

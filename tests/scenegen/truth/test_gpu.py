@@ -15,8 +15,7 @@ from tests.lidarsim.engines.test_laws import SIZES, model_of, random_model
 
 wp = pytest.importorskip("warp", reason="NVIDIA Warp is not installed: pip install -e '.[gpu]'")
 
-from lidarsim.gpu.rays import cast  # noqa: E402
-from lidarsim.gpu.voxels import voxelize  # noqa: E402
+from lidarsim.gpu.rays import cast, voxelize  # noqa: E402
 from lidarsim.gpu.worlds import Worlds  # noqa: E402
 from scenegen.truth import gpu  # noqa: E402
 

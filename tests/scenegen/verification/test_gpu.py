@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from lidarsim import AnalyticEngine
-from lidarsim.gpu.engine import WarpEngine
+from lidarsim.gpu import WarpEngine
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError
 from scenegen.source import DrawnWorlds

@@ -302,17 +302,8 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path: Path) -> None:
     assert source.notes == (
         f"{folder}: assets.xml, part.xml left out: parts, which other files include",
     )
-    with pytest.raises(SceneError, match="holds parts alone"):
+    with pytest.raises(SceneError, match="parts alone"):
         read_scenes(folder / "part.xml", ONE, seed=0)
-
-
-def test_one_world_alone_says_how_to_measure_on_it(tmp_path: Path) -> None:
-    path = write(tmp_path, '<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
-    with pytest.raises(
-        SceneError,
-        match=r"folder of 2 worlds or more, or leave --test out and .* \(bench --split train",
-    ):
-        read_scenes(path, {"train": 1, "val": 0, "test": 1}, seed=0)
 
 
 def test_the_truth_takes_no_numbers_that_a_kernel_cannot() -> None:

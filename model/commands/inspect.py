@@ -1,0 +1,165 @@
+"""`scenegen inspect`: what something is."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import rich_click as click
+
+from scenegen.cli.options import dataset_argument, examples, json_option, workers_option
+from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
+from scenegen.cli.types import OutputFile
+from scenegen.worlds.mapping import Mapper
+
+
+@click.command(epilog=examples("inspect data/pillar", "inspect data/pillar --html report.html"))
+@dataset_argument
+@click.option(
+    "--html", "out", type=OutputFile(), help="Also write a page with histograms and pictures."
+)
+@click.option("--all", "every", is_flag=True, help="Measure all samples, not 200 of each split.")
+@workers_option
+@json_option
+def inspect(
+    dataset: Path | str, out: Path | None, every: bool, workers: int, as_json: bool
+) -> None:
+    """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
+
+    A folder of datasets is listed; of a world (.xml), a scan, a file of predictions (.h5), or a
+    run's folder, it says what it is.
+    """
+    from scenegen.dataset.manifest import NAME
+    from scenegen.display.inspect import inspect_all
+
+    path = Path(dataset)
+    several = path.is_dir() and not (path / NAME).exists() and any(path.glob(f"*/{NAME}"))
+    facts = None if several else _facts(path)
+    if out is not None and (several or facts is not None):
+        raise click.UsageError("--html: is for one dataset")
+    if several:
+        _show_all(inspect_all(path), as_json)
+    elif facts is None:
+        _inspect_dataset(dataset, out, every, workers, as_json)
+    elif as_json:
+        print(json.dumps(facts))
+    else:
+        show_table({name: _plain(value) for name, value in flat(facts).items()})
+
+
+def _facts(path: Path) -> dict[str, Any] | None:
+    """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
+    from scenegen.display.inspect import inspect_world
+    from scenegen.model import facts
+    from scenegen.model.completion.points import READERS
+
+    if path.suffix == ".xml":
+        return inspect_world(path)
+    if path.suffix in READERS:
+        return facts.scan_facts(path)
+    if path.suffix == ".h5":
+        return facts.prediction_facts(path)
+    if (path / "metrics.csv").is_file():
+        return facts.run_facts(path)
+    return None
+
+
+def _inspect_dataset(
+    dataset: Path | str, out: Path | None, every: bool, workers: int, as_json: bool
+) -> None:
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.read import Dataset
+    from scenegen.display.inspect import MOST_MEASURED, misfits
+    from scenegen.display.inspect import inspect as examine
+    from scenegen.display.statistics import statistics_page
+    from scenegen.files import write_result
+    from scenegen.model.config import NetworkConfig
+
+    folder = locate(dataset, shown=not as_json)
+    with Progress("inspect", shown=every and not as_json) as progress:
+        found = examine(
+            folder,
+            most=None if every else MOST_MEASURED,
+            values=out is not None,
+            workers=workers,
+            on_start=progress.start,
+            on_done=progress.count,
+        )
+    opened = Dataset(folder, partial=True)
+    warnings = misfits(opened.grid, opened.lidar)
+    try:
+        NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)
+    except ValueError as error:
+        warnings.append(str(error))
+    if out is not None:
+        write_result(out, statistics_page(opened, found, warnings).encode())
+        for split in found["splits"].values():
+            del split["values"]
+    if as_json:
+        print(json.dumps(found | {"warnings": warnings}))
+        return
+    _show(dataset, found)
+    for line in warnings:
+        note(f"note: {line}")
+
+
+def _plain(value: Any) -> Any:
+    """A value for people."""
+    if isinstance(value, list):
+        return ", ".join(str(_plain(one)) for one in value) or "none"
+    return f"{value:.4g}" if isinstance(value, float) else value
+
+
+def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
+    """Prints a line for each dataset."""
+    if as_json:
+        print(json.dumps(rows))
+        return
+    for row in rows:
+        told = row.get("fault")
+        if not told:
+            digest = str(row["digest"])[:8] if row["complete"] else "incomplete"
+            told = f"{row['kind']}: {per_split(row['samples'])}, {digest}"
+        show_table({row["folder"]: told})
+
+
+def _show(dataset: Path | str, found: dict[str, Any]) -> None:
+    """Prints the summary of a dataset, and a table of each split."""
+    from scenegen.dataset.manifest import SEVERAL
+    from scenegen.display.statistics import FIGURES
+
+    grid, sources = found["grid"], found.get("sources", ())
+    hollow = ", truth of surfaces" if grid.get("hollow") else ""
+    show_table(
+        {
+            "dataset": dataset,
+            "kind": found["kind"],
+            "seed": SEVERAL if found["seed"] is None else found["seed"],
+            **{f"from {n}": _source(source) for n, source in enumerate(sources)},
+            "complete": "yes" if found["complete"] else "no",
+            "digest": found["digest"] or "none yet",
+            "grid": f"{grid['shape']} voxels of {grid['voxel']} m{hollow}",
+            "maps": Mapper(**(found["mapping"] or {})),
+            "fields": ", ".join(found["fields"]),
+            "samples": found["samples"],
+            "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a "
+            f"sample",
+            "rejected": rejections(found["rejected"]),
+        },
+    )
+    for name, split in found["splits"].items():
+        rows = {}
+        for key, value in split["statistics"].items():
+            _, unit, factor = FIGURES[key]
+            label = {"range_m": "mean range", "tudf_m": "mean distance"}.get(key, key)
+            rows[label] = "–"
+            if value["mean"] is not None:
+                mean, std, low, high = (value[one] * factor for one in value)
+                rows[label] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
+        counts = f"{split['samples']} samples of {split['worlds']} worlds"
+        show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
+
+
+def _source(source: dict[str, Any]) -> str:
+    """A dataset that samples were taken from, in words."""
+    how = f", {' or '.join(ways)}" if (ways := [way for way in source["taken"] if way]) else ""
+    return f"{source['kind']}, seed {source['seed']}, digest {source['digest'][:8]}{how}"

@@ -1,0 +1,161 @@
+"""`scenegen rescan`, `take` and `merge`: datasets made of what others hold. Given again after a
+stop, each goes on where it was."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from lidarsim.engines import ENGINES
+from scenegen import SPLITS
+from scenegen.cli.generate import make
+from scenegen.cli.options import (
+    SENSING,
+    dataset_argument,
+    datasets_argument,
+    force_option,
+    json_option,
+    lidar_option,
+    mapping_given,
+    mapping_options,
+    noise_option,
+    out_option,
+    quiet_option,
+    splits_option,
+    together,
+    workers_option,
+)
+from scenegen.cli.show import announce_compilation
+from scenegen.cli.types import Named, Ranges, Written
+from scenegen.dataset.choose import FIGURES, NUMBERS, Choice, Condition
+
+if TYPE_CHECKING:
+    from scenegen.dataset.read import Dataset
+
+making = together(force_option, workers_option, json_option, quiet_option)
+"""Options of all that make a dataset of others."""
+
+
+@click.command()
+@dataset_argument
+@lidar_option("the dataset's")
+@noise_option
+@mapping_options("the dataset's")
+@click.option(
+    "--engine",
+    type=Named(ENGINES),
+    panel=SENSING,
+    help="What casts the rays.  [default: what cast the dataset's]",
+)
+@out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True)
+@making
+def rescan(
+    dataset: Path | str,
+    lidar: str | None,
+    noise: str | None,
+    engine: str | None,
+    out: Path | None,
+    workers: int,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Scan the worlds of a dataset again, from the same poses: a pair, sample by sample.
+
+    What is not said of the sensor and of maps is as in the dataset, but for noise. Given again
+    after a stop, it goes on where it was.
+    """
+    begin, out = time.perf_counter(), _given(out)
+    talk = not (quiet or as_json)
+    if talk:
+        announce_compilation()
+    from scenegen.dataset.rescan import plan_rescan
+    from scenegen.lidar import named_lidar, named_noise
+
+    source = _opened(dataset, shown=talk)
+    sensor = None if lidar is None else named_lidar(lidar)
+    chain = named_noise(noise, sensor or source.lidar)
+    mapping = mapping_given(options)
+    plan = plan_rescan(source, out, lidar=sensor, chain=chain, engine=engine, mapping=mapping)
+    make(plan, begin=begin, workers=workers, force=force, as_json=as_json, quiet=quiet)
+
+
+@click.command()
+@dataset_argument
+@splits_option("Samples of this split")
+@click.option(
+    "-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split."
+)
+@click.option(
+    "--worlds",
+    type=Ranges(),
+    default=(),
+    help="Samples of these worlds alone: numbers, or FIRST:STOP, as in 3,10:20.",
+)
+@click.option(
+    "--where",
+    multiple=True,
+    type=Written(Condition.of, "NAME>=VALUE"),
+    help="Samples for which this holds, such as occupied>=0.05; repeatable. Names are "
+    f"{', '.join((*NUMBERS, *FIGURES))}.",
+)
+@out_option("Folder of the new dataset.")
+@making
+def take(
+    dataset: Path | str,
+    splits: tuple[str, ...],
+    most: int | None,
+    worlds: Any,
+    where: Any,
+    out: Path | None,
+    **options: Any,
+) -> None:
+    """Make a dataset of some samples of another: of a split, of some worlds, or of those that a
+    filter lets through.
+
+    Samples stay as they are, bit for bit, and the manifest says where they are from. Given again
+    after a stop, it goes on where it was.
+    """
+    begin, out = time.perf_counter(), _given(out)
+    from scenegen.dataset.gather import plan_take
+
+    chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
+    choice = Choice(splits=chosen, most=most, worlds=worlds, where=where)
+    source = _opened(dataset, shown=not options["quiet"])
+    make(plan_take(source, out, choice, workers=options["workers"]), begin=begin, **options)
+
+
+@click.command()
+@datasets_argument
+@out_option("Folder of the new dataset.")
+@making
+def merge(datasets: tuple[Path | str, ...], out: Path | None, **options: Any) -> None:
+    """Make one dataset of several that share grid, sensor and fields.
+
+    Samples stay as they are, bit for bit, and in their splits; the manifest says where they are
+    from. Given again after a stop, it goes on where it was.
+    """
+    begin = time.perf_counter()
+    if len(datasets) < 2:
+        raise click.UsageError("give two datasets or more, and the folder of the new one with -o")
+    from scenegen.dataset.gather import plan_merge
+
+    out = _given(out)
+    sources = [_opened(one, shown=not options["quiet"]) for one in datasets]
+    make(plan_merge(sources, out, workers=options["workers"]), begin=begin, **options)
+
+
+def _given(out: Path | None) -> Path:
+    if out is None:
+        raise click.UsageError("give the new dataset's folder with -o")
+    return out
+
+
+def _opened(dataset: Path | str, *, shown: bool) -> "Dataset":
+    """The dataset; with `shown`, a download has a bar."""
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.read import Dataset
+
+    return Dataset(locate(dataset, shown=shown))
