@@ -8,6 +8,7 @@ from typing import Any
 from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
+from scenegen.model.commands.bench import choose_methods
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.config import BenchConfig
@@ -62,10 +63,13 @@ def train(
         network=NetworkConfig(**network), loss=LossConfig(objective=loss, **objective), **settings
     )
     folder = Path("runs", config.network.variant.rpartition(":")[2]) if out is None else Path(out)
-    checking = _samples(training if validation is None else validation, "val")
+    learned = _samples(training, "train")
+    checked = _samples(training if validation is None else validation, "val")
+    if any(one in learned for one in checked):
+        raise DatasetError("what is trained on has no val split of its own; give validation")
     run(
-        _samples(training, "train"),
-        checking,
+        learned,
+        checked,
         config,
         folder,
         device=device,
@@ -86,8 +90,9 @@ def bench(
 
     Args:
         datasets: A dataset's folder or name, or several of different kinds in a list.
-        methods: Completers: networks, or objects with a `name` and a method `complete(observed,
-            free, *, grid)` that gives a `scenegen.Prediction`. They travel to worker processes.
+        methods: Names of `scenegen bench --method`, such as "extrude" or "my_methods:Grown"; or
+            completers: networks, and objects with a `name` and a method `complete(observed, free,
+            *, grid)` that gives a `scenegen.Prediction`. They travel to worker processes.
         workers: Processes of this machine; all cores by default.
         settings: Fields of `BenchConfig`: `split`, `samples`, `trials`, `seed`, `study`.
 
@@ -102,9 +107,9 @@ def bench(
     """
     named = datasets if isinstance(datasets, list | tuple) else [datasets]
     config = BenchConfig(**settings)
-    rows: list[Method] = [
-        method if hasattr(method, "completion") else Completed(method) for method in methods
-    ]
+    rows: list[Method] = []
+    for method in methods:
+        rows += choose_methods([method]) if isinstance(method, str) else [Completed(method)]
     results = [
         measure(Dataset(locate(name)), rows, config, workers=workers or cores()) for name in named
     ]
@@ -123,10 +128,5 @@ def _samples(given: Any, split: str) -> list[Samples]:
         return opened({locate(name): weight for name, weight in given.items()}, split)
     found: list[Samples] = []
     for one in given if isinstance(given, list | tuple) else [given]:
-        if isinstance(one, str | Path):
-            found += opened([locate(one)], split)
-        elif split == "val" and one.split == "train":
-            raise DatasetError("what is trained on has no val split of its own; give validation")
-        else:
-            found.append(one)
+        found += opened([locate(one)], split) if isinstance(one, str | Path) else [one]
     return found

@@ -14,6 +14,7 @@ import numpy as np
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
+from scenegen.dataset.locate import locate
 from scenegen.dataset.rules import files_of
 from scenegen.draw import draw_unit
 from scenegen.recipe import make_recipe
@@ -123,7 +124,7 @@ MEMORY_BYTES = 6 << 30
 
 
 def verify(
-    folder: Path,
+    dataset: str | Path,
     *,
     quick: bool = False,
     seed: int = 0,
@@ -133,19 +134,28 @@ def verify(
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Report:
-    """Check the dataset in `folder`; `quick` makes the cheap checks alone. `scenegen.verification.checks`
-    has them all.
+    """Check a dataset against the format. `scenegen.verification.checks` has all checks.
 
-    `workers` processes of this machine examine a shard each, or whatever `execute` has do it, in
-    processes of their own; none can take this one down. Where others see to a part of the shards,
-    what compares all of them is skipped. `seed` chooses the samples that are cast and made anew.
-    `kind` names a user's own kind, by which worlds may be drawn again: no module is imported
-    because a manifest names it. `on_start` is called with the number of samples once the processes
-    run, `on_done` with that of every shard done. A fault fails a check of the report, whatever it
-    is; only a folder that holds no dataset at all, or one of another `kind`, raises: DatasetError;
-    and a shard that `execute` loses for good: GenerationError.
+    Args:
+        dataset: Its folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``.
+        quick: Make the cheap checks alone.
+        seed: Chooses the samples that are cast and made anew.
+        kind: A user's own kind, by which worlds may be drawn again: no module is imported because a
+            manifest names it.
+        workers: Processes of this machine that examine a shard each; none can take this one down.
+        execute: What has the shards examined, instead. Where others see to a part of them, what
+            compares all of them is skipped.
+        on_start: Called with the number of samples once the processes run.
+        on_done: Called with the number of samples of every shard done.
+
+    Returns:
+        The report. A fault fails a check of it, whatever it is.
+
+    Raises:
+        DatasetError: The folder holds no dataset at all, or one of another `kind`.
+        GenerationError: `execute` lost a shard for good.
     """
-    execute = execute or Local("", workers)
+    folder, execute = locate(dataset, whole=True), execute or Local("", workers)
     ledger = Ledger()
     contract = read_contract(folder, ledger, kind)
     if contract is None:

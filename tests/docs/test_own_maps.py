@@ -24,11 +24,9 @@ def test_the_documented_maps_train(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             observed=occupancy & (rng.random(occupancy.shape) < 0.5),
             occupancy=occupancy,
         )
-    small = 'TrainConfig(maps=8, network=NetworkConfig(width=4), precision="float32")'
-    text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))").replace(
-        "TrainConfig(maps=5000)", small
-    )
-    exec("from scenegen.model.config import NetworkConfig\n" + text, {})
+    small = 'maps=8, width=4, precision="float32"'
+    text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))").replace("maps=5000", small)
+    exec(text, {})
     network, grid, about = load_network(tmp_path / "runs" / "yard" / "best.safetensors")
     assert (network.config.width, grid, about["settings"]["kinds"]) == (
         4,
