@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from scenegen.cli.options import examples, out_option, quiet_option, seed_option, split_option
+from scenegen.cli.options import (
+    examples,
+    open_dataset,
+    out_option,
+    quiet_option,
+    seed_option,
+    split_option,
+)
 from scenegen.cli.show import note, say
 from scenegen.cli.types import DatasetPath
 from scenegen.model.commands.shown import chosen, shown_options
@@ -105,7 +112,7 @@ def _draw_file(path: Path, seed: int | None) -> Any:
 
         return pictures.draw_completion(read_completion(path), title=title)
     if (path / "metrics.csv").is_file():
-        from scenegen.model.training.curve import draw, read_rows
+        from scenegen.model.training.card import draw, read_rows
 
         return draw(read_rows(path / "metrics.csv"), title=plain(path.resolve().name))
     return None
@@ -137,14 +144,12 @@ def _draw_samples(
     **predicted: Any,
 ) -> tuple[Any, list[str]]:
     """The picture of a dataset's samples, and a line for each thing that could not be read."""
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.read import Dataset
     from scenegen.display.figures import FIGURES as DRAWN
     from scenegen.display.look import looks, spread
     from scenegen.display.panels import plain
     from scenegen.display.pictures import draw_sample, draw_sheet, draw_turn
 
-    found = Dataset(locate(source, shown=shown), partial=True)
+    found = open_dataset(source, shown=shown)
     bare = figure in ("sample", "world") or turn
     guesses, methods = (None, ()) if bare else chosen(found, split, **predicted)
     figure = figure or ("completions" if methods else "sample")

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rich_click as click
 
@@ -11,6 +11,7 @@ from scenegen.cli.options import (
     dataset_argument,
     examples,
     on_option,
+    open_dataset,
     options_of,
     out_option,
     quiet_option,
@@ -22,9 +23,6 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
-
-if TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
 
 
 @click.command(
@@ -66,7 +64,7 @@ def convert(
     from scenegen.errors import DatasetError
     from scenegen.run import executor
 
-    found = _opened(dataset, shown=not quiet)
+    found = open_dataset(dataset, shown=not quiet)
     target = out or Path(f"{found.folder.name}-{to.rpartition(':')[2]}")
     if not found.manifest.complete:
         note(f"{found.folder}: is incomplete; what is there is converted")
@@ -122,7 +120,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
     from scenegen.dataset.extract import DOCUMENT, write_extracted
 
     assert number is not None
-    files = _opened(dataset).world(split, number)
+    files = open_dataset(dataset, shown=True).world(split, number)
     if out is not None:
         write_extracted(files, out)
         say(f"written: {out}" + (f", {out.with_suffix('.files')}/" if len(files) > 1 else ""))
@@ -143,13 +141,5 @@ def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Pa
     if number is None:
         content = encode_world(read_world(Path(dataset)))
     else:
-        content = encode_world(compile_archived(_opened(dataset), split, number))
+        content = encode_world(compile_archived(open_dataset(dataset, shown=True), split, number))
     write_result(out, content)
-
-
-def _opened(dataset: Path | str, *, shown: bool = True) -> "Dataset":
-    """The dataset, complete or not; with `shown`, a download has a bar."""
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.read import Dataset
-
-    return Dataset(locate(dataset, shown=shown), partial=True)

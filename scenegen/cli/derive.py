@@ -3,7 +3,7 @@ stop, each goes on where it was."""
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rich_click as click
 
@@ -20,6 +20,7 @@ from scenegen.cli.options import (
     mapping_given,
     mapping_options,
     noise_option,
+    open_dataset,
     out_option,
     quiet_option,
     splits_option,
@@ -29,9 +30,6 @@ from scenegen.cli.options import (
 from scenegen.cli.show import announce_compilation
 from scenegen.cli.types import Named, Ranges, Written
 from scenegen.dataset.choose import FIGURES, NUMBERS, Choice, Condition
-
-if TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
 
 making = together(force_option, workers_option, json_option, quiet_option)
 """Options of all that make a dataset of others."""
@@ -74,7 +72,7 @@ def rescan(
     from scenegen.dataset.rescan import plan_rescan
     from scenegen.lidar import named_lidar, named_noise
 
-    source = _opened(dataset, shown=talk)
+    source = open_dataset(dataset, shown=talk, partial=False)
     sensor = None if lidar is None else named_lidar(lidar)
     chain = named_noise(noise, sensor or source.lidar)
     mapping = mapping_given(options)
@@ -123,7 +121,7 @@ def take(
 
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
     choice = Choice(splits=chosen, most=most, worlds=worlds, where=where)
-    source = _opened(dataset, shown=not options["quiet"])
+    source = open_dataset(dataset, shown=not options["quiet"], partial=False)
     make(plan_take(source, out, choice, workers=options["workers"]), begin=begin, **options)
 
 
@@ -143,7 +141,7 @@ def merge(datasets: tuple[Path | str, ...], out: Path | None, **options: Any) ->
     from scenegen.dataset.gather import plan_merge
 
     out = _given(out)
-    sources = [_opened(one, shown=not options["quiet"]) for one in datasets]
+    sources = [open_dataset(one, shown=not options["quiet"], partial=False) for one in datasets]
     make(plan_merge(sources, out, workers=options["workers"]), begin=begin, **options)
 
 
@@ -151,11 +149,3 @@ def _given(out: Path | None) -> Path:
     if out is None:
         raise click.UsageError("give the new dataset's folder with -o")
     return out
-
-
-def _opened(dataset: Path | str, *, shown: bool) -> "Dataset":
-    """The dataset; with `shown`, a download has a bar."""
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.read import Dataset
-
-    return Dataset(locate(dataset, shown=shown))

@@ -28,6 +28,9 @@ from scenegen.limits import MOST_WORKERS
 from scenegen.run import EXECUTORS, LOCAL
 from scenegen.worlds.mapping import Mapper
 
+if typing.TYPE_CHECKING:
+    from scenegen.dataset.read import Dataset
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 Decorator = Callable[[Function], Function]
 
@@ -250,6 +253,15 @@ def was_given(name: str) -> bool:
     """Whether the user gave the current command's parameter `name`, by whatever means."""
     context = click.get_current_context()
     return context is not None and context.get_parameter_source(name) is not ParameterSource.DEFAULT
+
+
+def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "Dataset":
+    """The dataset named, fetched where it is not here; with `shown`, a download has a bar. Without
+    `partial`, it must be complete."""
+    from scenegen.dataset.locate import locate
+    from scenegen.dataset.read import Dataset
+
+    return Dataset(locate(dataset, shown=shown), partial=partial)
 
 
 def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Path, ...]:

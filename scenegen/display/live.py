@@ -20,7 +20,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from scenegen import SPLITS
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import Guesses, incomplete, look_into
 from scenegen.display.page import check_grid, live_page, packed, packed_world
 from scenegen.errors import DatasetError, ScenegenError, printable
@@ -30,8 +30,11 @@ LOCAL = "localhost"
 IDLE_S = 30.0
 """How long a connection may say nothing, seconds."""
 SAFE = {
-    **{"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY"},
-    **{"Referrer-Policy": "no-referrer", "Cross-Origin-Resource-Policy": "same-origin"},
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Headers of every answer: no other site frames or reads it."""
 
@@ -63,12 +66,10 @@ class Live(ThreadingHTTPServer):
             check_grid(dataset.grid)
         self.splits = [{name: dataset.split(name) for name in SPLITS} for dataset in datasets]
         self.guesses, self._reading = guesses, threading.Lock()
-        counts: list[tuple[str, dict[str, int]]] = []
+        counts = []
         for dataset, splits in zip(datasets, self.splits, strict=True):
             title = printable(f"{dataset.folder.name}: {dataset.manifest.kind}")
-            counts.append(
-                (title, {name: len(samples) for name, samples in splits.items() if len(samples)})
-            )
+            counts.append((title, {name: len(found) for name, found in splits.items() if found}))
         self.page = live_page(counts, split=split, index=index, methods=methods).encode()
         place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
         self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
@@ -77,18 +78,14 @@ class Live(ThreadingHTTPServer):
         try:
             super().__init__((str(place), port), _Handler)
         except (OSError, OverflowError) as error:
+            why = getattr(error, "strerror", None) or error
             raise ScenegenError(
-                f"{host}, port {port}: cannot be served on "
-                f"({getattr(error, 'strerror', None) or error}); give another "
-                "--port, or 0 for any"
+                f"{host}, port {port}: cannot be served on ({why}); give another --port, or 0 for "
+                f"any"
             ) from None
-        shown = (
-            socket.gethostname()
-            if place.is_unspecified
-            else f"[{place}]"
-            if place.version == 6
-            else str(place)
-        )
+        shown = f"[{place}]" if place.version == 6 else str(place)
+        if place.is_unspecified:
+            shown = socket.gethostname()
         self.address = f"http://{shown}:{self.server_address[1]}/"
         """What to open in a browser."""
 
@@ -115,41 +112,34 @@ class Live(ThreadingHTTPServer):
             return bool(ipaddress.ip_address(name))
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
-    def sample(self, number: int, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
-        """A sample of dataset `number` for the page; or, under `error`, a line that says why there
-        is none."""
+    def answer(
+        self, what: str, number: int, split: str, index: int
+    ) -> tuple[HTTPStatus, dict[str, Any]]:
+        """A sample of dataset `number` for the page, or the world that it is of; or, under `error`,
+        a line that says why there is none."""
         if number >= len(self.splits):
             return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
         samples = self.splits[number][split]
-        notes = incomplete(samples.dataset, split)
+        notes = {"notes": incomplete(samples.dataset, split)}
         with self._reading:  # one at a time: files and networks are shared
             try:
-                look = look_into(samples, index, self.guesses)
-            except DatasetError as error:
-                return HTTPStatus.NOT_FOUND, {"error": printable(error), "notes": notes}
-        return HTTPStatus.OK, {**packed(look), "notes": notes}
-
-    def world(self, number: int, split: str, index: int) -> tuple[HTTPStatus, dict[str, Any]]:
-        """The surfaces of the world of a sample of dataset `number`, as
-        `scenegen.display.page.packed_world` has them; or, under `error`, a line that says why there
-        are none."""
-        from scenegen.dataset.extract import (
-            compile_archived,  # MuJoCo and trimesh are needed for worlds alone
-        )
-        from scenegen.display.exchange.glb import surfaces
-
-        if number >= len(self.splits):
-            return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
-        samples = self.splits[number][split]
-        with self._reading:
-            try:
-                sample = samples[index]
-                world = compile_archived(samples.dataset, split, int(sample.world))
-                return HTTPStatus.OK, packed_world(surfaces(world), sample.origin)
+                if what == "world":
+                    return HTTPStatus.OK, _world(samples, index)
+                return HTTPStatus.OK, packed(look_into(samples, index, self.guesses)) | notes
             except (DatasetError, IndexError, ValueError) as error:
-                return HTTPStatus.NOT_FOUND, {
-                    "error": f"the world is not shown: {printable(error)}"
-                }
+                line = f"the {what} is not shown: {printable(error)}"
+                return HTTPStatus.NOT_FOUND, {"error": line, **notes}
+
+
+def _world(samples: Split, index: int) -> dict[str, Any]:
+    """The surfaces of the world of a sample."""
+    # MuJoCo and trimesh are needed for worlds alone
+    from scenegen.dataset.extract import compile_archived
+    from scenegen.display.exchange.glb import surfaces
+
+    sample = samples[index]
+    world = compile_archived(samples.dataset, samples.name, int(sample.world))
+    return packed_world(surfaces(world), sample.origin)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -164,16 +154,12 @@ class _Handler(BaseHTTPRequestHandler):
         """Give the page, or a sample."""
         hosts = self.headers.get_all("Host") or []
         if len(hosts) != 1 or not self.server.allows(hosts[0]):
-            self._answer(
-                HTTPStatus.FORBIDDEN,
-                "text/plain",
-                b"this name is not the viewer's; open its address\n",
-            )
+            told = b"this name is not the viewer's; open its address\n"
+            self._answer(HTTPStatus.FORBIDDEN, "text/plain", told)
         elif self.path == "/":
             self._answer(HTTPStatus.OK, "text/html", self.server.page)
         elif found := ASKED.fullmatch(self.path):
-            find = self.server.sample if found[1] == "sample" else self.server.world
-            status, answer = find(int(found[2]), found[3], int(found[4]))
+            status, answer = self.server.answer(found[1], int(found[2]), found[3], int(found[4]))
             self._answer(status, "application/json", json.dumps(answer).encode())
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page\n")
@@ -183,11 +169,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, status: HTTPStatus, kind: str, content: bytes) -> None:
         self.send_response(status)
-        for name, value in {
-            **SAFE,
-            "Content-Type": f"{kind}; charset=utf-8",
-            "Content-Length": len(content),
-        }.items():
-            self.send_header(name, str(value))
+        about = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(content))}
+        for name, value in (SAFE | about).items():
+            self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)

@@ -33,14 +33,13 @@ MOST_VOXELS = 1 << 22
 MOST_BYTES = 48 << 20
 """The most bytes of a page's samples; mail and telephones take no more."""
 COLOURS = {
-    **{
-        "heights": HEIGHTS,
-        "distances": DISTANCES,
-        "sensor": SENSOR,
-        "missed": MISSED,
-        "invented": INVENTED,
-    },
-    **{"start": START, "goal": GOAL},
+    "heights": HEIGHTS,
+    "distances": DISTANCES,
+    "sensor": SENSOR,
+    "missed": MISSED,
+    "invented": INVENTED,
+    "start": START,
+    "goal": GOAL,
 }
 """What the page's script colours by."""
 HERE = files("scenegen.display")
@@ -94,10 +93,8 @@ def live_page(
 def _filled(about: Mapping[str, Any], methods: Sequence[str], policy: str = "") -> str:
     """The page with what its script reads, and what its policy allows besides."""
     colours = list(zip(methods, path_colours(methods), strict=True))
-    data = json.dumps({"colours": COLOURS, "methods": colours, **about})
-    data = data.replace(
-        "<", "\\u003c"
-    )  # JSON all the same, and no tag can end the element that holds it
+    # JSON all the same, and no tag can end the element that holds it
+    data = json.dumps({"colours": COLOURS, "methods": colours, **about}).replace("<", "\\u003c")
     parts = {
         "TITLE": html.escape(about["title"]),
         "POLICY": policy,
@@ -108,9 +105,8 @@ def _filled(about: Mapping[str, Any], methods: Sequence[str], policy: str = "") 
         "SCRIPT": _text("page.js"),
         "DATA": data,
     }
-    pieces = _text("page.html").split(
-        "%%"
-    )  # text, a part's name, text, … so that no part is looked at for names
+    # text, a part's name, text, …: so no part is looked at for names
+    pieces = _text("page.html").split("%%")
     return "".join(parts[piece] if n % 2 else piece for n, piece in enumerate(pieces))
 
 
@@ -130,11 +126,8 @@ def packed(look: Look) -> dict[str, Any]:
     if look.points is not None:
         from_sensor = look.points - look.position
         reach = float(np.abs(from_sensor).max(initial=1e-6))
-        more |= {
-            "points": _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes()),
-            "reach": reach,
-        }
-        more["own"] = look.own
+        packed = _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes())
+        more |= {"points": packed, "reach": reach, "own": look.own}
     return {
         "name": look.name,
         "shape": list(grid.shape),
@@ -145,7 +138,7 @@ def packed(look: Look) -> dict[str, Any]:
         "heading": look.heading_deg(),
         "figures": look.figures(),
         "missing": list(look.missing),
-        "masks": {name: _gzip64(np.packbits(mask).tobytes()) for name, mask in look.masks.items()},
+        "masks": {name: _bits(mask) for name, mask in look.masks.items()},
         "guesses": [_packed_guess(guess, look) for guess in look.guesses],
         **more,
     }
@@ -163,20 +156,23 @@ def packed_world(surfaces: Sequence[Any], origin: NDArray[np.float64]) -> dict[s
 
 def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
     """What is predicted, as the page's script reads it; positions in the map's frame."""
+
+    def local(points: NDArray[np.float64] | None) -> Any:
+        return None if points is None else np.round(points - look.origin, 4).tolist()
+
     found: dict[str, Any] = {
         "name": guess.name,
-        "mask": _gzip64(np.packbits(guess.occupied).tobytes()),
+        "mask": _bits(guess.occupied),
         "tudf": _distances(guess.tudf, look.grid),
     }
     if (route := guess.route) is not None:
-        ends = {
-            "start": (route.start - look.origin).tolist(),
-            "goal": (route.goal - look.origin).tolist(),
-        }
-        points = [] if route.points is None else np.round(route.points - look.origin, 4).tolist()
-        hit = None if route.hit is None else (route.hit - look.origin).tolist()
-        found["route"] = {**ends, "points": points, "hit": hit}
+        ends = {"start": local(route.start), "goal": local(route.goal), "hit": local(route.hit)}
+        found["route"] = {**ends, "points": local(route.points) or []}
     return found
+
+
+def _bits(mask: NDArray[np.bool_]) -> str:
+    return _gzip64(np.packbits(mask).tobytes())
 
 
 def _distances(tudf: NDArray[np.float32], grid: GridSpec) -> str:

@@ -19,13 +19,7 @@ BAD_RECIPES = {
     ),
     "falling range": ("[world]\ndensity = [0.3, 0.2]", "expected [low, high]"),
     "wrong type": ("[flight]\nviewpoints = 'five'", "viewpoints = 'five'"),
-    "share above one": (
-        "[world]\nround_share = 1.5",
-        "round_share = 1.5: expected a finite number from 0 to 1",
-    ),
     "no room": ("[flight]\nmargin_m = 30.0", "margin_m = 30"),
-    "no grid": ("[grid]\nshape = [80, 0, 40]", "shape"),
-    "no rays": ("[lidar]\nrows = 0", "rows"),
     "sizes of nothing": (
         "[world]\nhalf_width_m = [0, 0]",
         "half_width_m = [0, 0]: expected [low, high] with low <= high, finite numbers above 0",
@@ -33,11 +27,7 @@ BAD_RECIPES = {
     "ratio below one": ("[world]\noblong_ratio = 0.5", "oblong_ratio = 0.5"),
     "shares above one": ("[world]\nround_share = 0.8\noblong_share = 0.5", "expected at most 1"),
     "an endless density": ("[world]\ndensity = [0.1, inf]", "density = [0.1, inf]: expected"),
-    "an endless spacing": ("[flight]\nspacing_m = inf", "spacing_m = inf"),
-    "an endless height": ("[flight]\naltitude_m = [2, inf]", "altitude_m = [2, inf]: expected"),
     "too many": ("[world]\ndensity = [90, 90]", "expected 20000 at most"),
-    "words for numbers": ("[flight]\nviewpoints = '5'", "viewpoints = '5'"),
-    "truth for numbers": ("[flight]\nviewpoints = true", "viewpoints = True"),
     "a million lines": (
         "[lidar]\nrows = 100000000",
         "rows = 100000000: expected a whole number from 1 to 1000000",
@@ -55,11 +45,6 @@ BAD_RECIPES = {
         "[grid]\nshape = 1979-05-27",
         "shape = datetime.date(1979, 5, 27): expected three whole numbers",
     ),
-    "nested edges": (
-        "[grid]\nshape = [[1], 2, 3]",
-        "shape = [[1], 2, 3]: expected three whole numbers",
-    ),
-    "true edges": ("[grid]\nshape = [true, true, true]", "expected three whole numbers"),
     "an unknown mount": (
         "[lidar]\nmount = 'gimbal'",
         "mount = 'gimbal': expected 'tilt' or 'band'",
@@ -70,16 +55,13 @@ BAD_RECIPES = {
         "unknown parameter '\\x1b[2Jall\\nright'",
     ),
     "an empty kind": ('kind = ""', "is a recipe for kind '', not for 'pillar'"),
-    "a kind of numbers": ("kind = [1]", "is a recipe for kind [1], not for 'pillar'"),
     "no end of digits": (f"[grid]\nvoxel_m = 0x{'f' * 9000}", "voxel_m = a value of type int"),
     "more digits than int takes": (f"[grid]\nvoxel_m = {'9' * 9000}", "not valid TOML"),
     "deep arrays": (f"[grid]\nshape = {'[' * 5000}{']' * 5000}", "nested too deeply"),
     "deep keys": (f"{'a.' * 30_000}a = 1", "nested too deeply"),
     "too large": (f"kind = 'pillar' # {'x' * (1 << 16)}", "bytes, expected 65536 at most"),
     "no end of places": ("[flight]\nspacing_m = 1e-7", "spacing_m = 1e-07: expected"),
-    "as good as no spacing": ("[flight]\nspacing_m = 1e-300", "spacing_m = 1e-300: expected"),
     "a million places": ("[flight]\nspacing_m = 0.001", "places to scan from along one flight"),
-    "no end of draws": ("[accept]\nmax_draws = 1000000000", "max_draws = 1000000000: expected"),
     "draws of flights of searches": (
         "[accept]\nmax_draws = 10000\n[flight]\nflights_per_world = 1000\niterations = 1000000",
         "expected 1000000000 at most; lower one of them",
@@ -102,7 +84,7 @@ BAD_RECIPES = {
     ),
     "too dense": (
         "[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2",
-        "lower world.density = (4.0, 4.0)",
+        "lower world.density",
     ),
 }
 

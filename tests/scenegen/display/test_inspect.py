@@ -12,8 +12,7 @@ import pytest
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
-from scenegen.display.inspect import Spread, inspect, misfits
-from scenegen.errors import DatasetError
+from scenegen.display.inspect import inspect, misfits
 from scenegen.source import DrawnWorlds
 from tests.command_line import run
 from tests.conftest import picky_recipe
@@ -85,10 +84,7 @@ def test_statistics_are_those_of_the_files(full: Path) -> None:
         assert split["samples"] == split["sampled"] == len(stored["world"]) == COUNTS[name]
         assert split["worlds"] == len(set(stored["world"].tolist()))
         check(split["statistics"], recomputed(stored, np.arange(COUNTS[name])))
-        for key in KEYS:
-            assert split["statistics"][key]["std"] > 0, (
-                f"{key} is the same in all samples: the test shows little"
-            )
+        assert all(split["statistics"][key]["std"] > 0 for key in KEYS)
 
 
 def test_counts_sizes_and_origin_are_those_of_the_folder(full: Path) -> None:
@@ -110,7 +106,7 @@ def test_a_compact_dataset_says_the_same(full: Path, tmp_path: Path) -> None:
     assert compact["bytes"] < whole["bytes"]
 
 
-@pytest.mark.parametrize("most", [1, 2, 4, 10, 11, 200])
+@pytest.mark.parametrize("most", [1, 4, 200])
 def test_at_most_so_many_samples_are_measured_evenly_spread(full: Path, most: int) -> None:
     split = inspect(full, most=most)["splits"]["train"]
     count = min(most, COUNTS["train"])
@@ -133,33 +129,6 @@ def test_many_samples_are_measured_by_several_processes_some_at_a_time(
     for name, split in few["splits"].items():
         check(split["statistics"], recomputed(fields(full, name), np.arange(COUNTS[name])))
         assert [len(values) for values in split["values"].values()] == [COUNTS[name]] * len(KEYS)
-
-
-@pytest.mark.parametrize("cut", [0, 1, 7, 20])
-def test_two_spreads_together_are_that_of_all(cut: int) -> None:
-    values = (1e6 + np.random.default_rng(cut).normal(size=20)).tolist()
-    found, whole = (
-        (Spread.of(values[:cut]) + Spread.of(values[cut:])).said(),
-        Spread.of(values).said(),
-    )
-    assert found == pytest.approx(whole, rel=1e-9)
-    assert whole["std"] == pytest.approx(np.std(values))
-
-
-def blind(folder: Path, split: str, rows: slice) -> None:
-    """Take the returns of some samples of a split's first file away."""
-    with h5py.File(folder / f"{split}-00000.h5", "r+") as file:
-        ranges, observed = file["ranges"][:], file["observed"][:]
-        ranges[rows], observed[rows] = np.inf, False
-        file["ranges"][:], file["observed"][:] = ranges, observed
-
-
-def test_a_sample_without_returns_has_no_mean_range(tmp_path: Path) -> None:
-    folder = make(tmp_path / "d")
-    blind(folder, "train", slice(1, 2))
-    split = inspect(folder)["splits"]["train"]
-    assert split["statistics"]["returned"]["min"] == 0
-    check(split["statistics"], recomputed(fields(folder, "train"), np.arange(COUNTS["train"])))
 
 
 def test_a_split_without_returns_gives_valid_json(
@@ -188,11 +157,6 @@ def test_an_unfinished_dataset_is_told_as_far_as_it_is(tmp_path: Path) -> None:
     assert found["samples"] == len(Dataset(folder, partial=True).split("train")) == 6
     assert list(found["splits"]) == ["train"]
     check(found["splits"]["train"]["statistics"], recomputed(fields(folder, "train"), np.arange(6)))
-
-
-def test_a_folder_that_holds_no_dataset_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="not a dataset"):
-        inspect(tmp_path)
 
 
 HOSTILE = "<script>alert(1)</script>"

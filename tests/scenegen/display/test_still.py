@@ -33,13 +33,6 @@ from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, run
 
 
-def test_the_axes_of_the_view_are_right_handed_and_of_length_one() -> None:
-    axes = np.stack([VIEW.right, VIEW.up, VIEW.eye])
-    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(np.cross(VIEW.right, VIEW.up), VIEW.eye, atol=1e-12)
-    assert VIEW.up[2] > 0  # z goes up on the paper
-
-
 def test_heights_are_turbo() -> None:
     at = np.linspace(0, 1, 501)
     assert np.abs(colour(at, HEIGHTS) - colormaps["turbo"](at)[:, :3]).max() < 0.04
