@@ -110,15 +110,11 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> NDArray[
     """The document's own flight_bounds, or the box around all that is bounded in it."""
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
         data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, dtype=np.float64)
-        if (
-            data.size != 6
-            or not (data[:3] < data[3:]).all()
-            or not (np.abs(data) <= MOST_LENGTH_M).all()
-        ):
+        small = data.size == 6 and (np.abs(data) <= MOST_LENGTH_M).all()
+        if not (small and (data[:3] < data[3:]).all()):
             raise SceneError(
                 f"{name}: <numeric {FLIGHT_BOUNDS}> = {short(data.tolist())}, expected xmin ymin "
-                f"zmin xmax ymax zmax, "
-                f"rising, up to {MOST_LENGTH_M:g}"
+                f"zmin xmax ymax zmax, rising, up to {MOST_LENGTH_M:g}"
             )
         return data.reshape(2, 3)
     bounded = np.isfinite(solids.lower).all(axis=1)
@@ -147,23 +143,16 @@ def geometry_digest(solids: Solids) -> bytes:
     rows = [np.zeros((0, 13))]
     for shape in np.unique(solids.shape):
         chosen = solids.shape == shape
-        size, position, rotation = (
-            solids.size[chosen],
-            solids.position[chosen],
-            solids.rotation[chosen],
-        )
-        form = _form(int(shape), size, position, rotation)
+        numbers = (solids.size[chosen], solids.position[chosen], solids.rotation[chosen])
+        form = _form(int(shape), *numbers)
         # negative zeros are zeros
         rounded = np.rint(form / ROUND_M) + 0.0
         rows.append(np.concatenate([np.full((len(form), 1), float(shape)), rounded], axis=1))
     table = np.concatenate(rows)
     digest = hashlib.sha256(table[np.lexsort(table.T[::-1])].tobytes())
-    for mesh in sorted(
-        _mesh_digest(solids.triangles[first:last], bool(filled))
-        for first, last, filled in zip(
-            solids.mesh_start, solids.mesh_start[1:], solids.mesh_filled, strict=False
-        )
-    ):
+    meshes = np.split(solids.triangles, solids.mesh_start[1:-1])
+    filled = solids.mesh_filled.tolist()
+    for mesh in sorted(map(_mesh_digest, meshes, filled)):
         digest.update(mesh)
     return digest.digest()
 
