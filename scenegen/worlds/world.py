@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.limits import MOST_LENGTH_M
+from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import Solids
 from scenegen.errors import SceneError, printable, short
