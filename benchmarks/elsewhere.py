@@ -34,8 +34,7 @@ from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import REGIONS
 from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.statistics import figure
-from scenegen.model.evaluation.tables import head, interval, line
+from scenegen.model.evaluation.statistics import figure, head, interval, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
 from scenegen.run.software import commit

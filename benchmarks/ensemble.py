@@ -13,15 +13,13 @@ import measuring
 import numpy as np
 
 from scenegen.dataset.read import Dataset
+from scenegen.model.calibration import corrected
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import LossConfig
-from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import measure_whole
-from scenegen.model.evaluation.statistics import figure
-from scenegen.model.evaluation.tables import interval
+from scenegen.model.evaluation.metrics import METRICS, measure_whole
+from scenegen.model.evaluation.statistics import figure, interval
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify
-from scenegen.model.uncertainty.calibration import corrected
 from scenegen.truth import distance_field
 
 SHOWN = ("iou", "near_rmse")

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.completer import Completer
-from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import measure_whole
-from scenegen.model.evaluation.statistics import figure
-from scenegen.model.evaluation.tables import interval
+from scenegen.model.evaluation.metrics import METRICS, measure_whole
+from scenegen.model.evaluation.statistics import figure, interval
 from scenegen.model.inputs import PointScan, centres, channels
 from scenegen.truth import distance_field
 

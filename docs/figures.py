@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from scenegen.model.evaluation.study.figures import draw
-from scenegen.model.reproduce.figures import draw as draw_all
+from scenegen.model.reproduce.report import draw as draw_all
 
 if __name__ == "__main__":
     source = Path(sys.argv[1])

@@ -1,14 +1,5 @@
 """One way to check a parameter: its bounds stand beside its default, and are checked when the
-dataclass is made.
-
-@dataclass(frozen=True, kw_only=True)
-class Sensor:
-    rows: int = number(16, least=1, most=1000)
-    max_range_m: float = number(10.0, above=0)
-
-    def __post_init__(self) -> None:
-        check(self)
-"""
+object is made."""
 
 import dataclasses
 import functools
@@ -18,6 +9,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from types import NoneType, UnionType
 from typing import Any, Literal, Union
+
+MOST_RAYS = 1_000_000
+"""The most rays of one scan."""
+LEAST_RANGE_M, MOST_RANGE_M = 1e-3, 1e4
+"""A range is stored in float32, which here still tells millimetres apart."""
+MOST_LENGTH_M = 1e6
+"""Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
+MOST_TRIANGLES = 5_000_000
+"""The most triangles of a world's meshes and height fields, each counted as often as a geom uses
+it: 360 MB."""
+
 
 BOUNDS = "bounds"
 """Key of a field's metadata under which its `Bounds` stand."""

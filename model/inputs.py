@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import GridSpec
-from lidarsim.limits import MOST_LENGTH_M
+from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import Scan
 from lidarsim.voxelize import crossed, fuse

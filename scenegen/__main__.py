@@ -14,7 +14,7 @@ from scenegen import __version__
 from scenegen.cli.command import Commands, run_command
 
 LOOKING = ("inspect", "view", "render")
-NETWORKS = ("train", "complete", "calibrate", "export", "networks", "bench", "reproduce")
+NETWORKS = ("train", "complete", "bench", "reproduce")
 COMMANDS = (
     ("Datasets", "scenegen.cli.generate", ("generate", "recipe")),
     ("Datasets", "scenegen.cli.derive", ("rescan", "take", "merge")),
@@ -24,6 +24,7 @@ COMMANDS = (
     ("Sensors", "scenegen.cli.scan", ("sensors", "scan")),
     *(("To look at", f"scenegen.model.commands.{name}", (name,)) for name in LOOKING),
     *(("Networks", f"scenegen.model.commands.{name}", (name,)) for name in NETWORKS),
+    ("Networks", "scenegen.model.commands.networks", ("calibrate", "export", "networks")),
     ("This machine", "scenegen.cli.doctor", ("doctor", "completion")),
 )
 """Groups of the list, the modules, and the commands that stand there."""

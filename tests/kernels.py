@@ -127,7 +127,7 @@ def _plans() -> None:
 
 def _maps() -> None:
     from scenegen.model.completion.unlearned import Extrude
-    from scenegen.model.evaluation.reconstruction import ReconstructionConfig, measure
+    from scenegen.model.evaluation.metrics import ReconstructionConfig, measure
     from scenegen.model.evaluation.study.calibration import count
 
     grid = _grid()

@@ -19,14 +19,8 @@ ORDER = {
 API = ROOT / "scenegen" / "__init__.py"
 """The one file that names what stands above it: what it offers is looked up when asked for."""
 
-LEFT = {
-    *("scenegen.stores", "scenegen.stores.bucket"),
-    *(
-        f"lidarsim.sensors.{name}"
-        for name in ("catalogue", "device", "nonrepetitive", "pinhole", "spinning")
-    ),
-}
-"""Files that still import each other, to be fewer each time."""
+LEFT = {"scenegen.stores", "scenegen.stores.bucket"}
+"""Files that still import each other."""
 
 
 def files_of(part: str) -> list[Path]:

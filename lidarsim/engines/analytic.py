@@ -65,8 +65,8 @@ class AnalyticEngine:
     def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
         """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does."""
         from lidarsim.solids.model import (
-            solids_of,
-        )  # loads MuJoCo, which an engine over known solids does not need
+            solids_of,  # loads MuJoCo, which an engine over known solids does not need
+        )
 
         return cls(solids_of(model, data))
 

@@ -1,4 +1,7 @@
-"""The walk of a ray through the hierarchy: nearest boxes first, closed forms in its leaves."""
+"""The walk of a ray through the hierarchy: nearest boxes first, closed forms in its leaves.
+
+A GPU walks otherwise, one thread a ray, with what stands below `traverse` (`lidarsim.gpu.rays`).
+"""
 
 import math
 

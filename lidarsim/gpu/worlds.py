@@ -96,16 +96,11 @@ class Worlds:
         Raises ValueError for numbers that are no world's.
         """
         chosen = np.arange(poses) if worlds is None else np.asarray(worlds)
+        expected = f"expected {poses} integers from 0 to {self.count - 1}, one a pose"
         if chosen.shape != (poses,) or not np.issubdtype(chosen.dtype, np.integer):
-            raise ValueError(
-                f"worlds: {chosen.dtype} of shape {chosen.shape}, expected {poses} integers, one "
-                f"a pose"
-            )
+            raise ValueError(f"which: {chosen.dtype} of shape {chosen.shape}, {expected}")
         if poses and not 0 <= chosen.min() <= chosen.max() < self.count:
-            raise ValueError(
-                f"worlds: {chosen.min()} to {chosen.max()}, expected numbers from 0 to "
-                f"{self.count - 1}"
-            )
+            raise ValueError(f"which: {chosen.min()} to {chosen.max()}, {expected}")
         return wp.array(chosen, dtype=wp.int32, device=self.device)
 
 

@@ -38,7 +38,7 @@ class Stage(Protocol):
 STAGES = Registry(
     "noise stage",
     {
-        "motion": "lidarsim.noise.motion:Motion",
+        "motion": "lidarsim.noise.losses:Motion",
         "divergence": "lidarsim.noise.beam:Divergence",
         "near": "lidarsim.noise.ranges:Near",
         "range": "lidarsim.noise.ranges:Range",
@@ -49,7 +49,7 @@ STAGES = Registry(
         "grazing": "lidarsim.noise.losses:Grazing",
         "faint": "lidarsim.noise.losses:Faint",
         "spurious": "lidarsim.noise.losses:Spurious",
-        "intensity": "lidarsim.noise.light:Intensity",
+        "intensity": "lidarsim.noise.returns:Intensity",
     },
     needs={
         "order": "0 where it says how rays are cast, 1 where it casts more, 2 where it changes "

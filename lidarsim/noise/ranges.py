@@ -7,8 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.noise.chance import normal
-from lidarsim.noise.returns import Returns, View
+from lidarsim.noise.returns import Returns, View, normal
 from lidarsim.parameters import check, number
 
 SIGMAS = 4.0

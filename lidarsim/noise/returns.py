@@ -1,16 +1,31 @@
-"""What stages pass on, and what they may ask of the world."""
+"""What stages pass on, what they may ask of the world, how bright a return is, and normal numbers
+with the same bits everywhere."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.elementary import log, sin_cos
 from lidarsim.engines import Engine
+from lidarsim.parameters import check, number
 from lidarsim.pose import Pose
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
+
+
+def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Standard normal numbers of any shape, two of each pair of even ones (Box and Muller 1958)."""
+    count = math.prod(shape)
+    length, angle = rng.random((2, (count + 1) // 2))
+    sine, cosine = sin_cos(2 * math.pi * angle)
+    both = np.sqrt(-2.0 * log(1.0 - length)) * np.stack([cosine, sine])
+    return both.reshape(-1)[:count].reshape(shape)
+
 
 GREY = 0.5
 """The albedo of a surface of which nothing else is known."""
@@ -122,3 +137,26 @@ def _by_origin(origins: NDArray[np.float64]) -> list[tuple[NDArray[np.bool_], ND
     places, which = np.unique(flat, axis=0, return_inverse=True)
     which = which.reshape(origins.shape[:-1])
     return [(which == n, place) for n, place in enumerate(places)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intensity:
+    """Intensity as albedo × cosine of the angle of incidence (Lambert), freed of the range as
+    sensors' own is, with normal noise of `sigma`, from 0 to 1."""
+
+    order: ClassVar[int] = 2
+    sigma: float = number(0.0, least=0, most=1)
+    """Standard deviation of the noise."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+        """See `Stage.apply`."""
+        cosine, albedo = view.surfaces(returns)
+        noise = self.sigma * normal(returns.ranges.shape, rng=rng)
+        return returns.but(intensity=np.clip(albedo * cosine + noise, 0.0, 1.0))
+
+    def bound_m(self, max_range_m: float) -> float:
+        """See `Stage.bound_m`."""
+        return 0.0

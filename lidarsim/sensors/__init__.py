@@ -52,7 +52,7 @@ FAMILIES = {
     "spinning": "lidarsim.sensors.spinning:Spinning",
     "rosette": "lidarsim.sensors.nonrepetitive:Rosette",
     "coil": "lidarsim.sensors.nonrepetitive:Coil",
-    "pinhole": "lidarsim.sensors.pinhole:Pinhole",
+    "pinhole": "lidarsim.sensors.raster:Pinhole",
 }
 """Families: dataclasses whose fields are the parameters."""
 CATALOGUE = {

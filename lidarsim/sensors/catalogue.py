@@ -14,7 +14,7 @@ from pathlib import Path
 
 from lidarsim.sensors.device import Device
 from lidarsim.sensors.nonrepetitive import Coil, Rosette
-from lidarsim.sensors.pinhole import Pinhole
+from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
 
 BEAMS = tomllib.loads(Path(__file__).with_name("beams.toml").read_text(encoding="utf-8"))

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
-from lidarsim.limits import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS
-from lidarsim.parameters import check, number
+from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number
 from lidarsim.pose import rotate
+from lidarsim.sensors import CATALOGUE, SENSORS
 
 MOST_TEXT = 300
 """Characters of a field that is text."""
@@ -89,9 +89,7 @@ class Device:
     @property
     def made_by(self) -> str:
         """The name, and the fields that are not as they come: ``velodyne-vlp-16(rate_hz=20.0)``."""
-        from lidarsim.sensors.catalogue import NAMED  # which imports this module
-
-        usual = NAMED.get(self.name)
+        usual = SENSORS.find(self.name) if self.name in CATALOGUE else None
         given = [
             f"{item.name}={getattr(self, item.name)!r}"
             for item in dataclasses.fields(self)

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.limits import MOST_RAYS
-from lidarsim.parameters import check, number
+from lidarsim.parameters import MOST_RAYS, check, number
 from lidarsim.sensors.device import Device, pointing
 
 FINEST_DEG = 0.04

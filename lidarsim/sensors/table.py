@@ -1,4 +1,4 @@
-"""A sensor as a table of its rays: from a file, or whatever a user's own sensor comes down to."""
+"""A sensor as a table of its rays, and what sensors that are sold have in common."""
 
 import dataclasses
 import hashlib
@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.limits import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS
-from lidarsim.parameters import check, number, shown
+from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number, shown
 from lidarsim.sensors import Sensor
 
 MOST_AXES = 4

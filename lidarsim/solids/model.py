@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.limits import MOST_LENGTH_M, MOST_TRIANGLES
+from lidarsim.parameters import MOST_LENGTH_M, MOST_TRIANGLES
 from lidarsim.solids.shapes import HFIELD, MESH, Solids, bounding_boxes
 from lidarsim.solids.surfaces import height_field, mesh_surface
 

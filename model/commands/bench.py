@@ -40,7 +40,7 @@ METHODS = Registry(
         "conservative": "scenegen.model.completion.unlearned:Conservative",
         "extrude": "scenegen.model.completion.unlearned:Extrude",
         "truth": "scenegen.model.evaluation.methods:Truth",
-        "seen": "scenegen.model.evaluation.seen:Seen",
+        "seen": "scenegen.model.evaluation.visibility:Seen",
     },
 )
 """Classes of completers and of rows, made without arguments; a user's own completer as
@@ -151,8 +151,8 @@ def run_bench(
     """
     from scenegen.dataset.read import Dataset
     from scenegen.files import check_ours, write_result
+    from scenegen.model.evaluation.methods import Predicted
     from scenegen.model.evaluation.page import to_html
-    from scenegen.model.evaluation.predicted import Predicted
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
     from scenegen.run.software import commit
@@ -217,7 +217,7 @@ def run_bench(
 
 def _failures(result: Any, dataset: Any, methods: "Sequence[Method]") -> list[tuple[str, bytes]]:
     """Pictures of failures; none without matplotlib."""
-    from scenegen.model.evaluation.failures import draw_failures
+    from scenegen.model.evaluation.shown import draw_failures
 
     try:
         return draw_failures(result, dataset, methods)
@@ -293,8 +293,7 @@ def show_tables(report: dict[str, Any]) -> None:
     """Both tables: means, at the paper's thresholds."""
     from scenegen.model.evaluation.metrics import PLAN_METRICS
     from scenegen.model.evaluation.report import reconstruction_table
-    from scenegen.model.evaluation.statistics import caution
-    from scenegen.model.evaluation.tables import threshold
+    from scenegen.model.evaluation.statistics import caution, threshold
 
     for kind, about in report["datasets"].items():
         for table, (names, rows) in (

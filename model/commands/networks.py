@@ -1,18 +1,32 @@
-"""`scenegen networks`: what the variants cost."""
+"""`scenegen networks`, `export` and `calibrate`: what variants cost, networks as ONNX, and how sure
+one may be."""
 
 import json
+from pathlib import Path
 
 import rich_click as click
 
-from scenegen.cli.options import json_option
-from scenegen.cli.show import say
+from scenegen.cli.options import (
+    datasets_argument,
+    find_datasets,
+    json_option,
+    out_option,
+    quiet_option,
+    seed_option,
+    split_option,
+    workers_option,
+)
+from scenegen.cli.show import Progress, announce_compilation, say
+from scenegen.limits import MOST_SAMPLES
+from scenegen.model.commands.weights import Weights
+from scenegen.model.config import DEFAULT_NETWORK, split_own
 
 
 @click.command()
 @json_option
 def networks(as_json: bool) -> None:
     """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
-    from scenegen.model.summary import costs
+    from scenegen.model.facts import costs
 
     found = costs()
     if as_json:
@@ -24,3 +38,102 @@ def networks(as_json: bool) -> None:
             f"{row['variant']:<10}{row['stem_stride']:>12}{row['parameters']:>12,}{row['macs'] / 1e9:>8.2f}"
             f"{row['activation_bytes'] / 1e6:>10.1f} MB"
         )
+
+
+@click.command()
+@click.argument("weights", type=Weights(), default=DEFAULT_NETWORK)
+@out_option("File to write.  [default: <name>.onnx]", file=True)
+def export(weights: str, out: Path | None) -> None:
+    """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
+    from scenegen.files import check_ours
+    from scenegen.model.completion.completer import open_network
+    from scenegen.model.export import export_onnx
+
+    network, grid, about = open_network(weights)
+    out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")
+    check_ours(out)
+    export_onnx(network, grid, out, about=about)
+    say(f"written: {out}")
+
+
+@click.command()
+@click.argument("weights", type=Weights())
+@datasets_argument
+@split_option("val", help="The split whose worlds are looked at; one that no training saw.")
+@click.option(
+    "--samples", type=click.IntRange(1, MOST_SAMPLES), help="At most so many maps of each dataset."
+)
+@click.option(
+    "--trials",
+    type=click.IntRange(0, 100),
+    default=4,
+    show_default=True,
+    help="Paths planned on each map at every risk; 0 leaves the risk of paths out.",
+)
+@seed_option("Decides the goals.")
+@out_option(
+    "File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]",
+    file=True,
+)
+@workers_option
+@json_option
+@quiet_option
+def calibrate(
+    weights: str,
+    datasets: tuple[Path | str, ...],
+    split: str,
+    samples: int | None,
+    trials: int,
+    seed: int,
+    out: Path | None,
+    workers: int,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its
+    file."""
+    from scenegen.files import check_ours, make_parent
+    from scenegen.model.checkpoint import CheckpointError
+    from scenegen.model.completion.completer import HUB, called, locate
+    from scenegen.model.config import bundled, split_own
+    from scenegen.model.evaluation.calibrate import calibrate as fit
+
+    talk = not (quiet or as_json)
+    path = locate(weights)
+    if path.suffix == ".onnx":
+        raise CheckpointError(
+            f"{path}: an exported network; calibrate its .safetensors file, then export that again"
+        )
+    plain = split_own(weights)[1]
+    elsewhere = plain in bundled() or plain.startswith(HUB)
+    if out is None and elsewhere:
+        out = Path(f"{called(weights, path)}.safetensors")
+        check_ours(out)
+    out = out or path
+    make_parent(out)
+    if talk:
+        announce_compilation()
+    with Progress("calibrate", shown=talk) as progress:
+        found = fit(
+            weights,
+            find_datasets(datasets, shown=talk),
+            out,
+            split=split,
+            samples=samples,
+            trials=trials,
+            seed=seed,
+            workers=workers,
+            on_start=lambda what, total: progress.restart(what, total, 0),
+            on_done=progress.count,
+        )
+    if as_json:
+        print(json.dumps(found.said()))
+    elif talk:
+        heat = "" if found.temperature is None else f"temperature {found.temperature:.3f}, "
+        say(f"{found.worlds} worlds: {heat}bounds down to a risk of {found.risks[-1]:g}")
+        if found.path_risks:
+            say(
+                f"paths planned on them collide in at most "
+                f"{', '.join(f'{one:.3f}' for one in found.path_risks)}"
+            )
+        say(f"written: {out}")

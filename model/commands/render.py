@@ -112,7 +112,7 @@ def _draw_file(path: Path, seed: int | None) -> Any:
 
         return pictures.draw_completion(read_completion(path), title=title)
     if (path / "metrics.csv").is_file():
-        from scenegen.model.training.curve import draw, read_rows
+        from scenegen.model.training.card import draw, read_rows
 
         return draw(read_rows(path / "metrics.csv"), title=plain(path.resolve().name))
     return None

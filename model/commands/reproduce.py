@@ -64,7 +64,7 @@ def reproduce(
     if records is not None:
         _judge_again(records, as_json)
         return
-    from scenegen.model.reproduce.estimate import estimate
+    from scenegen.model.reproduce.rows import estimate
     from scenegen.model.reproduce.stages import RECORDS, STUDY, TEXT, begin, runs
     from scenegen.model.reproduce.stages import reproduce as make
 

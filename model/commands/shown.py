@@ -66,7 +66,7 @@ def chosen(
 
     methods: list[Method] = [network_row(name) for name in weights]
     if predictions is not None:
-        from scenegen.model.evaluation.predicted import Predicted
+        from scenegen.model.evaluation.methods import Predicted
 
         methods.append(predicted := Predicted(predictions))
         predicted.check(dataset, split)

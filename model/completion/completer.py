@@ -22,13 +22,13 @@ from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import described, differences
 from scenegen.dataset.rules import sensor_entry
 from scenegen.errors import needs, printable
+from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own
 from scenegen.model.inputs import centres, channels, input_called
 from scenegen.model.network import Output, placed
 from scenegen.model.runtime import load_onnx
-from scenegen.model.uncertainty.calibration import Calibration
 from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper
 

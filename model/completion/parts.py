@@ -16,9 +16,9 @@ import numpy as np
 from scenegen.dataset.read import Rows, Split
 from scenegen.errors import DatasetError
 from scenegen.files import whole
+from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.protocol import PARTS, SURE
-from scenegen.model.uncertainty.calibration import RISK
 
 Chunks: TypeAlias = dict[str, list[bytes]]
 """Maps by the name of what they tell, each compressed as HDF5 has it, in the order of `PARTS` and

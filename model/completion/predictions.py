@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
-from lidarsim.limits import MOST_LENGTH_M
+from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.dataset.foreign import read_guarded
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
@@ -20,13 +20,13 @@ from scenegen.display.look import Look
 from scenegen.errors import DatasetError, GuardError, empty_split
 from scenegen.files import make_parent, open_bounded, remove_drafts, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.parts import Chunks, Kept, new_hdf5, write_predictions
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, channels, input_called
-from scenegen.model.uncertainty.calibration import RISK
 from scenegen.run import Executor
 from scenegen.run.workers import guarded
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
+from scenegen.model.calibration import CLOSE, RISK, Given, Uncertainty, UncertaintyError
 from scenegen.model.config import Thresholds
-from scenegen.model.uncertainty.calibration import CLOSE, RISK, Given, Uncertainty, UncertaintyError
 from scenegen.truth import distance_field
 
 

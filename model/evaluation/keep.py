@@ -21,7 +21,7 @@ from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.planning.measure import Measurement
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.study.maps import Study
-from scenegen.model.evaluation.study.risk import Setting
+from scenegen.model.evaluation.study.planning import Setting
 
 MOST_BYTES = 1 << 30
 TREE, ARRAY = "tree", "array"

@@ -1,19 +1,31 @@
-"""What the bench compares: completers, and the truth itself. `predicted` and `pretrained` hold
-other rows."""
+"""What the bench compares: completers, the truth itself, and predictions that somebody else made,
+in an HDF5 file."""
 
+import math
 from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
 from typing import Protocol
 
+import h5py
+import isal.isal_zlib
 import numpy as np
 
-from scenegen.dataset.read import Split
-from scenegen.errors import printable
+from scenegen.dataset.layout import FILTERS, Column, unpack
+from scenegen.dataset.read import Dataset, Split
+from scenegen.errors import DatasetError, GuardError, printable, short
+from scenegen.files import open_bounded
+from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
+from scenegen.model.calibration import RISK, Given
 from scenegen.model.completion.protocol import (
+    PARTS,
+    SURE,
     MapCompleter,
     Prediction,
     PredictionError,
     check_prediction,
 )
+from scenegen.run.workers import guarded
 from scenegen.sample import Sample
 
 
@@ -87,3 +99,193 @@ class Truth:
         return Prediction(
             occupancy_probability=sample.occupancy.astype(np.float32)
         )  # whose transform is the distance
+
+
+WHO = ("world", "viewpoint")
+"""Names of the columns that say which sample a row predicts."""
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Predictions in an HDF5 file: `occupancy_probability` and/or `tudf`, float32 (N, *grid.shape);
+    where there are some, `probability`, calibrated, and `tudf_low`, bounds of the attribute `risk`;
+    and who is who: attribute `dataset` (the dataset's digest), `world` and `viewpoint`, int64 (N,),
+    and `split`, an attribute."""
+
+    path: Path
+    learned: bool = True
+
+    @property
+    def name(self) -> str:
+        """The file's, without its ending."""
+        return printable(self.path.stem)
+
+    def check(self, dataset: Dataset, split: str) -> None:
+        """Raise DatasetError unless the file predicts every sample of `split` of `dataset` once, on
+        its grid, in numbers that can be.
+
+        Another process, with limits, reads all of it first: HDF5 could make a small file large.
+        That costs about as much as reading the file.
+        """
+        names = [(world, viewpoint) for _, world, viewpoint in dataset.split(split).names]
+        digest, shape = str(dataset.manifest.digest), dataset.grid.shape
+        check = partial(
+            _check_file, folder=dataset.folder, digest=digest, split=split, names=names, shape=shape
+        )
+        try:
+            with open_bounded(self.path, 1 << 62):
+                pass
+            guarded(
+                check,
+                self.path,
+                seconds=GUARD_S + len(names) * math.prod(shape) / 1e6,
+                memory_bytes=GUARD_BYTES,
+            )
+        except FileNotFoundError:
+            raise DatasetError(
+                f"{self.path}: no such file; give an HDF5 file of predictions"
+            ) from None
+        except GuardError as error:
+            raise DatasetError(
+                f"{self.path}: cannot be read as HDF5 predictions ({error})"
+            ) from None
+
+    @cached_property
+    def _rows(self) -> dict[tuple[str, int, int], int]:
+        """Row of every (split, world, viewpoint)."""
+        with h5py.File(self.path, "r") as file:
+            return {(str(file.attrs["split"]), *pair): row for row, pair in enumerate(_pairs(file))}
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """See `Method.completion`. Raises KeyError for a sample that the file does not predict."""
+        row = self._rows[split.name, int(sample.world), int(sample.viewpoint)]
+        with h5py.File(self.path, "r") as file:
+            return _prediction(file, row)
+
+
+def _check_file(
+    path: Path,
+    *,
+    folder: Path,
+    digest: str,
+    split: str,
+    names: list[tuple[int, int]],
+    shape: tuple[int, ...],
+) -> None:
+    """Raise DatasetError unless the file at `path` predicts the samples `names`, (world,
+    viewpoint), of `split` of the dataset `digest` in `folder`, on maps of `shape`."""
+    try:
+        with h5py.File(path, "r") as file:
+            said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
+            if said[0] != digest:
+                raise DatasetError(
+                    f"predicts dataset {printable(said[0])[:12]}…, not {folder} ({digest[:12]}…); "
+                    "predict this one, and copy its digest into the attribute `dataset`"
+                )
+            if said[1] != split:
+                raise DatasetError(f"predicts split {short(said[1])}, expected {split!r}")
+            risk = file.attrs.get("risk", RISK)
+            if not (np.ndim(risk) == 0 and np.asarray(risk).dtype.kind in "fiu" and 0 < risk < 1):
+                raise DatasetError(
+                    f"attribute `risk` is {short(risk)}, expected a number between 0 and 1"
+                )
+            _check_arrays(file, split, names, shape)
+            for row in range(len(names)):
+                check_prediction(_prediction(file, row), shape, f"row {row}")
+    except (DatasetError, PredictionError) as error:
+        raise DatasetError(f"{path}: {error}") from None
+    except Exception as error:  # h5py's errors share no base
+        raise DatasetError(
+            f"{path}: cannot be read as HDF5 predictions: {printable(error)[:200]}"
+        ) from None
+
+
+def _check_arrays(
+    file: h5py.File, split: str, names: list[tuple[int, int]], shape: tuple[int, ...]
+) -> None:
+    links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS, *SURE)}
+    held = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
+    if (
+        not set(WHO) <= set(held)
+        or not set(PARTS) & set(held)
+        or any(link is not None for name, link in links.items() if name not in held)
+    ):
+        raise DatasetError(
+            f"expected world, viewpoint, and at least one of {', '.join(PARTS)}, none of them a "
+            f"link; found {held}"
+        )
+    for name in held:
+        maps = () if name in WHO else shape
+        kinds = "iu" if name in WHO else "fiub"
+        data = file[name]
+        if (
+            not isinstance(data, h5py.Dataset)
+            or data.is_virtual
+            or data.external
+            or data.dtype.kind not in kinds
+        ):
+            raise DatasetError(
+                f"{name} is no array of {'whole numbers' if name in WHO else 'float32'} in this "
+                f"file"
+            )
+        if data.ndim < 1 or data.shape[1:] != maps:
+            raise DatasetError(f"{name} holds maps of {data.shape[1:]}, expected {maps}")
+        if data.shape[0] != file["world"].shape[0]:
+            raise DatasetError(
+                f"{name} has {data.shape[0]} rows, expected {file['world'].shape[0]}, as many as "
+                f"world"
+            )
+        if data.chunks:
+            _check_chunks(name, data)
+    if file["world"].shape[0] > len(names):
+        raise DatasetError(
+            f"predicts {file['world'].shape[0]} samples, split {split} has {len(names)}"
+        )
+    for name in held:  # HDF5 would make up zeros
+        if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
+            raise DatasetError(
+                f"{name} is not written to its end; predict each sample of split {split} once"
+            )
+    found = set(_pairs(file))
+    missing = [name for name in names if name not in found]
+    if missing:
+        raise DatasetError(
+            f"{len(missing)} of {len(names)} samples are missing, the first is world "
+            f"{missing[0][0]}, viewpoint "
+            f"{missing[0][1]}; predict each sample of split {split} once"
+        )
+
+
+def _check_chunks(name: str, data: h5py.Dataset) -> None:
+    """Raise DatasetError unless every chunk unpacks to just its size: HDF5 would take whatever
+    comes out."""
+    if math.prod(data.chunks) * data.dtype.itemsize > MOST_CHUNK_BYTES:
+        raise DatasetError(f"{name} has chunks of {data.chunks}; store one map a chunk")
+    plan = data.id.get_create_plist()
+    filters = tuple(plan.get_filter(n)[0] for n in range(plan.get_nfilters()))
+    if not set(filters) <= FILTERS:
+        raise DatasetError(f"{name} has filters {filters}; store it plain or with gzip")
+    column = Column(name, data.dtype, data.chunks, filters, np.empty((0, 4), np.int64))
+    places: list[tuple[int, ...]] = []
+    data.id.chunk_iter(lambda chunk: places.append(chunk.chunk_offset))
+    for place in places:
+        left_out, packed = data.id.read_direct_chunk(place)
+        try:
+            unpack(packed, column, left_out)
+        except (ValueError, EOFError, isal.isal_zlib.error) as error:
+            raise DatasetError(
+                f"{name}: its chunk at {place} cannot be unpacked ({error})"
+            ) from None
+
+
+def _pairs(file: h5py.File) -> list[tuple[int, int]]:
+    return list(zip(*(file[name][:].tolist() for name in WHO), strict=True))
+
+
+def _prediction(file: h5py.File, row: int) -> Prediction:
+    parts = {name: file[name][row].astype(np.float32) for name in PARTS | SURE if name in file}
+    sure = {name: parts.pop(name) for name in SURE if name in parts}
+    return Prediction(
+        **parts,
+        uncertainty=Given(**sure, risk=float(file.attrs.get("risk", RISK))) if sure else None,
+    )

@@ -14,8 +14,7 @@ from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import PLAN_METRICS, Metric
 from scenegen.model.evaluation.report import reconstruction_table
 from scenegen.model.evaluation.shown import CAUSES
-from scenegen.model.evaluation.statistics import caution
-from scenegen.model.evaluation.tables import interval, spread, threshold
+from scenegen.model.evaluation.statistics import caution, interval, spread, threshold
 
 REFERENCES = ("truth", "seen")
 """Rows that nobody can beat, so that they are never the best."""

@@ -12,13 +12,23 @@ import numpy as np
 
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation import paper
-from scenegen.model.evaluation.difficulty import DESCRIPTORS
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
-from scenegen.model.evaluation.statistics import Scale, caution, figure, holm, paired_p, summarize
+from scenegen.model.evaluation.statistics import (
+    Scale,
+    caution,
+    cell,
+    figure,
+    head,
+    holm,
+    interval,
+    line,
+    paired_p,
+    spread,
+    summarize,
+)
 from scenegen.model.evaluation.study.report import study_lines, study_of
-from scenegen.model.evaluation.tables import cell, head, interval, line, spread
-from scenegen.model.evaluation.visibility import CLASSES
+from scenegen.model.evaluation.visibility import CLASSES, DESCRIPTORS
 
 BEST_IOU, UNITS = "best_iou", {"probability": "", "distance_m": " m"}
 """A column of the tables, and the units of the thresholds at which it stands."""

@@ -17,14 +17,18 @@ from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.difficulty import describe
 from scenegen.model.evaluation.methods import Method
-from scenegen.model.evaluation.planning.measure import Measurement, run_trial
-from scenegen.model.evaluation.planning.trials import Trials, draw_trials
-from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.metrics import measure
+from scenegen.model.evaluation.planning.measure import Measurement, Trials, draw_trials, run_trial
 from scenegen.model.evaluation.study.maps import Study, stack, study_map
 from scenegen.model.evaluation.tuning import spread, tune
-from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, classify, scored_layers
+from scenegen.model.evaluation.visibility import (
+    CLASSES,
+    UNOBSERVED,
+    classify,
+    describe,
+    scored_layers,
+)
 from scenegen.run import Executor
 from scenegen.run.workers import Local
 from scenegen.sample import Sample
@@ -248,7 +252,7 @@ def _work(
 
 def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
     """See `seen_occupancy`, which compiles worlds, and so is imported only then."""
-    from scenegen.model.evaluation.seen import seen_occupancy
+    from scenegen.model.evaluation.visibility import seen_occupancy
 
     return seen_occupancy(sample, split)
 

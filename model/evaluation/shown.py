@@ -1,5 +1,8 @@
-"""What methods say of a sample, and the paths that the bench plans on it, as they are shown."""
+"""What methods say of a sample, and the paths that the bench plans on it, as they are shown;
+pictures of trials that failed."""
 
+import dataclasses
+import io
 from collections.abc import Sequence
 from functools import partial
 
@@ -7,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
-from scenegen.dataset.read import Split
-from scenegen.display.look import Guess, Guesses, Route
+from scenegen.dataset.read import Dataset, Split
+from scenegen.display.look import Guess, Guesses, Route, look_into
 from scenegen.errors import DatasetError
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
 from scenegen.model.evaluation.planning.measure import judge
 from scenegen.model.evaluation.planning.refine import refine
-from scenegen.model.evaluation.run import trials_of
+from scenegen.model.evaluation.run import DatasetResult, trials_of
 from scenegen.sample import Sample
 
 CAUSES = {
@@ -94,3 +97,59 @@ def route_to(
         if measured.hit is None
         else grid.centres(sample.origin).reshape(-1, 3)[measured.hit],
     )
+
+
+MOST = 3
+WIDE = 900
+"""Pixels of a picture."""
+
+
+def failing(result: DatasetResult, most: int = MOST) -> tuple[str, list[int]]:
+    """The learned method that succeeds most often, and trials of different worlds in which its path
+    meets an obstacle.
+
+    "" and none where no method is learned.
+    """
+    learned = {name: found for name, found in result.methods.items() if found.learned}
+    if not learned:
+        return "", []
+    name = max(learned, key=lambda one: sum(trial.success for trial in learned[one].trials))
+    worlds: dict[int, int] = {}
+    for n, trial in enumerate(learned[name].trials):
+        if trial.hit is not None:
+            worlds.setdefault(int(result.trial_worlds[n]), n)
+    return name, list(worlds.values())[:most]
+
+
+def draw_failures(
+    result: DatasetResult, dataset: Dataset, methods: Sequence[Method]
+) -> list[tuple[str, bytes]]:
+    """What each picture shows, and the picture, WebP. Raises ImportError where matplotlib is not
+    installed."""
+    from PIL import Image
+
+    from scenegen.display.figures import draw_paths
+    from scenegen.display.panels import to_bytes
+
+    shown = [
+        method
+        for method in methods
+        if method.name in result.methods and result.methods[method.name].learned
+    ]
+    name, trials = failing(result)
+    found = []
+    for n in trials:
+        index, turn = result.trial_places[n]
+        look = look_into(
+            dataset.split(result.config.split), index, guesses_of(shown, result.config, turn)
+        )
+        told = f"{name} fails: {look.name}, goal {turn}"
+        figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
+        image = Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB")
+        image = image.resize(
+            (WIDE, round(image.height * WIDE / image.width)), Image.Resampling.LANCZOS
+        )
+        memory = io.BytesIO()
+        image.save(memory, "WEBP", quality=70)
+        found.append((told, memory.getvalue()))
+    return found

@@ -1,9 +1,9 @@
-"""Figures with their uncertainty. Samples of one world are not independent, so worlds are what is
-left out in turn."""
+"""Figures with their uncertainty, and as text. Samples of one world are not independent, so worlds
+are left out in turn."""
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -173,3 +173,36 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
 def _mean(sums: NDArray[np.float64]) -> NDArray[np.float64]:
     """Means (draws,) of sums and counts (draws, 2)."""
     return np.asarray(sums[:, 0] / sums[:, 1])
+
+
+def head(names: Collection[str]) -> list[str]:
+    """The first two lines of a table whose first column has no name."""
+    return [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
+
+
+def line(name: str, cells: Iterable[str]) -> str:
+    """A row: its name and its cells."""
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def cell(figure: Mapping[str, Any]) -> str:
+    """A figure with its spread and interval, and its threshold; a dash where nothing was
+    measured."""
+    if not figure["n"]:
+        return "–"
+    return f"{spread(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
+
+
+def threshold(figure: Mapping[str, Any]) -> str:
+    """At which threshold a figure stands, where that is its own."""
+    return f" at {figure['at']}" if figure.get("at") else ""
+
+
+def interval(figure: Mapping[str, Any], form: str) -> str:
+    """[low, high], or a dash where one world gives none."""
+    return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
+
+
+def spread(mean: float, std: float | None) -> str:
+    """A mean with its standard deviation, where there is one."""
+    return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

@@ -1,16 +1,26 @@
-"""Which part of a map was seen how: a class for every voxel."""
+"""Which part of a map was seen how, what the sensor had a chance to know, and how hard a map is."""
 
+import dataclasses
 import math
 from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import AnalyticEngine, GridSpec, Sensor
+from lidarsim.solids.shapes import Solids
+from scenegen.dataset.extract import compile_archived
+from scenegen.dataset.read import Dataset, Split
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.model.inputs import within_view
 from scenegen.sample import Sample
+from scenegen.truth import rasterize
 
 CLASSES = ("observed", "crossed", "occluded", "interior", "out_of_view")
 """How a voxel was seen. An `observed` voxel holds a return. A `crossed` one holds none, and some
@@ -60,3 +70,100 @@ def classify(
     if scored is not None:
         classes[..., ~scored] = UNSCORED
     return classes
+
+
+class Seen:
+    """The truth of the obstacles that returned something, as if it had been predicted: the ceiling
+    of any completion, for of the other obstacles a scan says nothing."""
+
+    name = "seen"
+    learned = False
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """See `Method.completion`. Raises DatasetError where the sample's world cannot be
+        compiled."""
+        return Prediction(occupancy_probability=seen_occupancy(sample, split).astype(np.float32))
+
+
+def seen_occupancy(sample: Sample, split: Split) -> NDArray[np.bool_]:
+    """The voxels (*grid.shape) that touch an obstacle, a geom of the world, that returned at least
+    one of the sample's rays, wherever it did so.
+
+    Which geom a ray met is found by casting anew in the archived world: a dataset stores ranges
+    alone. Rays without a stored return count as none. Raises DatasetError where the world cannot be
+    compiled.
+    """
+    dataset = split.dataset
+    solids, engine = _world(dataset.folder, split.name, int(sample.world))
+    scans = sample.scans()
+    origins, directions = (
+        np.array([scan.pose.position for scan in scans]),
+        np.array([scan.directions for scan in scans]),
+    )
+    hits = engine.hits(origins, directions, dataset.lidar.max_range_m)
+    geoms = hits.geoms[np.isfinite([scan.ranges for scan in scans])]
+    return rasterize(some_of(solids, np.unique(geoms)), dataset.grid, sample.origin)
+
+
+def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
+    """Those of `solids` whose numbers are among `geoms` (k,)."""
+    kept = np.isin(solids.geom, geoms)
+    plain, meshes = np.split(kept, [len(solids.shape)])
+    sizes = np.diff(solids.mesh_start)
+    arrays = {
+        name: getattr(solids, name)[plain]
+        for name in ("shape", "size", "position", "rotation", "lower", "upper")
+    }
+    return dataclasses.replace(
+        solids,
+        **arrays,
+        triangles=solids.triangles[np.repeat(meshes, sizes)],
+        mesh_start=np.cumsum([0, *sizes[meshes]]),
+        mesh_filled=solids.mesh_filled[meshes],
+        geom=solids.geom[kept],
+    )
+
+
+@lru_cache(maxsize=2)  # the samples of a world come one after the other
+def _world(folder: Path, split: str, number: int) -> tuple[Solids, AnalyticEngine]:
+    """The solids of an archived world, and what casts rays in it."""
+    solids = compile_archived(Dataset(folder), split, number).solids
+    return solids, AnalyticEngine(solids, threads=1)
+
+
+DESCRIPTORS = ("gap_m", "traversable", "hidden")
+"""gap_m: twice the median distance to solids on the ridges between them, metres · traversable:
+share of the planner's lattice that can be reached from the sensor in the truth · hidden: share of
+the occupied voxels that hold no return."""
+
+
+def describe(sample: Sample, *, grid: GridSpec, config: PlanConfig) -> np.ndarray:
+    """The descriptors of one sample, (len(DESCRIPTORS),); NaN where there is nothing to measure."""
+    occupied = np.count_nonzero(sample.occupancy)
+    hidden = 1 - np.count_nonzero(sample.observed) / occupied if occupied else np.nan
+    return np.array([_gap(sample, grid), _traversable(sample, grid, config), hidden])
+
+
+def _gap(sample: Sample, grid: GridSpec) -> float:
+    """A ridge voxel is free, nearer than the truncation, no nearer to solids than its six
+    neighbours are, and not at the map's border, beyond which nothing is known."""
+    field = sample.tudf
+    ridge = (field > 0) & (field < np.float32(grid.truncation_m))
+    for axis in range(3):
+        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        here, there = tuple(behind), tuple(ahead)
+        ridge[here] &= field[here] >= field[there]
+        ridge[there] &= field[there] >= field[here]
+    field, ridge = field[1:-1, 1:-1, 1:-1], ridge[1:-1, 1:-1, 1:-1]
+    return float(2 * np.median(field[ridge])) if ridge.any() else float("nan")
+
+
+def _traversable(sample: Sample, grid: GridSpec, config: PlanConfig) -> float:
+    """Nodes in the start's connected component, of all nodes; 0 where the start is blocked."""
+    lattice = Lattice(grid, config.step_voxels)
+    nodes = np.indices(lattice.shape).reshape(3, -1).T
+    free = ~sample.occupancy[tuple(lattice.voxels(nodes).T)].reshape(lattice.shape)
+    parts, _ = ndimage.label(free, structure=np.ones((3, 3, 3)))
+    start = parts[tuple(lattice.start)]
+    return float((parts == start).mean()) if start else 0.0

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from scenegen.model.calibration import corrected
 from scenegen.model.config import PROTOCOLS, LossConfig, NetworkConfig, Thresholds, TrainConfig
-from scenegen.model.uncertainty.calibration import corrected
 
 SEEDS = {"occ": 3, "proposed": 3, "proposed-1": 3}
 """How many seeds the runs have that a verdict compares, where it is not `LEAST_SEEDS`: no ordering

@@ -22,12 +22,11 @@ from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.reproduce.claims import judge
 from scenegen.model.reproduce.config import ReproduceConfig
-from scenegen.model.reproduce.figures import draw
 from scenegen.model.reproduce.records import Measured, Records
-from scenegen.model.reproduce.report import SHOWN, to_markdown
+from scenegen.model.reproduce.report import SHOWN, draw, to_markdown
 from scenegen.model.reproduce.rows import measure, rows_of
 from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, RUNS, Run
-from scenegen.model.training.curve import read_rows
+from scenegen.model.training.card import read_rows
 from scenegen.model.training.data import opened
 from scenegen.model.training.device import choose_device
 from scenegen.model.training.loop import Watcher, train

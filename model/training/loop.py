@@ -26,7 +26,7 @@ from scenegen.model.config import VARIANTS, TrainConfig, is_own
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output, build, placed
-from scenegen.model.training.course import Course
+from scenegen.model.training.course import Course, validate
 from scenegen.model.training.data import (
     Batch,
     LoaderError,
@@ -45,7 +45,6 @@ from scenegen.model.training.device import (
     resolve_precision,
 )
 from scenegen.model.training.run_folder import LEVEL, Progress, RunFolder
-from scenegen.model.training.validation import validate
 from scenegen.run.software import commit, installed, software
 from scenegen.worlds.mapping import Mapper
 

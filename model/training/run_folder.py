@@ -22,8 +22,7 @@ from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
 from scenegen.model.config import LossConfig, NetworkConfig
-from scenegen.model.training.card import card
-from scenegen.model.training.curve import draw
+from scenegen.model.training.card import card, draw
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 BEST, LAST, LEVEL = "best.safetensors", "last.safetensors", "level.safetensors"
@@ -250,7 +249,7 @@ class RunFolder:
 
 
 def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
-    """The curve of `scenegen.model.training.curve` as PNG; None where matplotlib is not
+    """The curve of `scenegen.model.training.card` as PNG; None where matplotlib is not
     installed."""
     try:
         figure = draw(rows)

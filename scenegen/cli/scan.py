@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from lidarsim.engines import ENGINES
-from lidarsim.limits import MOST_LENGTH_M
-from lidarsim.parameters import Bounds
+from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
     SENSING,

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from lidarsim import BeamTable, Lidar, Sensor
-from lidarsim.limits import MOST_RAYS
 from lidarsim.noise import STAGES
+from lidarsim.parameters import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen.errors import BrokenError, DatasetError, NewerError, printable, short
 from scenegen.files import read_bounded, write_whole

@@ -9,7 +9,7 @@ still counts as touching.
 Whether solid and cube meet is decided to rounding. At a distance, corners and edges count up to the
 root of three times `slack`, and ellipsoids up to 1.3 times, where their least radius of curvature
 (least semi-axis squared over the greatest) is at least `slack`; thinner ones err on the side of
-touching.
+touching. A GPU runs the same functions (`lidarsim.gpu.translate`).
 """
 
 import math

@@ -1,5 +1,5 @@
 """Triangles: whether a cube touches one, how far a point is from one, and what a closed soup of
-them contains."""
+them contains. A GPU runs the first and `crossing`, too (`lidarsim.gpu.translate`)."""
 
 import math
 

@@ -14,8 +14,7 @@ from ompl import util as ou
 
 from lidarsim import Pose
 from lidarsim.elementary import sin_cos
-from lidarsim.limits import MOST_LENGTH_M
-from lidarsim.parameters import check, number
+from lidarsim.parameters import MOST_LENGTH_M, check, number
 from scenegen.errors import GenerationError
 from scenegen.limits import (
     LEAST_DRAWN_M,

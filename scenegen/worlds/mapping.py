@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from lidarsim.fusion import Fusion
-from lidarsim.limits import MOST_LENGTH_M
-from lidarsim.parameters import number
+from lidarsim.parameters import MOST_LENGTH_M, number
 from scenegen.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Mapping
 from xml.parsers import expat
 
-from lidarsim.limits import MOST_LENGTH_M
+from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.errors import BrokenError, short
 from scenegen.limits import (
     MOST_ASKED,

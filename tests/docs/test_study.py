@@ -11,8 +11,7 @@ import pytest
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.reproduce.claims import PATIENCE, decided, seeded, spread, waited
-from scenegen.model.reproduce.figures import claims, learning
-from scenegen.model.reproduce.report import to_markdown
+from scenegen.model.reproduce.report import claims, learning, to_markdown
 
 DOCS = Path(__file__).parents[2] / "docs"
 FIGURE = re.compile(r"(?<![\w.])[+-]?0?\.\d{3}(?!\d)")

@@ -22,8 +22,8 @@ from scenegen.model.checkpoint import (
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_scan, predict_split
 from scenegen.model.config import INPUTS, NetworkConfig, Thresholds, TrainConfig
+from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.evaluation.metrics import METRICS, Metric
-from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.inputs import PointScan, centres, channels
 from scenegen.model.network import Network

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from scenegen.model.config import VARIANTS, NetworkConfig
+from scenegen.model.facts import cost
 from scenegen.model.network import Columns, Conv3d, CrossFusion, FinalUp, Network
-from scenegen.model.summary import cost
 
 SHAPE = (16, 24, 8)
 

@@ -13,8 +13,8 @@ from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import load_tensors
 from scenegen.model.reproduce import stages
 from scenegen.model.reproduce.config import ReproduceConfig
-from scenegen.model.reproduce.estimate import estimate
 from scenegen.model.reproduce.report import to_markdown
+from scenegen.model.reproduce.rows import estimate
 from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, LEAST_SEEDS, RUNS, SEEDS
 from scenegen.model.reproduce.stages import RECORDS, STUDY, TEXT, begin, runs
 from scenegen.recipe import preset
@@ -68,7 +68,7 @@ def test_a_study_goes_on_with_its_own_settings_alone(tmp_path: Path) -> None:
 
 def test_estimates_grow_with_what_is_to_be_done(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "scenegen.model.reproduce.estimate._map_seconds", lambda device: 0.1
+        "scenegen.model.reproduce.rows._map_seconds", lambda device: 0.1
     )  # it takes seconds
     small, large = (
         estimate(config, runs(config), device="cpu", workers=2)

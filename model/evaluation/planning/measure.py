@@ -1,8 +1,11 @@
-"""One trial: a path planned and refined on a predicted map, and judged in the truth."""
+"""Planning trials: goals, and paths planned, refined, and judged in the truth; and a planner for
+which risk is one number."""
 
+import dataclasses
 import math
-from dataclasses import dataclass
-from typing import Literal
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,8 +13,67 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
 from scenegen.model.evaluation.config import PlanConfig
-from scenegen.model.evaluation.planning.astar import Blocked, Plan, checked, plan_path
+from scenegen.model.evaluation.planning.astar import Blocked, Lattice, Plan, checked, plan_path
 from scenegen.model.evaluation.planning.refine import field_at, refine
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """The valid trials of one map, and how many draws were not."""
+
+    goals: NDArray[np.float64]
+    """(m, 3): points of lattice nodes, map frame, metres."""
+    excluded: Counter[Blocked] = field(default_factory=Counter)
+    """Goals drawn and not kept, by reason. A blocked start excludes as many as were asked for."""
+
+
+def draw_trials(
+    occupancy_truth: NDArray[np.bool_],
+    grid: GridSpec,
+    config: PlanConfig,
+    *,
+    count: int,
+    rng: np.random.Generator,
+    bounds: ArrayLike | None = None,
+) -> Trials:
+    """`count` goals, or as many as there are, drawn without replacement from the lattice's
+    outermost layer.
+
+    The layer is that of `config.goal_faces`, less the nodes outside `bounds` (2, 3), least and
+    greatest corner in the map frame, metres, where given: the world's, so that goals lie in it. A
+    goal counts when A* finds a path to it in `occupancy_truth` (*grid.shape); "cases where no
+    feasible solution is found using the ground-truth map are excluded" (the paper's section
+    "Planning with Predicted Distance Fields"), and counted here.
+    """
+    truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
+    lattice = Lattice(grid, config.step_voxels)
+    if truth[tuple(lattice.voxels(lattice.start))]:
+        return Trials(np.empty((0, 3)), Counter({"start_blocked": count}))
+    candidates = lattice.centres(boundary_nodes(lattice, config.goal_faces))
+    if bounds is not None:
+        low, high = np.asarray(bounds, dtype=np.float64)
+        candidates = candidates[((candidates >= low) & (candidates <= high)).all(axis=1)]
+    goals: list[NDArray[np.float64]] = []
+    excluded: Counter[Blocked] = Counter()
+    for goal in candidates[rng.permutation(len(candidates))]:
+        if len(goals) == count:
+            break
+        _, reason = plan_path(truth, goal, grid, config)
+        if reason is None:
+            goals.append(goal)
+        else:
+            excluded[reason] += 1
+    return Trials(np.array(goals).reshape(-1, 3), excluded)
+
+
+def boundary_nodes(lattice: Lattice, faces: str) -> NDArray[np.int64]:
+    """Nodes (n, 3) of the outermost layer in x or y ("lateral"), or in z, too ("box"), in order;
+    never the start."""
+    nodes = np.indices(lattice.shape).reshape(3, -1).T
+    axes = 2 if faces == "lateral" else 3
+    outer = (nodes == 0) | (nodes == np.array(lattice.shape) - 1)
+    return nodes[outer[:, :axes].any(axis=1) & (nodes != lattice.start).any(axis=1)]
+
 
 Cause = Blocked | Literal["initial_collides", "refined_into_obstacle"]
 
@@ -181,3 +243,51 @@ def _voxel(shape, point, voxel_m):
     j = min(max(math.floor(point[1] / voxel_m), 0), shape[1] - 1)
     k = min(max(math.floor(point[2] / voxel_m), 0), shape[2] - 1)
     return int(i), int(j), int(k)
+
+
+class Careful(NamedTuple):
+    """A path that a careful planner made."""
+
+    plan: Plan
+    """What A* found; no path where the planner abstains."""
+    path: NDArray[np.float64] | None
+    """(n, 3): refined, map frame, metres."""
+    voxels: NDArray[np.int64]
+    """Those that it meets, counted in C order, each once."""
+
+    def judged(
+        self,
+        occupancy_truth: NDArray[np.bool_],
+        tudf_truth: NDArray[np.floating],
+        grid: GridSpec,
+        config: PlanConfig,
+    ) -> Measurement:
+        """The path in the truth; see `judge`."""
+        return judge(self.plan, self.path, occupancy_truth, tudf_truth, grid, config)
+
+
+def plan_carefully(
+    blocked: NDArray[np.bool_],
+    field: NDArray[np.floating],
+    goal: ArrayLike,
+    grid: GridSpec,
+    config: PlanConfig,
+) -> Careful:
+    """Plan to `goal` (3,), a node's point, through voxels that are not `blocked` (*grid.shape), and
+    refine on `field` (*grid.shape), metres.
+
+    The planner keeps to what it knows: A* asks that edges be free, too; the start's own voxel is,
+    for a robot is there; and where the refined path meets a blocked voxel that A*'s does not, A*'s
+    stands. With bounds of a risk (`Prediction.low`), a voxel is blocked where its bound is 0, and
+    the bounds are the field.
+    """
+    plan = plan_path(
+        blocked, goal, grid, dataclasses.replace(config, edge_check=True, free_start=True)
+    )
+    if plan.waypoints is None:
+        return Careful(plan, None, np.empty(0, np.int64))
+    path = refine(plan.waypoints, field, grid, config)
+    voxels, allowed = met(path, grid, config), met(plan.waypoints, grid, config)
+    if blocked.reshape(-1)[np.setdiff1d(voxels, allowed, assume_unique=True)].any():
+        return Careful(plan, plan.waypoints, allowed)
+    return Careful(plan, path, voxels)

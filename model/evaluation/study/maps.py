@@ -1,25 +1,87 @@
-"""One method studied on one map."""
+"""One method studied on one map, also over thresholds."""
 
+import dataclasses
 import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
+from scenegen.model.calibration import corrected
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.reconstruction import measure
-from scenegen.model.evaluation.study import calibration, risk
-from scenegen.model.evaluation.study.bounds import JUDGED, PARTS, judge_bounds
+from scenegen.model.config import Thresholds
+from scenegen.model.evaluation.config import BenchConfig, StudyConfig
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, measure
+from scenegen.model.evaluation.planning.measure import run_trial
+from scenegen.model.evaluation.statistics import figure
+from scenegen.model.evaluation.study import calibration, planning
+from scenegen.model.evaluation.study.calibration import JUDGED, PARTS, judge_bounds
 from scenegen.model.evaluation.study.planning import fields_of, run_variants, variants
-from scenegen.model.evaluation.study.thresholds import run_thresholds
 from scenegen.model.evaluation.visibility import UNOBSERVED, UNSCORED
-from scenegen.model.uncertainty.calibration import corrected
 from scenegen.sample import Sample
 from scenegen.truth import distance_field
+
+SHOWN = ("precision", "recall", "iou")
+"""Metrics of a map at a threshold; `success` of a trial is beside them."""
+PLACES = [list(METRICS).index(name) for name in SHOWN]
+
+
+def chosen(by_probability: bool, study: StudyConfig) -> tuple[str, tuple[float, ...]]:
+    """The name in `Thresholds` of what a method is cut by, and where."""
+    return (
+        ("probability", study.curve_probabilities)
+        if by_probability
+        else ("distance_m", study.curve_distances_m)
+    )
+
+
+def run_thresholds(
+    said: Prediction,
+    truth: tuple[NDArray[np.bool_], NDArray[np.float32]],
+    goals: NDArray[np.float64],
+    grid: GridSpec,
+    config: BenchConfig,
+    *,
+    classes: NDArray[np.uint8],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """One map at each threshold: the metrics (thresholds, SHOWN), and which trials succeed (goals,
+    thresholds). Voxels whose `classes` (*grid.shape) are not 0 are not scored."""
+    name, values = chosen(said.occupancy_probability is not None, config.variants)
+    maps, trials = np.empty((len(values), len(SHOWN))), np.empty((len(goals), len(values)))
+    for n, value in enumerate(values):
+        at = dataclasses.replace(Thresholds(), **{name: value})
+        cut = said.occupied(at), said.distance(at, grid)
+        maps[n] = measure(
+            *cut, *truth, classes=classes, class_count=1, config=config.reconstruction
+        )[0, PLACES]
+        trials[:, n] = [run_trial(*cut, *truth, goal, grid, config.plan).success for goal in goals]
+    return maps, trials
+
+
+def thresholds_of(
+    maps: NDArray[np.float64],
+    trials: NDArray[np.float64],
+    worlds: NDArray[np.int64],
+    trial_worlds: NDArray[np.int64],
+    by_probability: bool,
+    study: StudyConfig,
+) -> list[dict[str, Any]]:
+    """The report of maps (N, thresholds, SHOWN) and trials (trials, thresholds): a row a
+    threshold."""
+    name, values = chosen(by_probability, study)
+    return [
+        {"by": name, "value": value}
+        | {
+            metric: figure(maps[:, n, m], worlds, METRICS[metric].scale)
+            for m, metric in enumerate(SHOWN)
+        }
+        | {"success": figure(trials[:, n], trial_worlds, PLAN_METRICS["success"].scale)}
+        for n, value in enumerate(values)
+    ]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,7 +104,7 @@ class Study:
     """([N,] thresholds, metrics): see `run_thresholds`."""
     curve_trials: NDArray[np.float64]
     """(trials, thresholds): which succeed."""
-    settings: tuple[risk.Setting, ...]
+    settings: tuple[planning.Setting, ...]
     """What the careful planner goes by."""
     careful: NDArray[np.float64]
     """(trials, settings, figures): see `run_settings`."""
@@ -90,7 +152,7 @@ def study_map(
     judged, sparse = np.empty((0, len(PARTS), len(JUDGED))), np.nan
     if risks:
         judged, sparse = judge_bounds(said, distance, sample.tudf, bits)
-    settings = risk.settings(said, config.variants)
+    settings = planning.settings(said, config.variants)
     chosen, fields = variants(config.plan, config.variants), fields_of(said, occupied, grid)
     unscored = np.where(scored, np.uint8(0), np.uint8(UNSCORED))
     curve, curve_trials = run_thresholds(said, truth, goals, grid, config, classes=unscored)
@@ -111,7 +173,7 @@ def study_map(
         curve=curve,
         curve_trials=curve_trials,
         settings=settings,
-        careful=risk.run_settings(settings, said, truth, goals, grid, config.plan),
+        careful=planning.run_settings(settings, said, truth, goals, grid, config.plan),
     )
 
 

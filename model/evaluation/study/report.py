@@ -8,14 +8,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.statistics import figure
-from scenegen.model.evaluation.study.bounds import JUDGED, PARTS, bounds_of
-from scenegen.model.evaluation.study.calibration import READINGS, SCORES, reliability
-from scenegen.model.evaluation.study.maps import Study, ranges
-from scenegen.model.evaluation.study.planning import COLUMNS, FATES, SEARCHES, Variant, variants
-from scenegen.model.evaluation.study.risk import CHANCES, TOLD, risk_of
-from scenegen.model.evaluation.study.thresholds import thresholds_of
-from scenegen.model.evaluation.tables import head, interval, line
+from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.evaluation.study.calibration import (
+    JUDGED,
+    PARTS,
+    READINGS,
+    SCORES,
+    bounds_of,
+    reliability,
+)
+from scenegen.model.evaluation.study.maps import Study, ranges, thresholds_of
+from scenegen.model.evaluation.study.planning import (
+    CHANCES,
+    COLUMNS,
+    FATES,
+    SEARCHES,
+    TOLD,
+    Variant,
+    risk_of,
+    variants,
+)
 
 if TYPE_CHECKING:
     from scenegen.model.evaluation.run import DatasetResult, MethodResult

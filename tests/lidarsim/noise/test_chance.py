@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lidarsim.noise.chance import normal
+from lidarsim.noise.returns import normal
 
 
 @pytest.mark.parametrize("shape", [(50_000,), (3, 7001)])

@@ -14,11 +14,9 @@ from lidarsim import AnalyticEngine, BeamTable, MujocoEngine, Pose, Scan, cast
 from lidarsim.noise import Stage
 from lidarsim.noise.beam import Divergence
 from lidarsim.noise.chain import Noise
-from lidarsim.noise.light import Intensity
-from lidarsim.noise.losses import Dropout, Faint, Far, Grazing, Spurious
-from lidarsim.noise.motion import Motion
+from lidarsim.noise.losses import Dropout, Faint, Far, Grazing, Motion, Spurious
 from lidarsim.noise.ranges import Depth, Near, Quantise, Range
-from lidarsim.noise.returns import Returns, View, albedo_of
+from lidarsim.noise.returns import Intensity, Returns, View, albedo_of
 
 RAYS = 20_000
 REACH_M = 50.0

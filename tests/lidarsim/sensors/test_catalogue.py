@@ -16,7 +16,7 @@ from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.catalogue import NAMED
 from lidarsim.sensors.device import Device
 from lidarsim.sensors.nonrepetitive import Coil, Rosette
-from lidarsim.sensors.pinhole import Pinhole
+from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
 
 SPINNING = {

@@ -17,7 +17,7 @@ from scenegen.model.checkpoint import save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_scan, predict_split
 from scenegen.model.config import NetworkConfig, Thresholds
-from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.network import Network
 from tests.model.conftest import make_dataset
 

@@ -20,10 +20,9 @@ from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig, StudyConfig
-from scenegen.model.evaluation.methods import Completed, Truth
+from scenegen.model.evaluation.methods import Completed, Predicted, Truth
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.page import to_html
-from scenegen.model.evaluation.predicted import Predicted
 from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.study.figures import draw

@@ -11,6 +11,7 @@ import torch
 
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
+from scenegen.model.calibration import KEY, Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.commands import bench
 from scenegen.model.completion.completer import Completer
@@ -19,9 +20,8 @@ from scenegen.model.config import NetworkConfig
 from scenegen.model.evaluation import calibrate as module
 from scenegen.model.evaluation.calibrate import calibrate
 from scenegen.model.evaluation.config import StudyConfig
-from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.network import Network
-from scenegen.model.uncertainty.calibration import KEY, Calibration
 from tests.model.evaluation.test_bench import report_of
 
 FEW = StudyConfig(clearance_weights=(), safeties_m=(), range_step_m=9.0)

@@ -8,7 +8,7 @@ import pytest
 from lidarsim import GridSpec
 from scenegen.draw import draw_unit
 from scenegen.model.evaluation.config import PlanConfig
-from scenegen.model.evaluation.difficulty import DESCRIPTORS, describe
+from scenegen.model.evaluation.visibility import DESCRIPTORS, describe
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field

@@ -12,8 +12,7 @@ from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.seen import seen_occupancy
-from scenegen.model.evaluation.visibility import CLASSES, classify
+from scenegen.model.evaluation.visibility import CLASSES, classify, seen_occupancy
 from scenegen.source import DrawnWorlds
 from scenegen.worlds.mapping import Mapper
 from tests.conftest import small_recipe

@@ -13,12 +13,12 @@ from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.failures import draw_failures, failing
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.page import best, to_html
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.shown import draw_failures, failing
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 

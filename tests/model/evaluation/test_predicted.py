@@ -12,7 +12,7 @@ import pytest
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.predicted import Predicted
+from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.evaluation.tuning import tune
 from tests.model.evaluation.test_bench import report_of, write_predictions
 

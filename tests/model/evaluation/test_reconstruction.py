@@ -10,8 +10,7 @@ from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import ReconstructionConfig
-from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.reconstruction import measure
+from scenegen.model.evaluation.metrics import METRICS, measure
 from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_layers
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field

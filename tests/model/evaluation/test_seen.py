@@ -8,7 +8,7 @@ from lidarsim.solids.model import solids_of
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.protocol import check_prediction
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.seen import Seen, seen_occupancy, some_of
+from scenegen.model.evaluation.visibility import Seen, seen_occupancy, some_of
 from scenegen.truth import rasterize
 
 

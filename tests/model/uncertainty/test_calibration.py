@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from lidarsim import GridSpec
-from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
-from scenegen.model.uncertainty.calibration import (
+from scenegen.model.calibration import (
     KEY,
     Calibration,
     Given,
@@ -17,6 +16,7 @@ from scenegen.model.uncertainty.calibration import (
     corrected,
     corrected_logit,
 )
+from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
 
 GRID = GridSpec(shape=(8, 8, 8))
 PLAIN = Calibration(

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lidarsim import GridSpec
-from scenegen.model.uncertainty.calibration import Calibration
-from scenegen.model.uncertainty.fit import (
+from scenegen.model.calibration import Calibration
+from scenegen.model.evaluation.calibrate import (
     CHANCES,
     STEP_M,
     count_logits,

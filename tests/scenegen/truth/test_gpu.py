@@ -83,16 +83,10 @@ def test_samples_of_the_presets_have_the_same_bits(kind: str) -> None:
     assert found["observed"].any()
 
 
-def test_a_grid_that_is_not_the_occupancys_is_refused() -> None:
+def test_what_a_kernel_cannot_take_is_refused_in_one_line() -> None:
     occupancy = wp.zeros((1, 4, 4, 4), dtype=wp.bool, device="cpu")
-    with pytest.raises(
-        ValueError,
-        match=r"occupancy: an array \(1, 4, 4, 4\) of bool on cpu, expected \(1, 5, 4, 4\)",
-    ):
+    with pytest.raises(ValueError, match=r"^occupancy: .* expected \(1, 5, 4, 4\)"):
         gpu.distance_field(occupancy, GridSpec(shape=(5, 4, 4)))
-
-
-def test_surfaces_alone_are_refused() -> None:
     worlds = Worlds([solids_of(random_model(np.random.default_rng(0)))], device="cpu")
     with pytest.raises(ValueError, match=r"grid\.hollow = True: expected False on the GPU"):
         gpu.rasterize(worlds, GridSpec(hollow=True), np.zeros((1, 3)))

@@ -12,7 +12,7 @@ import trimesh
 
 import scenegen.source
 from lidarsim import MujocoEngine
-from lidarsim.limits import MOST_TRIANGLES
+from lidarsim.parameters import MOST_TRIANGLES
 from lidarsim.solids.model import solids_of
 from scenegen.errors import BrokenError, SceneError
 from scenegen.source import read_scenes

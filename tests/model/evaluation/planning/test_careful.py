@@ -5,12 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
+from scenegen.model.calibration import Calibration, UncertaintyError
+from scenegen.model.evaluation.calibrate import (
+    STEP_M,
+    count_scores,
+    fit_margins,
+    near_bins,
+    path_risks,
+)
 from scenegen.model.evaluation.config import PlanConfig
-from scenegen.model.evaluation.planning.careful import plan_carefully
-from scenegen.model.evaluation.planning.measure import met
-from scenegen.model.evaluation.planning.trials import draw_trials
-from scenegen.model.uncertainty.calibration import Calibration, UncertaintyError
-from scenegen.model.uncertainty.fit import STEP_M, count_scores, fit_margins, near_bins, path_risks
+from scenegen.model.evaluation.planning.measure import draw_trials, met, plan_carefully
 from scenegen.truth import distance_field
 from tests.model.evaluation.planning.test_measure import EAST, FAR, FREE, GRID, filled, scattered
 

@@ -10,9 +10,8 @@ from scipy.interpolate import RegularGridInterpolator
 from lidarsim import GridSpec
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
-from scenegen.model.evaluation.planning.measure import Measurement, run_trial
+from scenegen.model.evaluation.planning.measure import Measurement, draw_trials, run_trial
 from scenegen.model.evaluation.planning.refine import refine
-from scenegen.model.evaluation.planning.trials import draw_trials
 from scenegen.truth import distance_field
 
 GRID = GridSpec(shape=(40, 40, 20))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
-from scenegen.model.evaluation.planning.trials import draw_trials
+from scenegen.model.evaluation.planning.measure import draw_trials
 
 GRID = GridSpec(shape=(40, 40, 20))
 LATTICE = Lattice(GRID, 3)  # nodes at voxels 2, 5 ... 38 in x and y, at 1, 4 ... 19 in z

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from scenegen.model.calibration import Given
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.evaluation.study.bounds import PARTS, SHARES, ause, judge_bounds
-from scenegen.model.uncertainty.calibration import Given
+from scenegen.model.evaluation.study.calibration import PARTS, SHARES, ause, judge_bounds
 
 
 def test_sparsification() -> None:

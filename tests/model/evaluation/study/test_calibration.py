@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from scenegen.model.calibration import corrected
 from scenegen.model.evaluation.study.calibration import BINS, REGIONS, count, regions, reliability
-from scenegen.model.uncertainty.calibration import corrected
 
 SHAPE = (40, 40, 40)
 

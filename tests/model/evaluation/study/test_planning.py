@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig, StudyConfig
-from scenegen.model.evaluation.planning.measure import run_trial
-from scenegen.model.evaluation.planning.trials import draw_trials
+from scenegen.model.evaluation.planning.measure import draw_trials, run_trial
 from scenegen.model.evaluation.study.planning import (
     COLUMNS,
     FATES,

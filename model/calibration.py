@@ -1,9 +1,5 @@
-"""What was learned from validation worlds about a network's errors, and what it makes of a
-prediction.
-
-It stands in the header of the network's file, under ``calibration`` of what is said about it, as
-plain JSON.
-"""
+"""How sure a network is: calibrated probabilities and bounds of distance, from margins kept in its
+file."""
 
 import dataclasses
 import math
@@ -77,7 +73,7 @@ class Calibration:
     metres."""
     path_risks: tuple[float, ...] = ()
     """For every risk of `risks`, what share of the paths planned on its bounds collides at most:
-    see `scenegen.model.evaluation.planning.careful`. () where that was not measured."""
+    see `scenegen.model.evaluation.planning.measure`. () where that was not measured."""
     datasets: tuple[str, ...] = ()
     """Digests of the datasets whose validation worlds these are."""
 
