@@ -119,7 +119,7 @@ def test_a_sample_becomes_a_picture_with_its_sensor(
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
     (look,), _ = looks(Dataset(made), "train", [1])
     image = imread(io.BytesIO(to_bytes(draw_sample(look), ".png")), format="png")
-    assert image.shape[:2] == (468, 720)
+    assert image.shape[:2] == (441, 743)
     red = np.abs(image[..., :3] * 255 - SENSOR).max(axis=2) < 3
     assert red.sum() > 40
     less = replace(look, tudf=None, masks={"observed": look.masks["observed"]})
