@@ -15,9 +15,8 @@ from scenegen.errors import BrokenError, DatasetError, SceneError, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.worlds.drawing import flatten, least_memory
-from scenegen.worlds.geometry import geometry_digest
 from scenegen.worlds.screen import check_amounts, check_numbers, screen
-from scenegen.worlds.world import compile_world, quiet_mujoco
+from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
 
 ELEMENT = re.compile(
     r"<(/?)([A-Za-z]\w*)((?:(?:\s+|(?<=[\"']))[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*(/?)>"
@@ -45,7 +44,7 @@ class Scene:
     notes: tuple[str, ...] = field(default=())
     """What was left out or taken otherwise than one might expect: a sentence each."""
     geometry: bytes = b""
-    """See `scenegen.worlds.geometry.geometry_digest`."""
+    """See `scenegen.worlds.world.geometry_digest`."""
 
 
 @dataclass(frozen=True)
