@@ -17,7 +17,7 @@ from scenegen.sample import Sample, earlier_fields, whole
 from scenegen.source import Source
 from scenegen.truth import distance_field, rasterize
 from scenegen.worlds.flight import Viewpoints, plan, viewpoints
-from scenegen.worlds.labels import labelled
+from scenegen.worlds.labels import label_fields
 from scenegen.worlds.scans import scans_from, with_noise
 from scenegen.worlds.world import World
 
@@ -210,20 +210,20 @@ def samples_of(
         own, *earlier = scans
         origin = recipe.mapping.origin(recipe.grid, own.pose)
         seen = fuse(scans[::-1], recipe.grid, origin, recipe.mapping)
-        sample = whole(
-            {
-                "observed": seen.observed,
-                "free": seen.free,
-                "occupancy": occupancy,
-                "tudf": distance_field(occupancy, recipe.grid) if derived else np.empty(0, "<f4"),
-                "ranges": own.ranges,
-                "position": own.pose.position,
-                "quaternion": own.pose.quaternion,
-                "origin": seen.origin,
-                "world": number,
-                "viewpoint": first + view,
-                **earlier_fields(earlier),
-            }
-        )
-        found.append(labelled(sample, world, recipe.lidar, recipe.grid, recipe.labels))
+        values = {
+            "observed": seen.observed,
+            "free": seen.free,
+            "occupancy": occupancy,
+            "tudf": distance_field(occupancy, recipe.grid) if derived else np.empty(0, "<f4"),
+            "ranges": own.ranges,
+            "position": own.pose.position,
+            "quaternion": own.pose.quaternion,
+            "origin": seen.origin,
+            "world": number,
+            "viewpoint": first + view,
+            **earlier_fields(earlier),
+        }
+        if recipe.labels is not None:
+            values |= label_fields(values, world, recipe.lidar, recipe.grid, recipe.labels)
+        found.append(whole(values))
     return tuple(found)

@@ -25,13 +25,9 @@ STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
 MARK = "user.scenegen"
 """The attribute of every file written whole, which holds when that was: see `check_ours`."""
-DRAFT = re.compile(
-    r"\.scenegen-(?P<said>(?P<target>\w{12})-(?P<machine>\w{12})-(?P<pid>\d{1,10})-(?P<start>\d{1,20})-\w{16})"
-    r"-(?P<digest>\w{12})\.tmp",
-    re.ASCII,
-)
-"""What drafts are called: for which name, where and by which process, a secret, and a digest of it
-all."""
+DRAFT = re.compile(r"\.scenegen-(\w{12})-(\w{12})-(\d{1,10})-(\d{1,20})-\w{16}\.tmp", re.ASCII)
+"""What drafts are called: for which name, on which machine and by which process, when that began,
+and a secret."""
 
 
 def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
@@ -61,11 +57,10 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     if stat.S_ISREG(status.st_mode) and status.st_size <= most_bytes:
         return open(handle, "rb")
     os.close(handle)
+    fault = f"{status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
     if not stat.S_ISREG(status.st_mode):
-        raise DatasetError(f"{path}: is not a regular file; give a file")
-    raise DatasetError(
-        f"{path}: {status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
-    )
+        fault = "is not a regular file; give a file"
+    raise DatasetError(f"{path}: {fault}")
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
@@ -87,15 +82,9 @@ def check_target(path: Path) -> None:
         return
     except OSError as error:
         raise disk_error(path, error) from None
-    if stat.S_ISLNK(mode):
-        raise DatasetError(
-            f"{path}: is a symbolic link, which would be lost; give the name of the file it leads "
-            f"to"
-        )
     if not stat.S_ISREG(mode):
-        raise DatasetError(
-            f"{path}: is not a regular file, and only such a file is replaced; give another name"
-        )
+        what = "a symbolic link" if stat.S_ISLNK(mode) else "not a regular file"
+        raise DatasetError(f"{path}: is {what}, and only files are replaced; give another name")
 
 
 def check_ours(path: Path) -> None:
@@ -105,8 +94,7 @@ def check_ours(path: Path) -> None:
     check_target(path)
     if path.exists() and not _is_marked(path):
         raise DatasetError(
-            f"{path}: is there already, and not as scenegen wrote it; remove it, or give another "
-            f"name"
+            f"{path}: is there already, and not as scenegen wrote it; remove it, or give another name"
         )
 
 
@@ -174,10 +162,7 @@ def _draft(path: Path) -> Iterator[tuple[Path, BinaryIO]]:
                         )
                     os.fsync(file.fileno())
                     if not os.path.samestat(draft.lstat(), os.fstat(file.fileno())):
-                        raise DatasetError(
-                            f"{path}: somebody exchanged the file while it was written; write "
-                            f"elsewhere"
-                        )
+                        raise DatasetError(f"{path}: was exchanged while it was written")
                 check_target(path)
                 draft.replace(path)
             except BaseException:
@@ -211,9 +196,9 @@ def disk_error(path: Path, error: OSError) -> DatasetError:
 def draft_of(path: Path) -> Path:
     """A new name beside `path` that nobody can guess. It says for which name and by which process
     it is, so that `remove_drafts` finds what this program left behind, and nothing else."""
-    pid = os.getpid()
-    said = f"{_digest(path.name)}-{_machine()}-{pid}-{_start_of(pid)}-{secrets.token_hex(8)}"
-    return path.with_name(f".scenegen-{said}-{_digest(said)}.tmp")
+    pid, secret = os.getpid(), secrets.token_hex(8)
+    said = f"{_digest(path.name)}-{_machine()}-{pid}-{_start_of(pid)}-{secret}"
+    return path.with_name(f".scenegen-{said}.tmp")
 
 
 def names_in(folder: Path) -> set[str]:
@@ -232,11 +217,7 @@ def remove_drafts(folder: Path, target: str | None = None) -> None:
         return
     for draft in folder.glob(".scenegen-*.tmp"):
         said = DRAFT.fullmatch(draft.name)
-        if (
-            not said
-            or said["digest"] != _digest(said["said"])
-            or (target and said["target"] != _digest(target))
-        ):
+        if not said or (target and said[1] != _digest(target)):
             continue
         with suppress(OSError):  # another process may be removing it
             status = draft.lstat()
@@ -250,8 +231,9 @@ def remove_drafts(folder: Path, target: str | None = None) -> None:
 
 def _is_gone(said: re.Match[str], modified_s: float) -> bool:
     """Whether the process that a draft's name tells of has ended."""
-    if said["machine"] == _machine() and _start_of(os.getpid()):
-        return _start_of(int(said["pid"])) != int(said["start"])
+    _, machine, pid, start = said.groups()
+    if machine == _machine() and _start_of(os.getpid()):
+        return _start_of(int(pid)) != int(start)
     return time.time() - modified_s > STALE_S
 
 

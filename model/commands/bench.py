@@ -13,6 +13,7 @@ import rich_click as click
 from lidarsim.registry import Registry
 from scenegen.cli.options import (
     datasets_argument,
+    examples,
     find_datasets,
     json_option,
     on_option,
@@ -50,7 +51,13 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 """What `--quick` measures of every dataset."""
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "bench data/pillar --quick",
+        "bench data/pillar --weights columns --weights runs/mine -o bench/mine",
+        "bench data/pillar --method my_methods:Grown --method extrude",
+    )
+)
 @datasets_argument
 @click.option(
     "--method",

@@ -68,9 +68,8 @@ def _inspect_dataset(
 ) -> None:
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
-    from scenegen.display.inspect import MOST_MEASURED, misfits
+    from scenegen.display.inspect import MOST_MEASURED, misfits, statistics_page
     from scenegen.display.inspect import inspect as examine
-    from scenegen.display.statistics import statistics_page
     from scenegen.files import write_result
     from scenegen.model.config import NetworkConfig
 
@@ -125,7 +124,7 @@ def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
 def _show(dataset: Path | str, found: dict[str, Any]) -> None:
     """Prints the summary of a dataset, and a table of each split."""
     from scenegen.dataset.manifest import SEVERAL
-    from scenegen.display.statistics import FIGURES
+    from scenegen.display.inspect import LABELS
 
     grid, sources = found["grid"], found.get("sources", ())
     hollow = ", truth of surfaces" if grid.get("hollow") else ""
@@ -149,7 +148,7 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
     for name, split in found["splits"].items():
         rows = {}
         for key, value in split["statistics"].items():
-            _, unit, factor = FIGURES[key]
+            _, unit, factor = LABELS[key]
             label = {"range_m": "mean range", "tudf_m": "mean distance"}.get(key, key)
             rows[label] = "–"
             if value["mean"] is not None:

@@ -14,6 +14,7 @@ import rich_click as click
 from scenegen.cli import stops
 from scenegen.cli.options import (
     device_option,
+    examples,
     find_datasets,
     json_option,
     options_of,
@@ -72,7 +73,13 @@ class Weighted(click.ParamType):
         return self.of.shell_complete(ctx, param, incomplete)
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "train data/geometric data/pillar --variant occ --epochs 50 -o runs/occ",
+        "train --stream pillar --stream geometric --maps 200000",
+        "train data/mine --weights columns --lr 1e-4 --maps 5000 -o runs/mine",
+    )
+)
 @click.argument(
     "datasets", nargs=-1, type=Weighted(DatasetPath(), unsaid=None), metavar="[DATASET[=WEIGHT]]..."
 )

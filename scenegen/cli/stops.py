@@ -26,7 +26,8 @@ _noted: list[list[int]] = []
 
 def is_command() -> bool:
     """Whether this process was begun to be the command line, and not to import it."""
-    return os.path.basename(sys.argv[0]) in ("scenegen", "cli.py")  # noqa: PTH119 (pathlib takes time)
+    name = os.path.basename(sys.argv[0])  # noqa: PTH119 (pathlib takes time)
+    return name in ("scenegen", "cli.py")
 
 
 def answer() -> None:

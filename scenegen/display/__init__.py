@@ -1,2 +1,6 @@
-"""What was made, to look at: a page that needs no network, pictures without a screen, and other
-programs' formats."""
+"""What was made, to look at.
+
+`look` reads of a sample what can be shown. A page for a browser is made by `page` and served by
+`live`; pictures by matplotlib are made by `pictures` and `figures`, of the parts in `panels`;
+`inspect` sums datasets up. `exchange` writes other programs' formats.
+"""

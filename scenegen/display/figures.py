@@ -6,16 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
 from scenegen.display.colours import (
-    DISTANCES,
     GOAL,
-    HEIGHTS,
     INVENTED,
     MISSED,
     START,
@@ -25,12 +22,9 @@ from scenegen.display.colours import (
 from scenegen.display.look import Guess, Look
 from scenegen.display.oblique import VIEW, View
 from scenegen.display.panels import (
-    Place,
-    add_bar,
-    add_legend,
+    Grid,
+    at_sensor,
     ball,
-    blank,
-    draw_level,
     draw_panel,
     draw_voxels,
     frame_box,
@@ -48,57 +42,6 @@ STYLES = {"tudf": (0, (6, 1.5)), "occ": (0, (2, 1.2)), "proposed": "-"}
 """Dashes of paths by the names of the paper's networks, for readers who cannot tell the colours
 apart."""
 OTHER_STYLES: tuple[Any, ...] = ((0, (8, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
-WIDE, TALL = 3.05, 2.6
-"""A panel with voxels, inches."""
-TO_NEAREST = "to the nearest occupied / m"
-
-
-class Grid:
-    """A figure of panels in rows and columns, with a bar at its right and a legend below."""
-
-    def __init__(self, rows: int, columns: int, title: str, scale: float = 1.0):
-        self._rows, self._wide, self._tall = rows, scale * WIDE, scale * TALL
-        self.width = max(self._wide * columns + 0.95, 6.5)
-        self.height = self._tall * rows + 0.85
-        self.figure = blank(self.width, self.height, title)
-
-    def place(self, row: int, column: int, inset: Place = (0, 0, 1, 1)) -> Place:
-        """The place of a panel, or of a part of it: `inset` in shares of the panel."""
-        left, down, wide, tall = inset
-        panel_left = 0.05 + self._wide * column
-        panel_down = 0.4 + self._tall * (self._rows - 1 - row)
-        panel_wide, panel_tall = 0.98 * self._wide, 0.92 * self._tall
-        return (
-            (panel_left + left * panel_wide) / self.width,
-            (panel_down + down * panel_tall) / self.height,
-            wide * panel_wide / self.width,
-            tall * panel_tall / self.height,
-        )
-
-    def panel(self, row: int, column: int, inset: Place = (0, 0, 1, 1)) -> Any:
-        """The axes at that place."""
-        return self.figure.add_axes(self.place(row, column, inset))
-
-    def levels(self, row: int, look: Look, columns: Sequence[tuple[int, str, Any]]) -> None:
-        """Distances at the sensor's height: panels of (column, title, distances)."""
-        height = math.ceil((look.position[2] - look.origin[2]) / look.grid.voxel_m) - 1
-        level = int(np.clip(height, 0, look.grid.shape[2] - 1))
-        for column, title, tudf in columns:
-            panel = self.panel(row, column, (0.2, 0.15, 0.73, 0.74))
-            draw_level(panel, look, level, tudf)
-            put_title(panel, title)
-
-    def finish(self, looks: Sequence[Look], handles: Sequence[Any], *, distances: bool) -> Figure:
-        """Adds the bar, of distances or of heights, and the legend."""
-        high = min(2.4, self.height - 1.2) / self.height
-        place = (1 - 0.8 / self.width, 0.5 - high / 2, 0.13 / self.width, high)
-        if distances:
-            add_bar(self.figure, place, DISTANCES, (0, looks[0].grid.truncation_m), TO_NEAREST)
-        else:
-            highest = max(look.grid.extent_m[2] for look in looks)
-            add_bar(self.figure, place, HEIGHTS, (0, highest), "height over the map's floor / m")
-        add_legend(self.figure, handles)
-        return self.figure
 
 
 def draw_completions(looks: Sequence[Look], *, title: str) -> Figure:
@@ -122,14 +65,15 @@ def draw_completions(looks: Sequence[Look], *, title: str) -> Figure:
             put_title(panel, plain(guess.name))
     if alone:
         (look,) = looks
-        told = [(2 + names.index(one.name), one.name, one.tudf) for one in look.guesses]
-        columns = [(1, "truth", look.tudf), *told]
-        grid.levels(1, look, [(n, f"distances, {plain(name)}", tudf) for n, name, tudf in columns])
-        bar = grid.place(1, 0, (0.55, 0.14, 0.04, 0.74))
-        add_bar(grid.figure, bar, DISTANCES, (0, look.grid.truncation_m), TO_NEAREST)
+        grid.level(1, 1, look, at_sensor(look), look.tudf, "distances, truth")
+        for guess in look.guesses:
+            column, title = 2 + names.index(guess.name), f"distances, {plain(guess.name)}"
+            grid.level(1, column, look, at_sensor(look), guess.tudf, title)
+        grid.bar_of_distances(look, row=1)
     missed = Patch(color=rgb(MISSED), label="missed: occupied, not predicted")
     invented = Patch(color=rgb(INVENTED), label="invented: predicted, not occupied")
-    return grid.finish(looks, [ball("sensor"), missed, invented], distances=False)
+    grid.bar_of_heights(looks, row=0 if alone else None)
+    return grid.finish([ball("sensor"), missed, invented])
 
 
 def draw_distances(looks: Sequence[Look], *, title: str) -> Figure:
@@ -138,12 +82,13 @@ def draw_distances(looks: Sequence[Look], *, title: str) -> Figure:
     names = methods_of(looks)
     grid = Grid(len(looks), 1 + len(names), title)
     for row, look in enumerate(looks):
-        told = [(1 + names.index(one.name), one.name, one.tudf) for one in look.guesses]
-        columns = [(0, "truth", look.tudf), *told]
-        grid.levels(
-            row, look, [(n, plain(name) if row == 0 else "", tudf) for n, name, tudf in columns]
-        )
-    return grid.finish(looks, [ball("sensor")], distances=True)
+        shown = {"truth": look.tudf, **{guess.name: guess.tudf for guess in look.guesses}}
+        for name, tudf in shown.items():
+            column = 0 if name == "truth" else 1 + names.index(name)
+            title = plain(name) if row == 0 else ""
+            grid.level(row, column, look, at_sensor(look), tudf, title)
+    grid.bar_of_distances(looks[0])
+    return grid.finish([ball("sensor")])
 
 
 def draw_paths(looks: Sequence[Look], *, title: str) -> Figure:
@@ -157,7 +102,8 @@ def draw_paths(looks: Sequence[Look], *, title: str) -> Figure:
         panel = grid.panel(n // columns, n % columns)
         _draw_paths_in(panel, look, look.guesses, names, ticks=len(looks) == 1)
         put_title(panel, look.name)
-    return grid.finish(looks, _path_legend(names), distances=False)
+    grid.bar_of_heights(looks)
+    return grid.finish(_path_legend(names))
 
 
 def draw_example(looks: Sequence[Look], *, title: str) -> Figure:
@@ -175,7 +121,8 @@ def draw_example(looks: Sequence[Look], *, title: str) -> Figure:
         panel = grid.panel(row, len(names))
         _draw_paths_in(panel, look, look.guesses, names, ticks=False)
         put_title(panel, "truth" if row == 0 else "")
-    return grid.finish(looks, _path_legend(names), distances=False)
+    grid.bar_of_heights(looks)
+    return grid.finish(_path_legend(names))
 
 
 FIGURES: dict[str, Callable[..., Figure]] = {

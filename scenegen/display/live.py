@@ -1,8 +1,8 @@
 """The page of whole datasets, served on this machine: samples are read as one steps through them.
 
 ``GET /`` is the page; ``GET /sample/<dataset>/<split>/<index>`` a sample, JSON as
-`scenegen.display.page.packed` has it, of the dataset of that number; ``GET /world/…`` the world that
-it is of, where its shard's archive holds it. There is nothing else, and nothing can be changed.
+`scenegen.display.page.packed` has it, of the dataset of that number; ``GET /world/…`` the world
+that it is of, where its shard's archive holds it. There is nothing else, and nothing can be changed.
 """
 
 import ipaddress

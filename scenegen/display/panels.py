@@ -1,6 +1,7 @@
 """The parts of pictures by matplotlib, without a screen or a GPU: dark on white, axes in metres."""
 
 import io
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,6 +33,8 @@ RED = rgb(SENSOR)
 MAP = "#1560bd"
 """The colour of a map's box where another one is drawn, too."""
 DPI = 150
+WIDE, TALL = 3.05, 2.6
+"""A panel with voxels, inches."""
 MOST_FACES = 400_000
 """The most faces of voxels in a panel: drawing these takes some ten seconds."""
 
@@ -230,3 +233,64 @@ def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
     columns = min(len(handles), max(1, int(figure.get_size_inches()[0] / 1.4)))
     style: dict[str, Any] = {"fontsize": 8, "frameon": False, "labelcolor": INK, "handlelength": 3}
     figure.legend(handles=list(handles), loc="lower center", ncols=columns, **style)
+
+
+class Grid:
+    """A figure of panels in rows and columns, with bars at its right and a legend below."""
+
+    def __init__(self, rows: int, columns: int, title: str, scale: float = 1.0):
+        self._rows, self._wide, self._tall = rows, scale * WIDE, scale * TALL
+        self._width = max(self._wide * columns + 0.95, 6.5)
+        self._height = self._tall * rows + 0.85
+        self.figure = blank(self._width, self._height, title)
+
+    def panel(self, row: int, column: int, inset: Place = (0, 0, 1, 1)) -> Any:
+        """The axes of a panel, or of a part of it: `inset` in shares of the panel."""
+        left, down, wide, tall = inset
+        panel_left = 0.05 + self._wide * column
+        panel_down = 0.4 + self._tall * (self._rows - 1 - row)
+        panel_wide, panel_tall = 0.98 * self._wide, 0.92 * self._tall
+        place = (
+            (panel_left + left * panel_wide) / self._width,
+            (panel_down + down * panel_tall) / self._height,
+            wide * panel_wide / self._width,
+            tall * panel_tall / self._height,
+        )
+        return self.figure.add_axes(place)
+
+    def level(
+        self, row: int, column: int, look: Look, level: int, tudf: Any, title: str | None = None
+    ) -> None:
+        """Draws one level of distances `tudf` in a panel with axes."""
+        panel = self.panel(row, column, (0.2, 0.15, 0.73, 0.74))
+        draw_level(panel, look, level, tudf)
+        if title is not None:
+            put_title(panel, title)
+
+    def bar_of_heights(self, looks: Sequence[Look], row: int | None = None) -> None:
+        """A bar beside a row, or in the middle."""
+        highest = max(look.grid.extent_m[2] for look in looks)
+        self._bar(HEIGHTS, highest, "height over the map's floor / m", row)
+
+    def bar_of_distances(self, look: Look, row: int | None = None) -> None:
+        """A bar beside a row, or in the middle."""
+        self._bar(DISTANCES, look.grid.truncation_m, "to the nearest occupied / m", row)
+
+    def _bar(self, anchors: Anchors, most: float, label: str, row: int | None) -> None:
+        middle = self._rows / 2 if row is None else self._rows - row - 0.5
+        high = 0.8 * self._tall
+        down = 0.4 + self._tall * middle - high / 2
+        wide, tall = self._width, self._height
+        place = (1 - 0.8 / wide, down / tall, 0.13 / wide, high / tall)
+        add_bar(self.figure, place, anchors, (0, most), label)
+
+    def finish(self, handles: Sequence[Any]) -> Figure:
+        """The figure, with its legend."""
+        add_legend(self.figure, handles)
+        return self.figure
+
+
+def at_sensor(look: Look) -> int:
+    """The level of voxels just below the sensor."""
+    height = math.ceil((look.position[2] - look.origin[2]) / look.grid.voxel_m) - 1
+    return int(np.clip(height, 0, look.grid.shape[2] - 1))

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine, GridSpec
 from lidarsim.solids.shapes import PLANE
-from scenegen.display.colours import DISTANCES, HEIGHTS, colour
+from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
 from scenegen.display.oblique import VIEW, View
 from scenegen.display.panels import (
     INK,
     MAP,
     RED,
+    Grid,
     add_bar,
     add_legend,
     ball,
     blank,
     dot,
-    draw_level,
     draw_panel,
     frame_box,
     line,
@@ -57,18 +57,16 @@ def draw_sample(
     The map's box is drawn around each, and the sensor as a red ball. What could not be read is left
     empty, and says so. Raises DatasetError as `draw_voxels`.
     """
-    figure = blank(12, 7.8, title or look.name)
+    grid = Grid(2, 3, title or look.name, scale=1.25)
     for n, name in enumerate(panels):
-        draw_panel(figure.add_axes((0.01 + 0.305 * n, 0.5, 0.3, 0.43)), look, name)
+        draw_panel(grid.panel(0, n), look, name)
     height = look.grid.shape[2]
-    for n, level in enumerate(sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})):
-        draw_level(figure.add_axes((0.05 + 0.305 * n, 0.09, 0.25, 0.36)), look, level, look.tudf)
-    (_, _, low), (_, _, high) = look.corners
-    add_bar(figure, (0.935, 0.55, 0.012, 0.33), HEIGHTS, (low, high), "height / m")
-    ends = 0, look.grid.truncation_m
-    add_bar(figure, (0.935, 0.1, 0.012, 0.34), DISTANCES, ends, "to the nearest occupied / m")
-    add_legend(figure, [ball("sensor"), line("the map's box")])
-    return figure
+    levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
+    for n, level in enumerate(levels):
+        grid.level(1, n, look, level, look.tudf)
+    grid.bar_of_heights([look], row=0)
+    grid.bar_of_distances(look, row=1)
+    return grid.finish([ball("sensor"), line("the map's box")])
 
 
 def draw_completion(look: Look, *, title: str) -> Figure:
@@ -81,19 +79,13 @@ def draw_sheet(looks: Sequence[Look], *, title: str, columns: int = 4) -> Figure
     """Draws many samples on one sheet: occupied voxels with the returns over them. Raises
     DatasetError as `draw_voxels`."""
     columns = min(columns, len(looks))
-    rows = -(-len(looks) // columns)
-    wide, tall = 3.1 * columns + 1.0, 2.5 * rows + 0.9
-    figure = blank(wide, tall, title)
+    grid = Grid(-(-len(looks) // columns), columns, title)
     for n, look in enumerate(looks):
-        left, down = 3.1 * (n % columns) / wide, (2.5 * (rows - 1 - n // columns) + 0.4) / tall
-        panel = figure.add_axes((left, down, 3.05 / wide, 2.25 / tall))
+        panel = grid.panel(n // columns, n % columns)
         _with_returns(panel, look, VIEW, 0.6)
         panel.set_title(look.name, color=INK, fontsize=9)
-    ends = 0, max(look.grid.extent_m[2] for look in looks)
-    bar = (1 - 0.85 / wide, 0.2, 0.14 / wide, 0.6)
-    add_bar(figure, bar, HEIGHTS, ends, "height over the map's floor / m")
-    add_legend(figure, [ball("sensor"), line("the map's box"), dot("returns")])
-    return figure
+    grid.bar_of_heights(looks)
+    return grid.finish([ball("sensor"), line("the map's box"), dot("returns")])
 
 
 def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:

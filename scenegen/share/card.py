@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from scenegen.display.statistics import FIGURES
+from scenegen.display.inspect import LABELS
 from scenegen.share.publication import LOCK, PAPER, Publication
 from scenegen.share.regenerate import ORIGINAL, source_file
 
@@ -160,7 +160,7 @@ def _statistics(it: Publication) -> str:
     rows = [f"| | {' | '.join(splits)} |", "|---" * (len(splits) + 1) + "|"]
     for key in ("samples", "worlds"):
         rows.append(f"| {key} | {' | '.join(str(split[key]) for split in splits.values())} |")
-    for key, (label, unit, factor) in FIGURES.items():
+    for key, (label, unit, factor) in LABELS.items():
         cells = []
         for split in splits.values():
             value = split["statistics"][key]

@@ -128,7 +128,8 @@ def _fill_primitives(
         dx = _centre(o[0], i, voxel_m) - packed.position[n, 0]
         dy = _centre(o[1], j, voxel_m) - packed.position[n, 1]
         dz = _centre(o[2], ends[0], voxel_m) - packed.position[n, 2]
-        if axes[2, 0] == ZERO and axes[2, 1] == ZERO and (kind == CYLINDER or kind == BOX):  # noqa: SIM109
+        upright = axes[2, 0] == ZERO and axes[2, 1] == ZERO
+        if upright and (kind == CYLINDER or kind == BOX):  # noqa: SIM109 (Warp has no `in`)
             if column_touches(kind, size, axes, dx, dy, HALF * voxel_m):
                 for k in range(ends[0], ends[1]):
                     occupancy[p, i, j, k] = True

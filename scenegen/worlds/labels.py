@@ -2,7 +2,7 @@
 
 import functools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -10,11 +10,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import AnalyticEngine, GridSpec, Pose, Sensor
+from lidarsim import AnalyticEngine, GridSpec, Sensor
 from lidarsim.pose import rotate
 from scenegen.errors import GenerationError, short
 from scenegen.limits import MOST_CLASSES
-from scenegen.sample import Sample, whole
 from scenegen.truth.labels import owners
 from scenegen.worlds.world import World
 
@@ -50,8 +49,7 @@ class Labels:
             if name not in place:
                 raise GenerationError(
                     f"geom {short(world.model.geom(geom).name)} is of class {short(name)}, which "
-                    f"was not known before; "
-                    f"name it in the kind's `classes`, or give --labels group"
+                    "was not known before; name it in the kind's `classes`, or give --labels group"
                 )
         return np.array([place[name] for name in named], np.uint16)
 
@@ -80,27 +78,36 @@ def labels_by(by: By, named: Iterable[str]) -> Labels:
     return Labels(by=by, classes=(NOTHING, *known))
 
 
-def labelled(
-    sample: Sample, world: World, lidar: Sensor, grid: GridSpec, labels: Labels | None
-) -> Sample:
-    """`sample` of `world` with its labels; itself without.
+def label_fields(
+    sample: Mapping[str, Any], world: World, lidar: Sensor, grid: GridSpec, labels: Labels
+) -> dict[str, NDArray[Any]]:
+    """The fields of a sample that say which geom and class its returns and voxels are of.
 
-    A return is of the geom that its ray meets first, whatever noise made of its range. Raises
-    GenerationError.
+    A return is of the geom that its ray meets first, whatever noise made of its range.
+
+    Args:
+        sample: Its other fields by name: position, quaternion, ranges, occupancy and origin.
+        world: The world that it is of.
+        lidar: The sensor.
+        grid: The map's grid.
+        labels: What decides the class of a geom.
+
+    Raises:
+        GenerationError: A geom is of none of the classes.
     """
-    if labels is None:
-        return sample
-    classes = np.concatenate(
-        [labels.of(world) if world.model.ngeom else np.empty(0, np.uint16), [0]]
-    )  # -1 is the last
-    pose = Pose(sample.position, sample.quaternion)
-    directions = rotate(pose.quaternion, lidar.directions_body)
-    met = _engine(world).hits(pose.position[None], directions[None], lidar.max_range_m).geoms[0]
-    returned = np.where(np.isfinite(sample.ranges), met, -1).astype("<i4")
-    voxels = owners(world.solids, sample.occupancy, grid, sample.origin).astype("<i4")
-    values: dict[str, Any] = {name: getattr(sample, name) for name in sample.names}
-    values |= {"return_geom": returned, "return_class": classes[returned].astype("<u2")}
-    return whole(values | {"voxel_geom": voxels, "voxel_class": classes[voxels].astype("<u2")})
+    # -1, no geom, is the last
+    classes = np.append(labels.of(world), [0]).astype("<u2")
+    directions = rotate(sample["quaternion"], lidar.directions_body)
+    origin = np.asarray(sample["position"])[None]
+    met = _engine(world).hits(origin, directions[None], lidar.max_range_m).geoms[0]
+    returned = np.where(np.isfinite(sample["ranges"]), met, -1).astype("<i4")
+    voxels = owners(world.solids, sample["occupancy"], grid, sample["origin"]).astype("<i4")
+    return {
+        "return_geom": returned,
+        "return_class": classes[returned],
+        "voxel_geom": voxels,
+        "voxel_class": classes[voxels],
+    }
 
 
 @functools.lru_cache(maxsize=4)

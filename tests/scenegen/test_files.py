@@ -2,7 +2,6 @@
 their owner alone."""
 
 import os
-import re
 import stat
 import subprocess
 import sys
@@ -70,7 +69,6 @@ def test_a_draft_is_never_somebody_elses_file(
 ) -> None:
     names = {draft_of(tmp_path / "a").name for _ in range(100)}
     assert len(names) == 100
-    assert len({re.split("-", name)[5] for name in names}) == 100
     planted, victim = tmp_path / ".scenegen-guessed.tmp", tmp_path / "victim"
     victim.write_bytes(b"mine")
     planted.symlink_to(victim)
@@ -116,9 +114,6 @@ def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(
         for name in (".mine.tmp", ".notes.host-1.tmp", ".a.host-999999.former.tmp", "x.tmp")
     ]
     kept.append(gone.with_name(gone.name.replace(".tmp", "0.tmp")))
-    kept.append(
-        gone.with_name(re.sub(r"\d+-\w{16}-", "1-0123456789abcdef-", gone.name))
-    )  # its digest is wrong
     for path in kept:
         path.write_bytes(b"")
         os.utime(path, (0, 0))

@@ -14,7 +14,7 @@ from scenegen.verification.check import Check
 from scenegen.verification.contract import Contract
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Sample, Worlds
-from scenegen.worlds.geometry import geometry_digest
+from scenegen.worlds.world import geometry_digest
 
 OCCUPIED_IOU = 0.9
 """Two samples are near-twins only if the intersection over union of their occupied voxels is at

@@ -12,15 +12,14 @@ from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import Manifest
-from scenegen.sample import LABELS, SCHEMA, derive_tudf
-from scenegen.sample import Sample as Plain
+from scenegen.sample import LABELS, derive_tudf
 from scenegen.truth import rasterize
 from scenegen.verification.check import Check
 from scenegen.verification.contract import Contract
 from scenegen.verification.rays import count_strays
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Sample
-from scenegen.worlds.labels import labelled
+from scenegen.worlds.labels import label_fields
 
 DIGESTED = (
     "observed",
@@ -253,12 +252,11 @@ def _owners(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     world = sample.shard.worlds.world(sample.world)
     contract = sample.contract
-    plain: dict[str, Any] = {
-        name: sample.fields.get(name, np.empty(0)) for name in SCHEMA
-    }  # of its own scan
-    again = labelled(Plain(**plain), world, contract.lidar, contract.grid, contract.recipe.labels)
+    labels = contract.recipe.labels
+    assert labels is not None
+    again = label_fields(sample.fields, world, contract.lidar, contract.grid, labels)
     for name in LABELS:
-        _same(sample, name, getattr(again, name), f"world {sample.world}", page)
+        _same(sample, name, again[name], f"world {sample.world}", page)
 
 
 CHECKS = (

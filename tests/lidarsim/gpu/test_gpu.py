@@ -46,25 +46,19 @@ def test_many_worlds_at_once_give_the_analytic_engines_bits() -> None:
         assert 500 < np.isfinite(ranges).sum() < ranges.size - 500
 
 
-@pytest.mark.parametrize("turn", ["0 0 0", "90 0 90"])
-def test_rays_along_the_axes_miss_nothing(turn: str) -> None:
+def test_rays_along_the_axes_are_the_analytic_engines() -> None:
     """From points level with faces, edges and centres, along all axes: where products of 0 and
     infinity would lurk."""
     sorts = [f'type="{shape}" size="{size}"' for shape, size in SIZES.items() if shape != "plane"]
     sorts.append('type="mesh" mesh="n"')
-    places = range(0, 4 * len(sorts), 4)
-    model = model_of(
-        *(f'{sort} euler="{turn}" pos="{x} 0 0"' for x, sort in zip(places, sorts, strict=True))
-    )
+    model = model_of(*(f'{sort} pos="{4 * n} 0 0"' for n, sort in enumerate(sorts)))
     steps = np.array([-0.8, -0.6, -0.5, -0.3, 0.0, 0.3, 0.5, 0.7, 0.8])
     around = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    origins = np.concatenate([around + np.array([x, 0, 0]) for x in (*places, -3)])
+    places = range(-3, 4 * len(sorts))
+    origins = np.concatenate([around + np.array([x, 0, 0]) for x in places])
     rays = np.broadcast_to(AXES, (len(origins), 6, 3))
     ranges = WarpEngine(solids_of(model), device="cpu").cast(origins, rays, 100.0)
     np.testing.assert_array_equal(ranges, AnalyticEngine.of(model).cast(origins, rays, 100.0))
-    # along x, through the ball's centre
-    towards = ranges[len(around) * len(sorts) :, 0].reshape(9, 9, 9)[:, 4, 4]
-    np.testing.assert_allclose(towards, 3.0 - 0.7 - steps, atol=1e-12)
 
 
 def test_the_engine_keeps_the_protocol() -> None:
@@ -72,9 +66,8 @@ def test_the_engine_keeps_the_protocol() -> None:
     model = random_model(rng)
     engine = WarpEngine(solids_of(model), device="cpu")
     origins, rays = random_rays(rng, 2, 60)
-    flat = engine.cast(origins, rays, 12.0)
-    np.testing.assert_array_equal(flat, AnalyticEngine.of(model).cast(origins, rays, 12.0))
     shaped = engine.cast(origins.tolist(), rays.reshape(2, 3, 4, 5, 3), 12.0)
+    flat = AnalyticEngine.of(model).cast(origins, rays, 12.0)
     np.testing.assert_array_equal(shaped, flat.reshape(2, 3, 4, 5))
     backwards = engine.cast(origins[1:], np.asfortranarray(rays)[1:, ::-2], 12.0)
     np.testing.assert_array_equal(backwards, flat[1:, ::-2])
@@ -140,7 +133,7 @@ def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         WarpEngine.of(mujoco.MjModel.from_xml_string("<mujoco/>"))
     with pytest.raises(ValueError, match="Warp finds no GPU on this machine"):
         Worlds([solids_of(model_of())])
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert "pip install -e '.[gpu]'" in WarpEngine.missing()
     monkeypatch.setitem(sys.modules, "warp", None)
     monkeypatch.delitem(sys.modules, "lidarsim.gpu.worlds")

@@ -95,17 +95,8 @@ def test_a_bad_recipe_ends_in_one_line(
 ) -> None:
     text, named = BAD_RECIPES[what]
     (tmp_path / "r.toml").write_text(text)
-    words = (
-        "--kind",
-        "pillar",
-        "--recipe",
-        tmp_path / "r.toml",
-        "--n",
-        5,
-        "--out",
-        tmp_path / "d",
-        "--quiet",
-    )
+    words = ("--kind", "pillar", "--recipe", tmp_path / "r.toml", "--n", 5, "--quiet")
+    words = (*words, "--out", tmp_path / "d")
     code, said, error = run(capsys, "generate", *words)
     assert code == 1
     assert named in error

@@ -11,7 +11,10 @@ from scenegen.cli.types import Named
 from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT, SMALL, run
 
-BOX = '<mujoco><worldbody><geom name="{name}" type="box" size="1 1 1" pos="{x} 0 0" {more}/></worldbody></mujoco>'
+BOX = (
+    '<mujoco><worldbody><geom name="{name}" type="box" size="1 1 1" pos="{x} 0 0" {more}/>'
+    "</worldbody></mujoco>"
+)
 
 
 def test_generate_inspect_and_world_work_together(
@@ -66,17 +69,9 @@ def test_an_engine_and_a_sensor_are_taken_by_name(
         "generate",
         "--recipe",
         small,
-        "--n",
-        3,
-        "--val",
-        0,
-        "--test",
-        0,
-        "--workers",
-        1,
-        "--out",
-        tmp_path / "d",
+        *["--n", "3", "--val", "0", "--test", "0", "--workers", "1"],
     )
+    words = (*words, "--out", tmp_path / "d")
     named = (*words, "--quiet", "--engine", "mujoco", "--sensor", "raster")
     assert run(capsys, *named) == (0, "", "")
     assert Dataset(tmp_path / "d").manifest.engine == "mujoco"
@@ -97,14 +92,9 @@ def test_a_split_range_makes_its_shards_alone(
         "generate",
         "--recipe",
         small,
-        "--n",
-        9,
-        "--shard-samples",
-        3,
-        "--out",
-        tmp_path / "d",
-        "--json",
+        *["--n", "9", "--shard-samples", "3", "--json", "--out"],
     )
+    words = (*words, tmp_path / "d")
     said = json.loads(run(capsys, *words, "--split-range", "1:3")[1])
     assert (said["complete"], said["samples_written"], said["shards_missing"]) == (False, 6, 3)
     said = json.loads(run(capsys, *words)[1])
@@ -121,19 +111,8 @@ def test_a_scene_gives_training_samples_of_one_world(
         + SMALL.split("[flight]")[1]
     )
     room = ROOT / "scenes" / "room_with_gap.xml"
-    code, said, error = run(
-        capsys,
-        "generate",
-        "--scene",
-        room,
-        "--recipe",
-        recipe,
-        "--n",
-        7,
-        "--out",
-        tmp_path / "d",
-        "--json",
-    )
+    words = ("--scene", room, "--recipe", recipe, "--n", 7, "--out", tmp_path / "d", "--json")
+    code, said, error = run(capsys, "generate", *words)
     assert (code, error) == (0, "")
     assert json.loads(said)["samples"] == {"train": 7, "val": 0, "test": 0}
     assert Dataset(tmp_path / "d").split("train").names == [("train", 0, n) for n in range(7)]
@@ -235,16 +214,7 @@ def test_what_a_scene_leaves_out_is_said_once(
 ) -> None:
     body = '<body><joint name="j"/><geom size="1"/></body><geom size="1" pos="9 9 2"/>'
     (tmp_path / "s.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    words = (
-        "generate",
-        "--scene",
-        tmp_path / "s.xml",
-        "--n",
-        5,
-        "--out",
-        tmp_path / "d",
-        "--dry-run",
-    )
+    words = ("generate", "--scene", tmp_path / "s.xml", "--n", 5, "--dry-run")
     assert run(capfd, *words)[2].count("s.xml: joints (1) stay in their reference position") == 1
     assert run(capfd, *words, "--quiet")[2] == ""
 
@@ -298,17 +268,8 @@ def test_a_world_of_ones_own_as_the_docs_show_it(
 ) -> None:
     page = (ROOT / "docs" / "recipes.md").read_text()
     (tmp_path / "yard.xml").write_text(page.split("```xml\n")[1].split("```")[0])
-    words = (
-        "generate",
-        "--scene",
-        tmp_path / "yard.xml",
-        "--n",
-        2,
-        "--workers",
-        1,
-        "--out",
-        tmp_path / "d",
-    )
+    words = ("generate", "--scene", tmp_path / "yard.xml", *["--n", "2", "--workers", "1", "--out"])
+    words = (*words, tmp_path / "d")
     assert run(capsys, *words, "--quiet") == (0, "", "")
     assert len(Dataset(tmp_path / "d").split("train")) == 2
     code, said, _ = run(capsys, *words)

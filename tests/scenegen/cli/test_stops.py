@@ -29,7 +29,8 @@ from scenegen.cli import stops
 stops.answer()
 stops.answer_hanging()
 library = ctypes.PyDLL(None)  # keeps Python's lock, as h5py does
-letters = ctypes.create_string_buffer(b"a" * (1 << 22))  # of which any two strings take long to compare
+# of which any two strings take long to compare
+letters = ctypes.create_string_buffer(b"a" * (1 << 22))
 print("ready", flush=True)
 while True:
     library.qsort(letters, 1 << 19, 8, ctypes.cast(library.strcmp, ctypes.c_void_p))

@@ -1,21 +1,18 @@
-"""Warp's truth, in its mode without a GPU: the bits of `rasterize` and `distance_field`, and of
-whole samples."""
+"""Warp's truth, in its mode without a GPU: the bits of `rasterize` and `distance_field`.
+
+Whole samples of a preset are compared by `benchmarks/gpu.py`, which a smoke test runs.
+"""
 
 import numpy as np
 import pytest
 
-from lidarsim import AnalyticEngine, GridSpec
-from lidarsim.pose import rotate
+from lidarsim import GridSpec
 from lidarsim.solids.model import solids_of
-from scenegen.draw import draw_unit
-from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
-from tests.conftest import small_recipe
 from tests.lidarsim.engines.test_laws import SIZES, model_of, random_model
 
 wp = pytest.importorskip("warp", reason="NVIDIA Warp is not installed: pip install -e '.[gpu]'")
 
-from lidarsim.gpu.rays import cast, voxelize  # noqa: E402
 from lidarsim.gpu.worlds import Worlds  # noqa: E402
 from scenegen.truth import gpu  # noqa: E402
 
@@ -47,40 +44,6 @@ def test_occupancy_and_distances_have_the_processors_bits(grid: GridSpec) -> Non
         np.testing.assert_array_equal(field.numpy()[p], distance_field(expected, grid))
     assert 0.001 < occupancy.numpy()[:-1].mean() < 0.9
     assert not occupancy.numpy()[-1].any()
-
-
-@pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_samples_of_the_presets_have_the_same_bits(kind: str) -> None:
-    """Rays, voxels, occupancy and distances of several flights at once, each through a world of its
-    own."""
-    recipe = small_recipe(kind)
-    source, grid, reach = DrawnWorlds(recipe), recipe.grid, recipe.lidar.max_range_m
-    units = [
-        draw_unit(source, recipe, seed=0, split="train", unit=unit, engine=AnalyticEngine.of)
-        for unit in range(3)
-    ]
-    samples = [sample for unit in units for sample in unit.samples]
-    worlds = Worlds([unit.world.solids for unit in units], device="cpu")
-    which = np.repeat(np.arange(len(units)), [len(unit.samples) for unit in units])
-    origins = np.array([sample.position for sample in samples])
-    directions = recipe.lidar.directions_body
-    rays = np.array([rotate(sample.quaternion, directions).reshape(-1, 3) for sample in samples])
-    corners = grid.origin_at(origins)
-    ranges = cast(worlds, origins, rays, reach, which=which)
-    observed, free = voxelize(ranges, origins, rays, reach, grid=grid, corners=corners)
-    occupancy = gpu.rasterize(worlds, grid, corners, which=which)
-    found = {
-        "ranges": ranges.numpy().astype(np.float32).reshape(len(samples), *recipe.lidar.shape),
-        "observed": observed.numpy(),
-        "free": free.numpy(),
-        "occupancy": occupancy.numpy(),
-        "tudf": gpu.distance_field(occupancy, grid).numpy(),
-    }
-    for name, values in found.items():
-        np.testing.assert_array_equal(
-            values, [getattr(sample, name) for sample in samples], err_msg=name
-        )
-    assert found["observed"].any()
 
 
 def test_what_a_kernel_cannot_take_is_refused_in_one_line() -> None:

@@ -102,17 +102,12 @@ def test_a_leaning_sensors_ranges_are_mujocos() -> None:
             attitude = turned(scan.pose)
             leans.append(np.degrees(np.arccos(attitude.apply([0, 0, 1])[2])))
             rays = attitude.apply(recipe.lidar.directions_body.reshape(-1, 3).copy())
-            found = [
-                mujoco.mj_ray(
-                    model, data, scan.pose.position.copy(), ray, None, True, -1, geom, None
-                )
-                for ray in rays
-            ]
-            expected = np.where(
-                (np.array(found) >= 0) & (np.array(found) <= recipe.lidar.max_range_m),
-                found,
-                np.inf,
+            place = scan.pose.position.copy()
+            found = np.array(
+                [mujoco.mj_ray(model, data, place, ray, None, True, -1, geom, None) for ray in rays]
             )
+            there = (found >= 0) & (found <= recipe.lidar.max_range_m)
+            expected = np.where(there, found, np.inf)
             np.testing.assert_allclose(scan.ranges.reshape(-1), expected, atol=2e-6)
     assert max(leans) == pytest.approx(30.0, abs=25.0), "no body leans: the test shows nothing"
     assert len(set(np.round(leans, 6))) > 2

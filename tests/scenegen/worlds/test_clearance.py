@@ -28,27 +28,13 @@ SLACK_M = 2e-3
 """What a motion check may be off by; its shortest step is half of it."""
 
 
-def seeds(all_of: int) -> pytest.MarkDecorator:
-    """Half of so many by default, and the others among the slow tests."""
-    few = all_of // 2
-    return pytest.mark.parametrize(
-        "seed",
-        [*range(few), *(pytest.param(n, marks=pytest.mark.slow) for n in range(few, all_of))],
-    )
-
-
 def primitive_world(seed: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Primitives of every kind at any attitude, within the bounds and around them; the last geom is
     a probe."""
     rng = np.random.default_rng(seed)
     spec = mujoco.MjSpec()
-    shapes = (
-        Geom.mjGEOM_SPHERE,
-        Geom.mjGEOM_CAPSULE,
-        Geom.mjGEOM_ELLIPSOID,
-        Geom.mjGEOM_CYLINDER,
-        Geom.mjGEOM_BOX,
-    )
+    names = ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
+    shapes = [getattr(Geom, f"mjGEOM_{name}") for name in names]
     for n in range(30):
         spec.worldbody.add_geom(
             type=shapes[n % 5],
@@ -123,7 +109,7 @@ def check_motions(
     assert min(verdicts.count(True), verdicts.count(False)) > count / 8
 
 
-@seeds(4)
+@pytest.mark.parametrize("seed", [0, 1])
 def test_distances_to_primitives_are_those_of_mujoco(seed: int) -> None:
     model, data = primitive_world(seed)
     clearance = Clearance(solids_of(model), BOUNDS)
@@ -132,17 +118,11 @@ def test_distances_to_primitives_are_those_of_mujoco(seed: int) -> None:
     found = np.array([clearance.at(*p) for p in points])
     np.testing.assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
     assert (found[expected == 0] == 0).all()
-    assert (
-        min(
-            (expected == 0).sum(),
-            (expected == CAP_M).sum(),
-            ((expected > 0) & (expected < CAP_M)).sum(),
-        )
-        > 5
-    )
+    between = (expected > 0) & (expected < CAP_M)
+    assert min((expected == 0).sum(), (expected == CAP_M).sum(), between.sum()) > 5
 
 
-@seeds(4)
+@pytest.mark.parametrize("seed", [0, 1])
 def test_a_motion_among_primitives_is_free_where_its_points_keep_the_radius(seed: int) -> None:
     model, data = primitive_world(seed)
     clearance = Clearance(solids_of(model), BOUNDS)
@@ -237,15 +217,8 @@ def distances_to(shapes: list[tuple[trimesh.Trimesh, bool]], points: Floats) -> 
     """Distance from each point (n, 3) to the nearest of the shapes; 0 within a filled one."""
     nearest = np.full(len(points), np.inf)
     for shape, filled in shapes:
-        triangles = np.asarray(shape.triangles)
-        middle = triangles.mean(axis=1)
-        reach = np.linalg.norm(triangles - middle[:, None], axis=2).max(axis=1)
-        apart = np.linalg.norm(points[:, None] - middle, axis=2)
-        n, t = np.nonzero(apart - reach <= apart.min(axis=1, keepdims=True))
-        on = trimesh.triangles.closest_point(triangles[t], points[n])
-        outside = np.full(len(points), np.inf)
-        np.minimum.at(outside, n, np.linalg.norm(on - points[n], axis=1))
-        within = filled & (np.abs(winding_number(triangles, points)) > 0.5)
+        _, outside, _ = trimesh.proximity.closest_point_naive(shape, points)
+        within = filled & (np.abs(winding_number(np.asarray(shape.triangles), points)) > 0.5)
         nearest = np.minimum(nearest, np.where(within, 0.0, outside))
     return nearest
 
@@ -273,19 +246,23 @@ def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(
         assert deep.sum() > 20, "no point lies well within a filled shape: the test shows nothing"
 
 
-@seeds(2)
-def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius(seed: int) -> None:
-    clearance, shapes = bent_world(("hill", "ring", "half a ring"), seed)
+def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius() -> None:
+    clearance, shapes = bent_world(("hill", "ring", "half a ring"), 0)
     check_motions(
-        clearance, lambda points: distances_to(shapes, points), seed, count=40, longest_m=1.5
+        clearance, lambda points: distances_to(shapes, points), 0, count=16, longest_m=1.5
     )
 
 
-def test_a_motion_of_no_length_is_free_where_its_point_is() -> None:
+def test_motions_of_no_length_and_worlds_without_solids() -> None:
     model, _ = primitive_world(0)
     clearance = Clearance(solids_of(model), BOUNDS)
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=Geom.mjGEOM_SPHERE, size=[1, 0, 0], pos=[50, 50, 50])
+    empty = Clearance(solids_of(spec.compile()), BOUNDS)
     for p in np.random.default_rng(0).uniform(BOUNDS[0], BOUNDS[1], (100, 3)):
         assert clearance.motion_is_free(tuple(p), tuple(p), 0.3) == (clearance.at(*p) >= 0.3)
+        assert empty.at(*p) == CAP_M
+    assert empty.motion_is_free(tuple(BOUNDS[0]), tuple(BOUNDS[1]), 0.9)
 
 
 def test_a_motion_may_be_blocked_at_its_ends_alone() -> None:
@@ -311,13 +288,3 @@ def test_a_motion_that_grazes_a_post_is_seen_wherever_its_steps_fall() -> None:
     for start in np.random.default_rng(0).uniform(-2.0, -0.5, 50):
         for y, free in ((0.067, False), (0.073, True)):
             assert clearance.motion_is_free((start, y, 2.0), (1.5, y, 2.0), 0.05) is free
-
-
-def test_a_world_without_solids_is_free_everywhere() -> None:
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=Geom.mjGEOM_SPHERE, size=[1, 0, 0], pos=[50, 50, 50])
-    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
-    assert {
-        clearance.at(*p) for p in np.random.default_rng(0).uniform(BOUNDS[0], BOUNDS[1], (50, 3))
-    } == {CAP_M}
-    assert clearance.motion_is_free(tuple(BOUNDS[0]), tuple(BOUNDS[1]), 0.9)

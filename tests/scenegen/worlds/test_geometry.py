@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenegen.verification.contract import compile_solids
-from scenegen.worlds.geometry import geometry_digest
+from scenegen.worlds.world import geometry_digest
 
 FIELD = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 {} 0 1"/>'
 ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
