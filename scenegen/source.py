@@ -16,7 +16,7 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable
-from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
+from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Limited, run
 from scenegen.worlds.labels import By, class_names
@@ -216,7 +216,8 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
 
 def _given_up(path: Path, reason: str) -> Reading:
     allowed = f"{SCENE_SECONDS:g} s and {SCENE_BYTES >> 30} GB"
-    fault = f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world"
+    fault = f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world, of "
+    fault += f"{MOST_GEOMS} geoms at most"
     return Reading(path, SceneError(fault))
 
 

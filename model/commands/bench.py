@@ -5,7 +5,6 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,8 +122,6 @@ def bench(
     elif talk:
         show_tables(report)
         say(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")
-        if options["study"] and not find_spec("matplotlib"):
-            say(f"no pictures of the study: {needs('matplotlib', 'train')}")
 
 
 def run_bench(
@@ -209,9 +206,6 @@ def run_bench(
     pairs = zip(results, datasets, strict=True)
     pictures = {result.kind: _failures(result, dataset, methods) for result, dataset in pairs}
     write_result(out / "report.html", to_html(report, pictures).encode())
-    if config.study:
-        for name, picture in draw_study(report).items():
-            write_result(out / name, picture)
     return report
 
 
@@ -223,17 +217,6 @@ def _failures(result: Any, dataset: Any, methods: "Sequence[Method]") -> list[tu
         return draw_failures(result, dataset, methods)
     except ImportError:
         return []
-
-
-def draw_study(report: dict[str, Any]) -> dict[str, bytes]:
-    """The pictures of a report's study by their files' names; none without matplotlib, with which a
-    study can still be drawn later: ``python docs/figures.py bench/report.json``."""
-    from scenegen.model.evaluation.study.figures import draw
-
-    try:
-        return draw(report)
-    except ImportError:
-        return {}
 
 
 def choose_methods(names: Sequence[str]) -> "list[Method]":

@@ -17,7 +17,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
-from scenegen.model.reproduce.config import ReproduceConfig
+from scenegen.model.study.runs import ReproduceConfig
 
 
 @click.command()
@@ -64,43 +64,31 @@ def reproduce(
     if records is not None:
         _judge_again(records, as_json)
         return
-    from scenegen.model.reproduce.rows import estimate
-    from scenegen.model.reproduce.stages import RECORDS, STUDY, TEXT, begin, runs
-    from scenegen.model.reproduce.stages import reproduce as make
+    from scenegen.model.study.stages import RECORDS, STUDY, TEXT, Study
 
     talk = not (quiet or as_json)
     config = ReproduceConfig(**taken(ReproduceConfig, options))
-    chosen = runs(config)
-    if not dry_run:
-        begin(out, config)
-    found = estimate(config, chosen, device=device, workers=workers)
-    if talk:
-        show_table(found.words())
+    study = Study(out=out, config=config, device=device, workers=workers)
+    if talk or dry_run:
+        takes = study.takes()
+        print(json.dumps(takes)) if as_json else show_table(takes)
     if dry_run:
-        if as_json:
-            print(json.dumps(vars(found)))
         return
     if talk:
         announce_compilation()
-    study = make(
-        out,
-        config,
-        device=device,
-        workers=workers,
-        progress=lambda label: Progress(label, shown=talk),
-    )
+    found = study.make(lambda label: Progress(label, shown=talk))
     if as_json:
-        print(json.dumps({"folder": str(out), "verdicts": study["verdicts"]}))
+        print(json.dumps({"folder": str(out), "verdicts": found["verdicts"]}))
     elif talk:
-        _show_verdicts(study)
+        _show_verdicts(found)
         say(f"written: {out / TEXT}, {out / STUDY}, {out / RECORDS}")
 
 
 def _judge_again(path: Path, as_json: bool) -> None:
-    from scenegen.model.reproduce.claims import judge
-    from scenegen.model.reproduce.records import Records
+    from scenegen.model.study.claims import summary
+    from scenegen.model.study.records import Records
 
-    found = judge(Records.read(path))
+    found = summary(Records.read(path))
     if as_json:
         print(json.dumps(found, allow_nan=False))
     else:

@@ -85,6 +85,7 @@ class Weighted(click.ParamType):
 )
 @click.option(
     "--variant",
+    panel="Network",
     type=Named(NETWORKS),
     default=NetworkConfig.variant,
     show_default=True,
@@ -94,6 +95,7 @@ class Weighted(click.ParamType):
 @click.option(
     "--loss",
     "objective",
+    panel="Loss",
     type=Named(LOSSES),
     default=LossConfig.objective,
     show_default=True,
@@ -102,6 +104,7 @@ class Weighted(click.ParamType):
 )
 @click.option(
     "--protocol",
+    panel="Training",
     type=Choice(list(PROTOCOLS)),
     default=next(iter(PROTOCOLS)),
     show_default=True,
@@ -109,6 +112,7 @@ class Weighted(click.ParamType):
 )
 @options_of(
     TrainConfig,
+    panel="Training",
     maps="Most maps seen, instead of passes; may grow when a run goes on.",
     epochs="Most passes over the datasets.",
     interval="Maps between two looks at validation, instead of a pass.",
@@ -123,6 +127,7 @@ class Weighted(click.ParamType):
 @click.option(
     "--input",
     "inputs",
+    panel="Network",
     type=Named(INPUTS),
     multiple=True,
     default=NetworkConfig.inputs,
@@ -132,22 +137,26 @@ class Weighted(click.ParamType):
 )
 @options_of(
     NetworkConfig,
+    panel="Network",
     width="Channels at the first level.",
     stem_stride="Where resolution is halved first; 1 is slower, and sees finer.",
 )
 @click.option(
     "--weights",
+    panel="Network",
     type=Weights(),
     help="Begin with a network's weights: a bundled name, a file, a run's folder, hf://…",
 )
 @options_of(
     LossConfig,
     "lambda-",
+    panel="Loss",
     occupancy="Weight of occupancy in the objective.",
     tudf="Weight of distances in it.",
 )
 @options_of(
     LossConfig,
+    panel="Loss",
     eikonal="Weight of the Eikonal term among distances.",
     occupied_weight="Weight of an occupied voxel; a free one has 1.",
     lovasz="Weight of the IoU's Lovász hinge beside the cross-entropy.",
@@ -155,6 +164,7 @@ class Weighted(click.ParamType):
 )
 @options_of(
     TrainConfig,
+    panel="Training",
     augment="Turn maps about the sensor at random, and mirror them where its rays allow it.",
     precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
     compile="Run the network through torch.compile.",
@@ -162,6 +172,7 @@ class Weighted(click.ParamType):
 @click.option(
     "--stream",
     "streams",
+    panel="Stream",
     multiple=True,
     type=Weighted(),
     help="Train on maps drawn anew, of a kind, recipe or scenes: NAME or NAME=WEIGHT; several "
@@ -169,6 +180,7 @@ class Weighted(click.ParamType):
 )
 @click.option(
     "--stream-seed",
+    panel="Stream",
     type=click.IntRange(0, MOST_SEED),
     default=0,
     show_default=True,
@@ -176,6 +188,7 @@ class Weighted(click.ParamType):
 )
 @click.option(
     "--val-maps",
+    panel="Stream",
     type=click.IntRange(1, MOST_SAMPLES),
     help="Maps of its own to validate on.  [default: 500]",
 )

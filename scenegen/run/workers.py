@@ -119,8 +119,7 @@ def keep_memory() -> None:
 @dataclass(frozen=True)
 class Limited(Generic[Task, Result]):
     """A function of tasks whose input nobody vouches for: it never runs in this process, and may
-    crash or hang in its own. `run` sees to that; where it is called, it runs in a process that is
-    kept for the next call."""
+    crash or hang in its own. `run` sees to that, and so does calling it."""
 
     function: Callable[[Task], Result]
     seconds: Callable[[Task], float]
@@ -132,19 +131,15 @@ class Limited(Generic[Task, Result]):
     and what happened."""
 
     def __call__(self, task: Task) -> Result:
-        """The result, for executors that call functions in processes of their own, which may run
-        threads."""
-        worker: Worker | None = vars(self).pop("_kept", None)
-        if worker is None or not worker.process.is_alive():
-            worker = Worker(self, "spawn")
-        worker.give(task)
-        _ready([worker])
-        result: Result = worker.take(1)
-        if worker.alive:
-            vars(self)["_kept"] = worker
-        else:
+        """The result, from a process that ends with the task: for executors that call functions in
+        processes of their own, which may run threads."""
+        worker = Worker(self, "spawn")
+        try:
+            worker.give(task)
+            _ready([worker])
+            return worker.take(1)
+        finally:
             worker.end()
-        return result
 
 
 def run(

@@ -81,9 +81,11 @@ class Place(Protocol):
         ...
 
 
+OTHERS = "fsspec"
+"""What reads the places that are not named below."""
 PLACES = Registry(
     "place",
-    {"s3": "scenegen.stores.bucket:Bucket"},
+    {"s3": "scenegen.stores.bucket:Bucket", OTHERS: "scenegen.stores.bucket:Foreign"},
     needs={
         "list": "a method: () -> objects",
         "read": "a method: (name, file, most_bytes) -> version",
@@ -92,7 +94,7 @@ PLACES = Registry(
         "remove": "a method: name -> None",
     },
 )
-"""Places by the scheme of their names. Others are fsspec's, for reading alone."""
+"""Places by the scheme of their names."""
 
 
 def is_remote(name: object) -> bool:
@@ -137,12 +139,7 @@ def _opened(name: str, process: int) -> Place:
         or len(name) > 1000
     ):
         raise DatasetError(f"{printable(name)[:200]}: expected a name such as s3://bucket/folder")
-    if scheme not in PLACES.known:
-        from scenegen.stores.bucket import Foreign
-
-        return Foreign(name)
-    made: Place = PLACES.find(scheme)(name)
-    return made
+    return PLACES.find(scheme if scheme in PLACES.known else OTHERS)(name)
 
 
 _seen: dict[str, Version] = {}

@@ -15,18 +15,13 @@ from scenegen.errors import BrokenError, DatasetError, SceneError, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.worlds.drawing import flatten, least_memory
-from scenegen.worlds.screen import check_amounts, check_numbers, screen
+from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
 
-ELEMENT = re.compile(
-    r"<(/?)([A-Za-z]\w*)((?:(?:\s+|(?<=[\"']))[\w:.-]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*)\s*(/?)>"
-)
-"""Whether it is an element's end, its name and attributes, and whether nothing is within. MuJoCo
-wants no space between attributes."""
-ATTRIBUTE = re.compile(r"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
-PART = "mujocoinclude"
-"""Root of a file that only others include."""
+INCLUDE = re.compile(r"<include\s+file\s*=\s*([\"'])(.*?)\1")
 COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
+PART = "<mujocoinclude"
+"""Root of a file that only others include."""
 MOST_MOVED = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
 as much again: what float32 vertices keep."""
@@ -167,65 +162,24 @@ def named(names: Sequence[str]) -> str:
 
 
 def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
-    """Read an MJCF file and all that it includes or attaches: whether it is a world of its own, and
-    which files it includes, resolved.
+    """Whether an MJCF file is a world of its own, or a part of others, and which files it includes,
+    resolved, with what these include.
 
-    Raises SceneError for a file that is not regular or too large, for numbers that no solid can
-    have, and for more geoms than MuJoCo can cope with.
+    Raises SceneError for a file that is not regular or too large. MuJoCo says what else is wrong.
     """
-    is_world, included, waiting, seen, geoms = True, set[Path](), [main], set[Path](), 0.0
+    is_world, included, waiting = True, set[Path](), [main]
     while waiting:
         path = waiting.pop()
-        if path.resolve() in seen:  # MuJoCo says what it thinks of a circle
-            continue
-        seen.add(path.resolve())
-        for tag, attributes, times in _elements(path):
-            is_world &= not (tag == PART and path is main)
-            geoms += times * (tag == "geom")
-            # over many more, MuJoCo takes hours
-            if max(geoms, times * _count(tag, attributes)) > MOST_GEOMS:
-                raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
-            try:
-                check_numbers(tag, attributes, str(path))
-                check_amounts(tag, attributes, str(path))
-            except BrokenError as error:
-                raise SceneError(str(error)) from None
-            except ValueError:  # no number at all: MuJoCo says so
-                pass
-            if tag in ("include", "model") and "file" in attributes:
-                # MuJoCo looks from the file that includes, or from the main one
-                places = (folder / attributes["file"] for folder in (path.parent, main.parent))
-                there = [place for place in places if place.exists()][:1]
-                waiting += there
-                included.update(place.resolve() for place in there if tag == "include")
+        try:
+            text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
+        except (DatasetError, FileNotFoundError) as error:
+            raise SceneError(str(error)) from None
+        text = COMMENT.sub(" ", text)
+        is_world &= not (path is main and PART in text)
+        for _, name in INCLUDE.findall(text):
+            # MuJoCo looks from the file that includes, or from the main one
+            places = (folder / name for folder in (path.parent, main.parent))
+            there = {place.resolve() for place in places if place.exists()}
+            waiting += there - included
+            included |= there
     return is_world, frozenset(included)
-
-
-def _count(tag: str, attributes: dict[str, str]) -> float:
-    """How often an element gives what is within it."""
-    count = attributes.get("count", "") if tag == "replicate" else ""
-    return float(count) if count.isdecimal() else 1.0
-
-
-def _elements(path: Path) -> Iterator[tuple[str, dict[str, str], float]]:
-    """Names and attributes of a file's elements, and how often the file's <replicate>s around each
-    repeat it.
-
-    They are read as forgivingly as MuJoCo does; expat would refuse some.
-    """
-    try:
-        text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
-    except (DatasetError, FileNotFoundError) as error:
-        raise SceneError(str(error)) from None
-    times = [1.0]
-    for found in ELEMENT.finditer(COMMENT.sub(" ", text)):
-        ended, tag, written, empty = found.groups()
-        if ended:
-            if tag == "replicate" and len(times) > 1:
-                times.pop()
-            continue
-        pairs = (pair.groups(default="") for pair in ATTRIBUTE.finditer(written))
-        attributes = {key: double or single for key, double, single in pairs}
-        yield tag, attributes, times[-1]
-        if tag == "replicate" and not empty:
-            times.append(times[-1] * _count(tag, attributes))

@@ -84,7 +84,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         if tag == "numeric" or not WATCHED.isdisjoint(attributes):
             _check_attributes(tag, attributes, assets, name)
         if suspect:
-            check_numbers(tag, attributes, name)
+            _check_numbers(tag, attributes, name)
         written = [
             f"{key}={value}" for key, value in sorted(attributes.items()) if key not in LOOKS
         ]
@@ -125,16 +125,9 @@ def _check_attributes(
         most = 100_000 if (tag, key) == ("numeric", "size") else MOST_ASKED.get(key)
         if most is not None and not -1 <= _amount(value) <= most:
             raise BrokenError(f"{where}: expected {most} at most")
-    if _amount(attributes.get("width", "0")) * _amount(attributes.get("height", "0")) > MOST_CELLS:
-        raise BrokenError(f"{name}: <{tag}>: width times height is more than {MOST_CELLS}")
-    check_amounts(tag, attributes, name)
-
-
-def check_amounts(tag: str, attributes: Mapping[str, str], name: str) -> None:
-    """See that a mesh or height field made of numbers alone is no larger than those from files.
-    Raises BrokenError, naming `name`, or ValueError for no number."""
-    if _amount(attributes.get("nrow", "0")) * _amount(attributes.get("ncol", "0")) > MOST_CELLS:
-        raise BrokenError(f"{name}: <{tag}>: nrow times ncol is more than {MOST_CELLS}")
+    for sides in (("width", "height"), ("nrow", "ncol")):
+        if math.prod(_amount(attributes.get(side, "0")) for side in sides) > MOST_CELLS:
+            raise BrokenError(f"{name}: <{tag}>: {' times '.join(sides)} is more than {MOST_CELLS}")
     params = attributes.get("params", "") if "builtin" in attributes else ""
     if not all(float(part) <= MOST_BUILTIN for part in params.split()):
         raise BrokenError(
@@ -142,7 +135,7 @@ def check_amounts(tag: str, attributes: Mapping[str, str], name: str) -> None:
         )
 
 
-def check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
+def _check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
     """See that what places, turns and sizes things is made of finite numbers. Raises BrokenError,
     naming `name`.
 

@@ -16,6 +16,7 @@ from tests.shell import Shell
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SHARED = {"bars", "measuring"}
+STUDY = BENCHMARKS.parent / "docs" / "results" / "study.json"
 DATA = "data"
 """Stands for a dataset's folder."""
 NUMBER = r"(\d[\d.]*)"
@@ -53,6 +54,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
     "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
     "stream": ((), (r"generate --compact +N \(1\.00\) +N", r"cache read +N \(N\) +N")),
+    "study": (("--draw", STUDY, "--out", "out"), (r"out/(c)laims\.png", r"out/(l)earning\.png")),
     "training": (
         (DATA,),
         (r"and distances: N samples/s", r"float32 +N ms a map, N of processor; +bfloat16 +N ms"),

@@ -13,7 +13,7 @@ from scenegen.errors import DatasetError
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.statistics import Estimate
-from scenegen.model.reproduce.claims import (
+from scenegen.model.study.claims import (
     PATIENCE,
     Claim,
     answers,
@@ -28,7 +28,7 @@ from scenegen.model.reproduce.claims import (
     spread,
     waited,
 )
-from scenegen.model.reproduce.records import Measured, Records
+from scenegen.model.study.records import Measured, Records
 from tests.command_line import run as command
 
 WORLDS = np.repeat(np.arange(40), 5)
@@ -249,7 +249,8 @@ def test_verdicts_of_records_are_those_of_the_run(
     whole.write(file)
     assert judge(Records.read(file)) == first
     code, out, _ = command(capsys, "reproduce", "--from", file, "--json")
-    assert (code, json.loads(out)) == (0, json.loads(json.dumps(first, allow_nan=False)))
+    assert code == 0
+    assert {part: json.loads(out)[part] for part in first} == json.loads(json.dumps(first))
     code, out, _ = command(capsys, "reproduce", "--from", file)
     assert code == 0
     assert "confirmed" in out

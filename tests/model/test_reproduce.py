@@ -2,84 +2,54 @@
 1/200."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import load_tensors
-from scenegen.model.reproduce import stages
-from scenegen.model.reproduce.config import ReproduceConfig
-from scenegen.model.reproduce.report import to_markdown
-from scenegen.model.reproduce.rows import estimate
-from scenegen.model.reproduce.runs import ELSEWHERE, KINDS, LEAST_SEEDS, RUNS, SEEDS
-from scenegen.model.reproduce.stages import RECORDS, STUDY, TEXT, begin, runs
-from scenegen.recipe import preset
+from scenegen.model.study.report import to_markdown
+from scenegen.model.study.runs import LEAST_SEEDS, RUNS, SEEDS, ReproduceConfig
+from scenegen.model.study.stages import RECORDS, STUDY, TEXT, Study
 from tests.command_line import run as command
 
-JUDGED = ("verdicts", "claims", "beside", "paths", "contrasts")
+JUDGED = ("verdicts", "claims", "beside", "paths", "contrasts", "means")
+
+
+def study(folder: Path, scale: float = 1.0, *only: str) -> Study:
+    return Study(out=folder, config=ReproduceConfig(scale=scale, only=only))
 
 
 def test_runs_differ_in_what_they_are_for() -> None:
     """Names are unique, settings are possible and pairwise different, and verdicts have their
     seeds."""
-    assert len({run.name for run in RUNS}) == len(RUNS)
-    configs = [run.config(20_000) for run in RUNS]
-    assert len(
-        {(repr(one), run.samples, run.worlds) for one, run in zip(configs, RUNS, strict=True)}
-    ) == len(RUNS)
+    names = {run.name for run in RUNS}
+    assert len(names) == len({repr(run.config(20_000)) for run in RUNS}) == len(RUNS)
     for name in ("occ", "tudf", "proposed"):
-        assert {f"{name}-s{seed}" for seed in range(SEEDS.get(name, LEAST_SEEDS))} <= {
-            run.name for run in RUNS
-        }
-    assert {config.maps for config in configs} == {20_000, 5_000}
-    named = {run.name: run for run in RUNS}
-    for run in RUNS:
-        if run.against is not None:
-            other = named[run.against]
-            assert (run.share, run.seed, run.worlds) == (other.share, other.seed, other.worlds)
-            changed = ("network", "loss", "protocol", "samples")
-            assert sum(getattr(run, name) != getattr(other, name) for name in changed) == 1
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_half_as_many_obstacles_are_half_of_the_presets(kind: str) -> None:
-    assert 2 * np.array(ELSEWHERE["sparse"].tables[kind]["world"]["density"]) == pytest.approx(
-        preset(kind).world.density
-    )
+        assert {f"{name}-s{seed}" for seed in range(SEEDS.get(name, LEAST_SEEDS))} <= names
 
 
 def test_a_study_goes_on_with_its_own_settings_alone(tmp_path: Path) -> None:
-    begin(tmp_path / "study", ReproduceConfig(scale=0.5))
-    begin(tmp_path / "study", ReproduceConfig(scale=0.5, only=("occ-s0",)))
-    with pytest.raises(
-        DatasetError, match=r"begun with other settings \(scale is 0.5 there, 1.0 asked for\)"
-    ):
-        begin(tmp_path / "study", ReproduceConfig())
+    study(tmp_path / "study", 0.5).begin()
+    study(tmp_path / "study", 0.5, "occ-s0").begin()
+    with pytest.raises(DatasetError, match=r"other settings \(scale is 0.5 there, 1.0 asked for\)"):
+        study(tmp_path / "study").begin()
     (tmp_path / "file").touch()
     with pytest.raises(DatasetError, match="file"):
-        begin(tmp_path / "file" / "study", ReproduceConfig())
+        study(tmp_path / "file" / "study").begin()
     with pytest.raises(DatasetError, match="--only occ: no such run; known are occ-s0, "):
-        runs(ReproduceConfig(only=("occ",)))
+        study(tmp_path, 1.0, "occ").chosen()
 
 
-def test_estimates_grow_with_what_is_to_be_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "scenegen.model.reproduce.rows._map_seconds", lambda device: 0.1
-    )  # it takes seconds
-    small, large = (
-        estimate(config, runs(config), device="cpu", workers=2)
-        for config in (ReproduceConfig(scale=0.02, only=("occ-s0",)), ReproduceConfig(scale=0.02))
-    )
-    assert small.train_s == pytest.approx(400 * 0.1 / 2)
-    assert large.train_s == pytest.approx(sum(run.share for run in RUNS) * small.train_s)
-    assert large.generate_s == pytest.approx((1 + len(ELSEWHERE)) * small.generate_s)
-    assert large.bench_s > small.bench_s
-    assert large.bytes > small.bytes
-    assert set(large.words()) == {"time", "disk", "on"}
+def test_what_a_study_takes_grows_with_its_runs(tmp_path: Path) -> None:
+    assert study(tmp_path, 0.02, "occ-s0").takes() == {
+        "datasets": "130 samples",
+        "networks": "1, 400 maps of training in all",
+        "bench": "40 trials a kind and network",
+    }
+    assert f"{len(RUNS)}, {len(RUNS) * 400} maps" in study(tmp_path, 0.02).takes()["networks"]
 
 
 @pytest.mark.slow
@@ -100,7 +70,9 @@ def test_a_small_part_of_the_study_is_made_and_goes_on_where_it_was(
     }
     code, text, _ = command(capsys, "reproduce", "--from", out / RECORDS, "--json")
     assert code == 0
-    assert {part: first[part] for part in JUDGED} == json.loads(text)
+    assert {part: first[part] for part in JUDGED} == {
+        part: json.loads(text)[part] for part in JUDGED
+    }
     assert (out / RECORDS).stat().st_size < 3e6 * 0.02 + 1e5
     held = {path: path.stat().st_mtime_ns for path in out.rglob("best.safetensors")}
     damaged = out / "runs" / "occ-s0" / "best.safetensors"
@@ -119,17 +91,20 @@ def test_a_small_part_of_the_study_is_made_and_goes_on_where_it_was(
 
 def test_a_run_counts_as_complete_by_its_settings_and_its_last_map(tmp_path: Path) -> None:
     """Runs of earlier commits name neither inputs nor height."""
-    run, config = runs(ReproduceConfig(only=("occ-s0",)))[0], ReproduceConfig(scale=0.01)
+    asked = study(tmp_path, 0.01, "occ-s0")
+    (run,) = asked.chosen()
+    folder = tmp_path / "runs" / run.name
+    folder.mkdir(parents=True)
     settings = json.loads(json.dumps(asdict(run.config(200))))
     for name in ("inputs", "height"):
         del settings["network"][name]
-    (tmp_path / "config.json").write_text(
+    (folder / "config.json").write_text(
         json.dumps({"settings": settings | {"samples": 50, "precision": "bfloat16"}})
     )
-    assert not stages._complete(tmp_path, run, config)
+    assert not asked.complete(run)
     heads = "epoch,maps,train_loss,val_loss,val_iou,val_near_mae"
     for maps, whole in ((160, False), (200, True)):
-        (tmp_path / "metrics.csv").write_text(f"{heads}\n1,80,1,1,0,1\n2,{maps},1,1,0,1\n")
-        assert stages._complete(tmp_path, run, config) == whole
-    assert not stages._complete(tmp_path, run, ReproduceConfig(scale=0.02))
-    assert not stages._complete(tmp_path, runs(ReproduceConfig(only=("occ-s1",)))[0], config)
+        (folder / "metrics.csv").write_text(f"{heads}\n1,80,1,1,0,1\n2,{maps},1,1,0,1\n")
+        assert asked.complete(run) == whole
+    assert not study(tmp_path, 0.02).complete(run)
+    assert not asked.complete(replace(run, seed=1))

@@ -4,6 +4,8 @@ how it refuses."""
 import dataclasses
 import json
 import re
+import runpy
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,6 @@ from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.study.figures import draw
 from scenegen.model.evaluation.tuning import tune
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
@@ -216,7 +217,7 @@ def strictly(path: Path) -> dict:
 
 
 def test_a_study_stands_beside_tables_that_it_does_not_change(
-    dataset: Dataset, tmp_path: Path
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = ("truth", "seen", "returns")
     plain = report_of(dataset, tmp_path / "plain", names=rows)
@@ -253,9 +254,14 @@ def test_a_study_stands_beside_tables_that_it_does_not_change(
     text = (tmp_path / "study" / "report.md").read_text()
     assert "### What became of trials" in text
     assert "### What became of trials" not in (tmp_path / "plain" / "report.md").read_text()
+    pytest.importorskip("matplotlib")
+    script = Path(__file__).parents[3] / "docs" / "figures.py"
+    monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "study" / "report.json")])
+    runpy.run_path(str(script), run_name="__main__")
     assert len(list((tmp_path / "study").glob("*.png"))) == 13
+    monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "plain" / "report.json")])
     with pytest.raises(ValueError, match="no study; run bench with --study"):
-        draw(plain)
+        runpy.run_path(str(script), run_name="__main__")
 
 
 class Doubtful:
@@ -298,7 +304,6 @@ def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
     assert rows
     assert all(row["success"]["n"] == sum(row["fates"].values()) == 0 for row in rows)
     assert "| truth, edt | – |" in to_markdown(report)
-    assert all(draw(report).values())
 
 
 def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset: Dataset) -> None:

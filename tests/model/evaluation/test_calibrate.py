@@ -13,7 +13,6 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.calibration import KEY, Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
-from scenegen.model.commands import bench
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.config import NetworkConfig
@@ -73,7 +72,6 @@ def test_a_file_carries_its_calibration(dataset: Dataset, weights: Path, tmp_pat
 def test_bounds_of_others_are_a_row_of_the_study(
     dataset: Dataset, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench, "draw_study", lambda report: {})
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
     with h5py.File(tmp_path / "p.h5", "a") as file:

@@ -22,16 +22,11 @@ def test_names_and_values_are_escaped_and_keep_their_columns(
 
 
 def test_lines_are_kept_and_what_is_within_them_is_not(capsys: pytest.CaptureFixture[str]) -> None:
-    say("one\n  two\x1b[31m")
-    assert capsys.readouterr().out == "one\n  two\\x1b[31m\n"
+    say("one\n  two\x1b[31m\udcff")
+    assert capsys.readouterr().out == "one\n  two\\x1b[31m\\udcff\n"
 
 
-def test_paths_that_are_no_text_can_be_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    say("data/\udcff")
-    assert capsys.readouterr().out == "data/\\udcff\n"
-
-
-@pytest.mark.parametrize("wide", [10, 40, 80, 200])
+@pytest.mark.parametrize("wide", [10, 80, 200])
 def test_figures_fit_the_terminal_and_none_is_left_out(
     wide: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -45,14 +40,6 @@ def test_figures_fit_the_terminal_and_none_is_left_out(
     for n, head in enumerate(heads):
         at = next(line for line in lines if head in line.split())
         assert lines[lines.index(at) + 1].split()[1 + at.split().index(head)] == f"{n}.5"
-
-
-def test_in_a_pipe_figures_stand_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.delenv("COLUMNS", raising=False)
-    show_figures({"one": ["0.5"] * 50}, ["metric"] * 50)
-    assert len(capsys.readouterr().out.splitlines()) == 2
 
 
 @pytest.mark.parametrize(

@@ -146,10 +146,8 @@ def test_the_command_draws_samples_sheets_and_worlds(
     for words, part in (
         ([made, "-o", tmp_path / "x.gif"], "expected a name that ends in"),
         ([made, "--flight"], "is for a world"),
-        ([made, "--index", 1, "--n", 2], "not both"),
         ([made, "--figure", "paths", "-o", tmp_path / "x.png"], "give --weights or --predictions"),
         ([made, "--turn", "-o", tmp_path / "x.png"], "ends in .webp"),
-        ([made, "--turn", "--sheet", 4], "--turn"),
         ([tmp_path / "none.xml", "-o", tmp_path / "x.png"], "none.xml"),
         ([tmp_path, "-o", tmp_path / "x.png"], "dataset.json"),
     ):

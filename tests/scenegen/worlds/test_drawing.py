@@ -71,12 +71,8 @@ def test_any_solids_are_written_as_mujoco_writes_them(seed: int) -> None:
 
 def test_many_solids_at_once_are_as_if_added_one_by_one() -> None:
     rng = np.random.default_rng(0)
-    shapes, sizes, places = (
-        rng.choice([int(shape) for shape in SHAPES], 30),
-        rng.random((30, 3)),
-        rng.random((30, 3)),
-    )
-    quats = rng.normal(size=(30, 4))
+    shapes = rng.choice([int(shape) for shape in SHAPES], 30)
+    sizes, places, quats = rng.random((30, 3)), rng.random((30, 3)), rng.normal(size=(30, 4))
     quats /= np.sqrt((quats**2).sum(axis=1, keepdims=True))
     for own in (True, False):
         at_once, singly = Drawing(BOUNDS), Drawing(BOUNDS)
@@ -86,7 +82,7 @@ def test_many_solids_at_once_are_as_if_added_one_by_one() -> None:
         for shape, size, place, quat in zip(shapes, sizes, places, quats, strict=True):
             singly.add_geom(mujoco.mjtGeom(shape), size, place, quat=quat)
         assert at_once.mjcf() == singly.mjcf()
-        assert mujoco.MjModel.from_xml_string(singly.mjcf().decode()).ngeom == 30
+        assert singly.mjcf().count(b"<geom ") == 30 + 1  # and the default
 
 
 def test_what_is_not_written_here_is_left_to_mujoco() -> None:

@@ -6,7 +6,7 @@ import json
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from scenegen.errors import DatasetError, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
+from scenegen.model.evaluation.statistics import figure
 
 MOST_BYTES = 1 << 26
 TREE = "about"
@@ -28,7 +29,7 @@ class Measured:
     """All rows on one dataset."""
 
     where: str
-    """A name of `ELSEWHERE`, or "" for the presets."""
+    """The name of its worlds, or "" for the presets."""
     kind: str
     rows: tuple[str, ...]
     worlds: NDArray[np.int32]
@@ -61,6 +62,16 @@ class Measured:
             trials=np.moveaxis(trials.astype(np.float16), 1, 0),
         )
 
+    @classmethod
+    def joined(cls, parts: Sequence["Measured"]) -> "Measured":
+        """Rows that were measured one by one on the same dataset."""
+        return replace(
+            parts[0],
+            rows=tuple(row for part in parts for row in part.rows),
+            maps=np.concatenate([part.maps for part in parts], axis=1),
+            trials=np.concatenate([part.trials for part in parts], axis=1),
+        )
+
     def values(self, metric: str, row: str) -> NDArray[np.float64]:
         """The metric of every map, or of every trial."""
         names, held = (METRICS, self.maps) if metric in METRICS else (PLAN_METRICS, self.trials)
@@ -69,6 +80,16 @@ class Measured:
     def worlds_of(self, metric: str) -> NDArray[np.int32]:
         """The worlds of those values."""
         return self.worlds if metric in METRICS else self.trial_worlds
+
+    def means(self) -> dict[str, dict[str, Any]]:
+        """Every metric of every row, {mean, std, low, high, n}."""
+        return {
+            row: {
+                name: figure(self.values(name, row), self.worlds_of(name), metric.scale)
+                for name, metric in (METRICS | PLAN_METRICS).items()
+            }
+            for row in self.rows
+        }
 
 
 ARRAYS = ("worlds", "trial_worlds", "maps", "trials")
@@ -95,6 +116,7 @@ class Records:
         }
         memory = io.BytesIO()
         np.savez_compressed(memory, **{TREE: np.array(json.dumps(tree))}, **arrays)  # type: ignore[arg-type]
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, memory.getvalue())
 
     @classmethod

@@ -9,6 +9,7 @@ Biometrics Bulletin 2, 1946. All claims together are held to one level (S. Holm,
 sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979).
 """
 
+import json
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -24,7 +25,7 @@ from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.report import finite
 from scenegen.model.evaluation.statistics import Estimate, estimate, holm
-from scenegen.model.reproduce.records import Measured, Records, presets
+from scenegen.model.study.records import Measured, Records, presets
 
 Verdict = Literal["confirmed", "refuted", "contradicted", "undecided"]
 PATIENCE = TrainConfig().patience
@@ -301,3 +302,16 @@ def gain(
         return np.asarray((lost[..., 1] - lost[..., 0]).mean(axis=1))
 
     return estimate(sums, measured.worlds_of(metric), of)
+
+
+def summary(records: Records) -> dict[str, Any]:
+    """What a study found, from its records alone: ``runs``, the verdicts as `judge` gives them,
+    and ``means[worlds][kind][row][metric]``, to five digits."""
+    means: dict[str, dict[str, Any]] = {}
+    for one in records.measured:
+        means.setdefault(one.where, {})[one.kind] = one.means()
+    rounded = json.loads(
+        json.dumps(finite(means)), parse_float=lambda digits: float(f"{float(digits):.5g}")
+    )
+    worlds = {one.kind: len(set(one.worlds.tolist())) for one in records.measured if not one.where}
+    return {"runs": records.runs, **judge(records), "means": rounded, "worlds": worlds}

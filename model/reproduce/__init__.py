@@ -1,2 +1,0 @@
-"""The study of the paper's claims: which networks it trains, what it asks of them, and what it
-finds."""
