@@ -248,15 +248,6 @@ def test_a_slanted_ray_within_a_plane_frees_upper_voxels_only(seed: int) -> None
     np.testing.assert_array_equal(got.free, exact & ~got.observed)
 
 
-@pytest.mark.parametrize("signs", [(a, b, c) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
-def test_a_diagonal_ray_through_corners_frees_the_diagonal(signs: tuple[int, int, int]) -> None:
-    """It touches other voxels at corners only; these are accepted either way, the diagonal itself
-    is not."""
-    inside = {tuple((4 + n if s > 0 else 3 - n) for s in signs) for n in range(4)}
-    got = free_set(scan_of([signs], np.inf), DYADIC)
-    assert inside <= got
-
-
 @pytest.mark.parametrize("seed", range(10))
 def test_rays_through_edges_and_corners_of_voxels_match(seed: int) -> None:
     """Every ray leaves the sensor for a lattice point of the grid: it meets edges and corners all
@@ -270,39 +261,6 @@ def test_rays_through_edges_and_corners_of_voxels_match(seed: int) -> None:
         )
         scan = scan_of(steps, reach, rng.choice([0.0, 1.5, -0.7], 3))
         assert_right(scan, grid, voxelize(scan, grid))
-
-
-@pytest.mark.parametrize("max_range_m", [0.05, 0.3, 0.75, 3.0, 10.0, 1e4])
-def test_rays_without_return_free_up_to_the_range_or_the_maps_border(max_range_m: float) -> None:
-    rng = np.random.default_rng(2)
-    grid = GridSpec(shape=(10, 10, 6))
-    scan = scan_of(rng.normal(size=(30, 3)), np.inf, (3.0, 2.0, 1.0), max_range_m)
-    got = voxelize(scan, grid)
-    must, _ = assert_right(scan, grid, got)
-    assert must.any()
-    assert not got.observed.any()
-    centres = (np.argwhere(got.free) + 0.5) * grid.voxel_m + got.origin
-    assert np.linalg.norm(centres - scan.pose.position, axis=1).max() < max_range_m + grid.voxel_m
-    border = got.free.copy()
-    border[1:-1, 1:-1, 1:-1] = False
-    assert border.any() == (max_range_m > 0.5)
-
-
-def test_a_return_beyond_the_map_is_dropped_and_its_ray_still_frees_to_the_border() -> None:
-    rays = [
-        [1.0, 0.3, 0.2],
-        [-1.0, 0.3, 0.2],
-        [0.1, 1.0, 0.2],
-        [0.1, -1.0, 0.2],
-        [0.1, 0.2, 1.0],
-        [0.1, 0.2, -1.0],
-    ]
-    beyond = voxelize(scan_of(rays, 5.0), DYADIC)
-    never = voxelize(scan_of(rays, np.inf), DYADIC)
-    assert not beyond.observed.any()
-    np.testing.assert_array_equal(beyond.free, never.free)
-    assert_right(scan_of(rays, 5.0), DYADIC, beyond)
-    assert beyond.free.sum() >= 6 * 4
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -339,18 +297,6 @@ def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing_beyond(reach: 
         assert_right(scan, grid, got)
         assert np.argwhere(got.observed).tolist() == [list(index)]
         assert not got.free.any()
-
-
-def test_a_voxel_with_a_return_is_not_free_however_many_rays_cross_it() -> None:
-    """The return's ray comes last, then first, among rays that pass through its voxel without
-    return."""
-    rays = [[1.0, 0.1 + 0.01 * n, 0.1] for n in range(5)]
-    ends = [np.inf, np.inf, np.inf, np.inf, 0.6]
-    for order in (slice(None), slice(None, None, -1)):
-        got = voxelize(scan_of(rays[order], ends[order]), DYADIC)
-        assert got.observed[6, 4, 4]
-        assert not got.free[6, 4, 4]
-        assert got.free[7, 4, 4]
 
 
 # -------------------------------------------------------------------------------------------

@@ -305,21 +305,6 @@ def right_angles() -> Iterator[Floats]:
     yield from seen
 
 
-@pytest.mark.parametrize("voxel", VOXELS)
-def test_faces_flush_with_voxel_faces_occupy_both_sides(voxel: float) -> None:
-    """A box of whole voxels on the lattice touches one more layer all around: counted by hand."""
-    grid_shape = (9, 10, 11)
-    for quat in right_angles():
-        extent = np.array([1, 2, 3])
-        across = np.rint(np.abs(reference.rotation(quat) @ extent)).astype(int)
-        low = np.array([3, 3, 3])
-        shape = Shape("box", tuple(extent * voxel / 2), (low + across / 2) * voxel, quat)
-        expected = np.zeros(grid_shape, bool)
-        expected[tuple(slice(a - 1, a + b + 1) for a, b in zip(low, across, strict=True))] = True
-        answer = occupied(reference.world_of(shape), grid_shape, voxel, np.zeros(3))
-        np.testing.assert_array_equal(answer, expected)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_right_angled_attitudes_on_and_off_the_lattice(kind: str) -> None:
     """All 24 of them, touching voxel faces, edges and corners exactly, and a little off."""
@@ -333,54 +318,6 @@ def test_right_angled_attitudes_on_and_off_the_lattice(kind: str) -> None:
             voxels.append(voxel)
     for shape, solids, voxel in zip(shapes, compiled(shapes), voxels, strict=True):
         check(shape, solids, (10, 10, 10), voxel, np.zeros(3))
-
-
-def test_a_ball_touching_a_face_an_edge_and_a_corner_touches() -> None:
-    """By hand: around a voxel's centre, radii of 3/2, sqrt(2)/2 and sqrt(3)/2 voxels just reach."""
-    for voxel in VOXELS:
-        for radius, reached in ((1.5, 1), (0.5 * math.sqrt(2), 2), (0.5 * math.sqrt(3), 3)):
-            for slack, touches in ((0.0, True), (1e-5, True), (-1e-5, False)):
-                shape = Shape("sphere", (radius * voxel + slack, 0, 0), np.full(3, 3.5 * voxel))
-                answer = occupied(reference.world_of(shape), (7, 7, 7), voxel, np.zeros(3))
-                if reached == 1:  # the voxels two steps away along one axis
-                    assert answer[5, 3, 3] == answer[3, 1, 3] == answer[3, 3, 5] == touches
-                    assert not answer[6, 3, 3]
-                elif reached == 2:  # the diagonal neighbours within a coordinate plane
-                    assert answer[4, 4, 3] == answer[2, 3, 4] == answer[3, 4, 2] == touches
-                    assert not answer[4, 4, 4]
-                else:  # the diagonal neighbours in space
-                    assert answer[4, 4, 4] == answer[2, 4, 2] == answer[2, 2, 2] == touches
-
-
-@pytest.mark.parametrize("kind", ["cylinder", "box", "capsule", "ellipsoid"])
-def test_upright_and_upside_down_solids_at_many_yaws(kind: str) -> None:
-    """Yaw only, and yaw after a half turn about x, y or any level axis; on the lattice and off
-    it."""
-    rng = np.random.default_rng(17)
-    upside = (np.array([1.0, 0, 0, 0]), np.array([0.0, 1, 0, 0]), np.array([0.0, 0, 1, 0]))
-    shapes, voxels = [], []
-    yaws = [*np.arange(0, 360, 15.0), *rng.uniform(0, 360, 40)]
-    for k, (yaw, flip) in enumerate(itertools.product(np.radians(yaws), upside)):
-        quat = np.zeros(4)
-        mujoco.mju_mulQuat(quat, np.array([math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]), flip)
-        voxel = float(rng.choice(VOXELS))
-        size = random_size(rng)
-        at_rest = k % 2 == 0  # standing on a layer of voxels, as on a floor
-        pos = rng.uniform(5, 9, 3) * voxel
-        if at_rest:
-            height = (
-                size[2]
-                if kind in ("box", "ellipsoid")
-                else size[1] + (size[0] if kind == "capsule" else 0)
-            )
-            pos[2] = 4 * voxel + height
-        shapes.append(Shape(kind, size, pos, quat))
-        voxels.append(voxel)
-    occupied_voxels = 0
-    for shape, solids, voxel in zip(shapes, compiled(shapes), voxels, strict=True):
-        truth = check(shape, solids, (14, 14, 14), voxel, np.zeros(3))
-        occupied_voxels += int((truth.verdict == OCCUPIED).sum())
-    assert occupied_voxels > 10_000
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -878,30 +815,9 @@ def test_height_fields_are_filled_down_to_their_base(turned: bool) -> None:
     assert probed > 1000
 
 
-def test_flat_ground_between_two_levels_is_exact() -> None:
-    """By hand: a step of whole voxels, level ground on both sides of a slope, its base below."""
-    elevation = np.array([[0.0, 0.0, 1.0, 1.0]] * 2)
-    model = hfield_model(elevation, (0.75, 0.5, 0.5, 0.25), [0.75, 0.5, 0.25], [1, 0, 0, 0])
-    answer = occupied(model, (6, 4, 8), 0.25, np.array([0.0, 0.0, -0.625]))
-    # Layers lie at -0.625 + 0.25 k; the base is z = 0, the low ground 0.25, the high ground 0.75.
-    expected = np.zeros((6, 4, 8), bool)
-    expected[:, :, 2:4] = True  # base to low ground, z from -0.125 to 0.375
-    expected[4:, :, :6] |= np.arange(6) >= 2  # up to the high ground at 0.75, z up to 0.875
-    expected[2, :, 4] = True  # the slope rises from (0.5, 0.25) to (1.0, 0.75)
-    expected[3, :, 4:6] = True
-    np.testing.assert_array_equal(answer, expected)
-
-
 # ---------------------------------------------------------------------------------------------------------
 # What rays see
 # ---------------------------------------------------------------------------------------------------------
-
-
-def test_an_empty_world_is_free() -> None:
-    answer = occupied(mujoco.MjSpec().compile(), (5, 6, 7), 0.2, np.zeros(3))
-    assert answer.shape == (5, 6, 7)
-    assert answer.dtype == np.bool_
-    assert not answer.any()
 
 
 @pytest.mark.parametrize("kind", KINDS)
