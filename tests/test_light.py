@@ -65,6 +65,12 @@ def test_a_stream_needs_no_torch() -> None:
     )
 
 
+def test_inspecting_and_viewing_a_dataset_need_no_torch(folder: Path, tmp_path: Path) -> None:
+    main = "from scenegen.__main__ import app; app.main({}, standalone_mode=False)"
+    for words in (["inspect", folder], ["view", folder, "-o", tmp_path / "page.html"]):
+        assert "torch" not in imported(main.format([str(word) for word in words]))
+
+
 def test_what_is_derived_cast_or_drawn_is_imported_then(folder: Path) -> None:
     load = f"import scenegen; samples = scenegen.load({str(folder)!r})\n"
     assert "numba" in imported(f"{load}samples[0].free")

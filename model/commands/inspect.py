@@ -48,19 +48,19 @@ def inspect(
 
 def _facts(path: Path) -> dict[str, Any] | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
-    from scenegen.display.inspect import inspect_world
-    from scenegen.model import facts
     from scenegen.model.completion.points import READERS
 
     if path.suffix == ".xml":
+        from scenegen.display.inspect import inspect_world
+
         return inspect_world(path)
+    if not (path.suffix in READERS or path.suffix == ".h5" or (path / "metrics.csv").is_file()):
+        return None
+    from scenegen.model import facts  # loads torch
+
     if path.suffix in READERS:
         return facts.scan_facts(path)
-    if path.suffix == ".h5":
-        return facts.prediction_facts(path)
-    if (path / "metrics.csv").is_file():
-        return facts.run_facts(path)
-    return None
+    return facts.prediction_facts(path) if path.suffix == ".h5" else facts.run_facts(path)
 
 
 def _inspect_dataset(

@@ -3,14 +3,13 @@
 import io
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lidarsim import AnalyticEngine, GridSpec
-from lidarsim.solids.shapes import PLANE
+from lidarsim import GridSpec
 from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
 from scenegen.display.oblique import VIEW, View
@@ -34,7 +33,9 @@ from scenegen.display.panels import (
     to_bytes,
 )
 from scenegen.errors import DatasetError
-from scenegen.worlds.world import World
+
+if TYPE_CHECKING:
+    from scenegen.worlds.world import World
 
 FRAMES, TURN_S, TURN_DPI = 36, 8, 90
 """Pictures of a turntable, and how long it takes to go round, seconds."""
@@ -162,7 +163,7 @@ def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
 
 
 def draw_world(
-    world: World,
+    world: "World",
     *,
     title: str,
     flight: NDArray[np.float64] | None = None,
@@ -205,7 +206,7 @@ def draw_world(
 
 
 def see(
-    world: World, low: NDArray[np.float64], high: NDArray[np.float64]
+    world: "World", low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[float, float, float, float]]:
     """Looks at a world with our own rays, so that what is drawn is what the sensor would meet.
 
@@ -236,9 +237,12 @@ def see(
 
 
 def _shades(
-    world: World, starts: NDArray[np.float64], reach: float, low: float, high: float
+    world: "World", starts: NDArray[np.float64], reach: float, low: float, high: float
 ) -> NDArray[np.float64]:
     """Colours (n, 3) of what rays from `starts` (n, 3) away from the eye meet."""
+    from lidarsim import AnalyticEngine  # compiles; a picture of samples casts no rays
+    from lidarsim.solids.shapes import PLANE
+
     away = np.broadcast_to(-VIEW.eye, (len(starts), 1, 3)).copy()
     hits = AnalyticEngine.of(world.model, world.data).hits(starts, away, reach)
     seen = hits.geoms[:, 0] >= 0
