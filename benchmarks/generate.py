@@ -45,7 +45,7 @@ STAGES: dict[str, tuple[Any, str]] = {
     "  of which compile, read solids": (world_module, "compile_world"),
     "plan flight": (draw_module, "plan"),
     "make engine": (draw_module, "engine_of"),
-    "cast rays": (draw_module, "scans_from"),
+    "cast rays": (draw_module, "cast"),
     "occupancy": (draw_module, "rasterize"),
     "observed and free": (draw_module, "fuse"),
     "distance": (draw_module, "distance_field"),

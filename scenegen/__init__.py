@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from scenegen.dataset.locate import load
     from scenegen.dataset.read import Dataset
     from scenegen.display.show import show
+    from scenegen.draw import scan_world
     from scenegen.model.api import bench, train
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.protocol import Prediction
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from scenegen.streams.stream import stream
     from scenegen.verification.folder import verify
     from scenegen.worlds.flight import poses_in_flight
-    from scenegen.worlds.scans import scan_world
 
 __version__ = "0.1.0"
 
@@ -82,7 +82,7 @@ _MODULES = {
     "scenegen.streams.stream": ("stream",),
     "scenegen.verification.folder": ("verify",),
     "scenegen.worlds.flight": ("poses_in_flight",),
-    "scenegen.worlds.scans": ("scan_world",),
+    "scenegen.draw": ("scan_world",),
 }
 """Where each name of `__all__` stands. No module directly in this package may be called like one
 of them: importing it would put it in the name's place."""

@@ -225,7 +225,7 @@ def _write_scan(
 
     from lidarsim.pose import rotate
     from scenegen.display.points import write_points
-    from scenegen.worlds.scans import scan_world
+    from scenegen.draw import scan_world
 
     seen = scan_world(world, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])

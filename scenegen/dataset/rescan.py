@@ -19,14 +19,13 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.rules import noise_entry, sensor_entry
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
-from scenegen.draw import Rejections, Unit, engine_of, flight_rng, samples_of
+from scenegen.draw import Rejections, Unit, engine_of, flight_rng, samples_of, scans_from
 from scenegen.errors import DatasetError, GenerationError, printable, short
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.sample import stored_fields
 from scenegen.truth import rasterize
 from scenegen.worlds.flight import plan, viewpoints
-from scenegen.worlds.scans import scans_from
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import World, compile_world
 

@@ -13,7 +13,7 @@ from lidarsim.engines import ENGINES
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
-from scenegen.draw import Unit, draw_unit
+from scenegen.draw import Unit, draw_unit, scans_from, with_noise
 from scenegen.errors import GenerationError, RecipeError, SceneError
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
@@ -24,7 +24,6 @@ from scenegen.verification.contract import Archive, Contract, archived_world
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Sample, Shard, Worlds
-from scenegen.worlds.scans import scans_from, with_noise
 from scenegen.worlds.world import World, compile_world
 
 
