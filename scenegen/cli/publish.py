@@ -17,7 +17,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, show_table
-from scenegen.share.publication import USUAL
+from scenegen.share.licence import USUAL
 
 if TYPE_CHECKING:
     from scenegen.share.upload import Published

@@ -25,7 +25,8 @@ from scenegen.files import disk_error, draft_of, remove_drafts, sync_folder, wri
 from scenegen.run import undone_if_stopped
 from scenegen.share.card import card
 from scenegen.share.croissant import croissant
-from scenegen.share.publication import LOCK, USUAL, Publication, environment_lock, find_licence
+from scenegen.share.licence import USUAL, find_licence
+from scenegen.share.publication import LOCK, Publication, environment_lock
 from scenegen.share.regenerate import check_kind, check_source, command, source_file
 
 SUMS = "SHA256SUMS"
