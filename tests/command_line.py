@@ -1,5 +1,6 @@
 """The command line as users meet it, for tests: run a command in this process, on small worlds."""
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -27,7 +28,10 @@ shape = [24, 24, 16]
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of a command."""
+    """Exit code, standard output and standard error of a command: its words, or one line as a user
+    types it."""
+    if len(words) == 1:
+        words = tuple(shlex.split(str(words[0])))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONSAFEPATH", "1")  # as the command line has it, and as it was afterwards
         patch.setattr(sys, "argv", ["scenegen", *map(str, words)])

@@ -135,12 +135,8 @@ def test_printing_in_vain_changes_no_verdict(
     """Output that is lost is told and ends with 1; nobody need read standard error, nor all of the
     output."""
     out = tmp_path / "d"
-    assert (
-        run(
-            capsys, "generate", "--recipe", small, "--n", 3, "--out", out, "--workers", 1, "--quiet"
-        )[0]
-        == 0
-    )
+    command = f"generate --recipe {small} --n 3 --out {out} --workers 1 --quiet"
+    assert run(capsys, command)[0] == 0
     verify = f"{sys.executable} cli.py verify --quick {out}"
     script = f"{sys.executable} cli.py completion bash"
     lost = "scenegen: standard output: {}; what was to be printed is lost\n".format

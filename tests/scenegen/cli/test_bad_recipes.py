@@ -95,13 +95,10 @@ def test_a_bad_recipe_ends_in_one_line(
 ) -> None:
     text, named = BAD_RECIPES[what]
     (tmp_path / "r.toml").write_text(text)
-    words = ("--kind", "pillar", "--recipe", tmp_path / "r.toml", "--n", 5, "--quiet")
-    words = (*words, "--out", tmp_path / "d")
-    code, said, error = run(capsys, "generate", *words)
-    assert code == 1
+    command = f"generate pillar --recipe {tmp_path / 'r.toml'} --n 5 --quiet --out {tmp_path / 'd'}"
+    code, said, error = run(capsys, command)
+    assert (code, said, error.count("\n")) == (1, "", 1)
     assert named in error
-    assert error.count("\n") == 1
-    assert said == ""
 
 
 def test_a_recipe_that_is_no_file_ends_in_one_line(
@@ -113,8 +110,7 @@ def test_a_recipe_that_is_no_file_ends_in_one_line(
         ("", "not a regular file"),
         ("gone.toml", "no such file"),
     ):
-        code, said, error = run(
-            capsys, "generate", "--recipe", tmp_path / path, "--out", tmp_path / "d", "--quiet"
-        )
+        command = f"generate --recipe {tmp_path / path} --out {tmp_path / 'd'} --quiet"
+        code, said, error = run(capsys, command)
         assert (code, said, error.count("\n")) == (1, "", 1)
         assert named in error

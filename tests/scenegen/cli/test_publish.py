@@ -22,21 +22,12 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_rehearsal_lists_what_would_go(
     here: Path, made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, said, _ = run(
-        capsys, "publish", made, "--repo", "ada/pillars", "--dry-run", "--workers", 1
-    )
+    command = f"publish {made} --repo ada/pillars --dry-run"
+    code, said, _ = run(capsys, f"{command} --workers 1")
     assert code == 0
-    for name in (
-        "train-00003.worlds.zip",
-        "README.md",
-        "croissant.json",
-        "SHA256SUMS",
-        "hf://ada/pillars@v1-",
-    ):
+    for name in ("train-00003.worlds.zip", "README.md", "SHA256SUMS", "hf://ada/pillars@v1-"):
         assert name in said
-    code, said, _ = run(
-        capsys, "publish", made, "--repo", "ada/pillars", "--dry-run", "--json", "--tag", "v7"
-    )
+    code, said, _ = run(capsys, f"{command} --json --tag v7")
     found = json.loads(said)
     assert (found["tag"], found["commit"], found["folder"]) == ("v7", None, "publish/pillars")
     assert {
@@ -85,25 +76,17 @@ def test_bad_use_ends_in_one_line(
 ) -> None:
     monkeypatch.delenv("HF_TOKEN")
     for words, ends, named in (
-        (("publish", made), 2, "--repo"),
-        (("publish", made, "--repo", "pillars"), 1, "expected user/name"),
-        (("publish", made, "--repo", "ada/pillars"), 1, "no token for the Hub"),
-        (("publish", here, "--repo", "ada/pillars", "--dry-run"), 1, "not a dataset"),
-        (
-            ("publish", made, "--repo", "ada/pillars", "--dry-run", "--licence", "mine"),
-            1,
-            "CC-BY-4.0",
-        ),
-        (
-            ("publish", made, "--repo", "ada/pillars", "--dry-run", "--out", made),
-            1,
-            "overlaps the dataset",
-        ),
-        (("inspect", "ada/pillars"), 1, "ada/pillars: not a dataset"),
-        (("inspect", "hf://pillars"), 1, "expected hf://user/name"),
-        (("inspect", "hf://ada/pillars"), 1, "hf://ada/pillars: RepositoryNotFoundError"),
+        (f"publish {made}", 2, "--repo"),
+        (f"publish {made} --repo pillars", 1, "expected user/name"),
+        (f"publish {made} --repo ada/pillars", 1, "no token for the Hub"),
+        (f"publish {here} --repo ada/pillars --dry-run", 1, "not a dataset"),
+        (f"publish {made} --repo ada/pillars --dry-run --licence mine", 1, "CC-BY-4.0"),
+        (f"publish {made} --repo ada/pillars --dry-run --out {made}", 1, "overlaps the dataset"),
+        ("inspect ada/pillars", 1, "ada/pillars: not a dataset"),
+        ("inspect hf://pillars", 1, "expected hf://user/name"),
+        ("inspect hf://ada/pillars", 1, "hf://ada/pillars: RepositoryNotFoundError"),
     ):
-        code, said, error = run(capsys, *words)
+        code, said, error = run(capsys, words)
         assert (code, said) == (ends, ""), words
         assert named in error
         assert len(error.splitlines()) == 1, error

@@ -205,8 +205,7 @@ def test_what_cannot_be_read_is_named_and_the_rest_is_written(
     with h5py.File(dataset / "train-00000.h5", "r+") as shard:
         shard["position"][1] += 0.05
     out = tmp_path / "out"
-    words = ("convert", dataset, "--to", "pcd", "-o", out, "--split", "train", "--quiet")
-    code, _, said = run(capsys, *words)
+    code, _, said = run(capsys, f"convert {dataset} --to pcd -o {out} --split train --quiet")
     assert code == 1
     assert [n for n in range(11) if f"train {n} is left out" in said] == [1, 3, 4, 5]
     assert "sample 1: its content does not have the digest" in said
@@ -226,8 +225,8 @@ def test_a_format_of_ones_own(
         "(str(sample.occupancy.sum()).encode(),)\n"
     )
     monkeypatch.chdir(tmp_path)
-    words = ("convert", made, "--to", "my_format_of_tests:Counts", "-o", "out", "--quiet")
-    assert run(capsys, *words) == (0, "", "")
+    command = f"convert {made} --to my_format_of_tests:Counts -o out --quiet"
+    assert run(capsys, command) == (0, "", "")
     for number, sample in enumerate(Dataset(made).split("test")):
         assert int((tmp_path / "out" / f"test-{number}.txt").read_text()) == sample.occupancy.sum()
 
@@ -399,9 +398,9 @@ def test_a_world_s_surfaces_are_where_its_solids_are(
     assert (code, said) == (0, "")
     assert (tmp_path / "d.glb").read_bytes().startswith(b"glTF")
     for words, part in (
-        ([made, "-o", tmp_path / "x.glb"], "number"),
-        ([document, 0, "-o", tmp_path / "x.glb"], "number"),
-        ([document], ".glb"),
+        (f"{made} -o {tmp_path}/x.glb", "number"),
+        (f"{document} 0 -o {tmp_path}/x.glb", "number"),
+        (f"{document}", ".glb"),
     ):
-        code, _, said = run(capsys, "world", *words)
+        code, _, said = run(capsys, f"world {words}")
         assert (code, said.count("\n"), part in said) == (2, 1, True)
