@@ -74,131 +74,104 @@ def regenerated(table: str) -> str:
 
 LACKING = {
     "kind without a module": (
-        ("generate", "--quiet", "--kind", "absent:Fence"),
+        "generate --quiet --kind absent:Fence",
         1,
         "there is no module absent",
     ),
     "kind of another class": (
-        ("generate", "--quiet", "--kind", "wrong:Other"),
+        "generate --quiet --kind wrong:Other",
         1,
         "lacks `version`, a whole number",
     ),
     "kind of no base": (
-        ("generate", "--quiet", "--kind", "wrong:Loose"),
-        1,
-        "class Mine(scenegen.WorldKind)",
-    ),
-    "kind without add_to": (
-        ("generate", "--quiet", "--kind", "wrong:Empty"),
+        "generate --quiet --kind wrong:Loose",
         1,
         "class Mine(scenegen.WorldKind)",
     ),
     "kind that is no dataclass": (
-        ("generate", "--quiet", "--kind", "wrong:Bare"),
+        "generate --quiet --kind wrong:Bare",
         1,
         "class Mine(scenegen.WorldKind)",
     ),
     "kind with odd values": (
-        ("generate", "--quiet", "--kind", "wrong:Odd"),
+        "generate --quiet --kind wrong:Odd",
         1,
         "cannot stand in a manifest",
     ),
     "a name beyond what readers take": (
-        ("generate", "--quiet", "--kind", f"wrong:{'K' * 95}"),
+        f"generate --quiet --kind wrong:{'K' * 95}",
         1,
         "at most 100 characters",
     ),
     "method without name": (
-        ("bench", "DATASET", "--quiet", "--method", "wrong:Nameless"),
+        "bench DATASET --quiet --method wrong:Nameless",
         1,
         "lacks `name`, a string",
     ),
     "method with another signature": (
-        ("bench", "DATASET", "--quiet", "--method", "wrong:Short"),
+        "bench DATASET --quiet --method wrong:Short",
         1,
         "does not take (observed, free, *, grid)",
     ),
     "method that needs arguments": (
-        ("bench", "DATASET", "--quiet", "--method", "wrong:Needy"),
+        "bench DATASET --quiet --method wrong:Needy",
         1,
         "without arguments",
     ),
-    "method that is absent": (
-        ("bench", "DATASET", "--quiet", "--method", "wrong:Gone"),
-        1,
-        "has no Gone",
-    ),
-    "command that is a plain function": (("wrong:plain",), 2, "lacks `make_context`"),
-    "command that is absent": (("trian",), 2, "did you mean 'train'?"),
+    "command that is a plain function": ("wrong:plain", 2, "lacks `make_context`"),
+    "command that is absent": ("trian", 2, "did you mean 'train'?"),
     "another kind than the dataset's": (
-        ("verify", "DATASET", "--quiet", "--kind", "my_worlds:Fence"),
+        "verify DATASET --quiet --kind my_worlds:Fence",
         1,
         "the dataset's kind is 'pillar'",
     ),
 }
 FAILING = "line {} of wrong.py: KeyError: 'gone'"
-PILLAR = ("generate", "--quiet", "--kind", "pillar", "--workers", 1)
+PILLAR = "generate --quiet --kind pillar --workers 1"
 LACKING |= {
     "a kind that fails": (
-        ("generate", "--quiet", "--kind", "wrong:Failing", "--workers", 1),
+        "generate --quiet --kind wrong:Failing --workers 1",
         1,
         FAILING.format(3),
     ),
     "a kind that fails in a worker": (
-        (
-            "generate",
-            "--quiet",
-            "--recipe",
-            "fails.toml",
-            "--n",
-            99,
-            "--shard-samples",
-            3,
-            "--workers",
-            2,
-        ),
+        "generate --quiet --recipe fails.toml --n 99 --shard-samples 3 --workers 2",
         1,
         FAILING.format(3),
     ),
     "a method that fails": (
-        ("bench", "DATASET", "--quiet", "--method", "wrong:Broken"),
+        "bench DATASET --quiet --method wrong:Broken",
         1,
         FAILING.format(3),
     ),
     "a method whose error cannot travel": (
-        ("bench", "DATASET", "--quiet", "--method", "wrong:Worse", "--workers", 2),
+        "bench DATASET --quiet --method wrong:Worse --workers 2",
         1,
         "of wrong.py: Failed: two",
     ),
-    "a method that cannot be made": (
-        ("bench", "DATASET", "--quiet", "--method", "wrong:Unmade"),
-        1,
-        FAILING.format(3),
-    ),
-    "a command that fails": (("wrong:failing",), 1, FAILING.format(3)),
+    "a command that fails": ("wrong:failing", 1, FAILING.format(3)),
     "a module that ends the process": (
-        ("ends:all",),
+        "ends:all",
         2,
         "importing it fails (line 2 of ends.py): SystemExit",
     ),
     "an engine that fails": (
-        (*PILLAR, "--engine", "wrong:Still"),
+        f"{PILLAR} --engine wrong:Still",
         1,
         FAILING.format(3),
     ),
     "an engine that lacks something": (
-        (*PILLAR, "--engine", "wrong:Short"),
+        f"{PILLAR} --engine wrong:Short",
         1,
         "`of`",
     ),
-    "a sensor that lacks something": ((*PILLAR, "--sensor", "wrong:Short"), 1, "lacks `shape`"),
     "a sensor beside another": (
-        ("generate", "--recipe", "table.toml", "--sensor", "raster"),
+        "generate --recipe table.toml --sensor raster",
         1,
         "leave one of the two",
     ),
     "an engine by a wrong name": (
-        ("generate", "--kind", "pillar", "--engine", "mojuco"),
+        "generate --kind pillar --engine mojuco",
         2,
         "did you mean 'mujoco'?",
     ),
@@ -281,7 +254,7 @@ def test_one_that_lacks_something_is_told_in_one_line(
     (standing / "ends.py").write_text("import sys\nsys.exit(3)\n")
     (standing / "fails.toml").write_text('kind = "wrong:Failing"')
     (standing / "table.toml").write_text('kind = "pillar"\n[lidar]\nsensor = "table"')
-    ended, said, error = run(capsys, *(dataset if word == "DATASET" else word for word in words))
+    ended, said, error = run(capsys, *words.replace("DATASET", str(dataset)).split())
     assert (ended, said, error.count("\n")) == (code, "", 1)
     assert told in error
     assert not (standing / "data").exists()

@@ -25,20 +25,8 @@ SCAN = ("scan", SCENE, "--flight", "--quiet")
 BENCH = ("bench", "d", "--quick", "--method", "returns", "-o", "out")
 TRAIN = ("train", "d", "--out", "out", "--epochs", 1, "--device", "cpu")
 REPRODUCE = ("reproduce", "-o", "out", "--scale", 0.001)
-GENERATE = (
-    "generate",
-    "--recipe",
-    "small.toml",
-    "--n",
-    3,
-    "--val",
-    0,
-    "--test",
-    0,
-    "--quiet",
-    "--out",
-    "out",
-)
+ASKED = "--recipe small.toml --n 3 --val 0 --test 0 --quiet --out out"
+GENERATE = ("generate", *ASKED.split())
 FILES: tuple[tuple[tuple[object, ...], str], ...] = (
     (("world", "d", 0, "-o", "w.xml"), "w.xml"),
     (("world", "d", 0, "-o", "w.glb"), "w.glb"),

@@ -54,6 +54,11 @@ class Attempt:
     """Whether "out of memory" is a good end: the user asked for much, no stranger did."""
 
 
+def words(line: str) -> tuple[str, ...]:
+    """A command line's words."""
+    return tuple(line.split())
+
+
 Family = Callable[[Random, Any, Path], Attempt]
 """Makes a case: from its random numbers, the valid inputs, and the empty folder where it will
 run."""

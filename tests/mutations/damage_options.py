@@ -8,83 +8,34 @@ from random import Random
 
 import click
 
-from tests.mutations.case import Attempt
+from tests.mutations.case import Attempt, words
 from tests.mutations.nasty import number, text
 from tests.mutations.valid import Valid
 
 MADE = {
-    "generate": (
-        "--recipe",
-        "recipe.toml",
-        "--n",
-        "1",
-        "--val",
-        "0",
-        "--test",
-        "0",
-        "--workers",
-        "1",
-        "--quiet",
-        "--out",
-        "out",
-    ),
-    "inspect": ("d", "--json"),  # its way to be quiet: with --all, a bar is drawn otherwise
-    "world": ("d", "0", "-o", "out"),
-    "verify": ("d", "--quick", "--workers", "1", "--quiet"),
-    "train": (
-        "d",
-        "--epochs",
-        "1",
-        "--width",
-        "1",
-        "--workers",
-        "0",
-        "--device",
-        "cpu",
-        "--quiet",
-        "--out",
-        "out",
-    ),
-    "complete": ("d", "--weights", "n.safetensors", "--device", "cpu", "--quiet", "-o", "out"),
-    "export": ("n.safetensors", "-o", "out"),
-    "networks": (),
-    "bench": ("d", "--quick", "--workers", "1", "--quiet", "--method", "returns", "--out", "out"),
-    "publish": (
-        "d",
-        "--repo",
-        "ada/d",
-        "--dry-run",
-        "--quick",
-        "--workers",
-        "1",
-        "--quiet",
-        "--out",
-        "out",
-    ),
-    "reproduce": (
-        "--dry-run",
-        "--scale",
-        "0.001",
-        "--workers",
-        "1",
-        "--quiet",
-        "--device",
-        "cpu",
-        "--out",
-        "out",
-    ),
-    "sensors": ("velodyne-vlp-16", "--out", "out.png"),
-    "scan": ("w.xml", "--pose", "0,0,2,0", "--lidar", "velodyne-vlp-16", "-o", "out.ply"),
-    "rescan": ("d", "--quiet", "--workers", "1", "-o", "out"),
-    "take": ("d", "--quiet", "--workers", "1", "-o", "out"),
-    "merge": ("d", "d", "--quiet", "--workers", "1", "-o", "out"),
-    "calibrate": ("n.safetensors", "d", "--quiet", "-o", "out.safetensors"),
-    "view": ("d", "--html", "out.html", "--quiet"),
-    "render": ("d", "-o", "out.png"),
-    "convert": ("d", "--to", "npz", "--quiet", "-o", "out"),
-    "recipe": ("pillar", "-o", "out.toml"),
-    "doctor": (),
-    "completion": ("bash",),
+    "generate": "--recipe recipe.toml --n 1 --val 0 --test 0 --workers 1 --quiet --out out",
+    "inspect": "d --json",
+    "world": "d 0 -o out",
+    "verify": "d --quick --workers 1 --quiet",
+    "train": "d --epochs 1 --width 1 --workers 0 --device cpu --quiet --out out",
+    "complete": "d --weights n.safetensors --device cpu --quiet -o out",
+    "export": "n.safetensors -o out",
+    "networks": "",
+    "bench": "d --quick --workers 1 --quiet --method returns --out out",
+    "publish": "d --repo ada/d --dry-run --quick --workers 1 --quiet --out out",
+    "reproduce": "--dry-run --scale 0.001 --workers 1 --quiet --device cpu --out out",
+    "sensors": "velodyne-vlp-16 --out out.png",
+    "scan": "w.xml --pose 0,0,2,0 --lidar velodyne-vlp-16 -o out.ply",
+    "rescan": "d --quiet --workers 1 -o out",
+    "take": "d --quiet --workers 1 -o out",
+    "merge": "d d --quiet --workers 1 -o out",
+    "calibrate": "n.safetensors d --quiet -o out.safetensors",
+    "view": "d --html out.html --quiet",
+    "render": "d -o out.png",
+    "convert": "d --to npz --quiet -o out",
+    "recipe": "pillar -o out.toml",
+    "doctor": "",
+    "completion": "bash",
 }
 """Commands as they work; what a case changes comes after, and so holds."""
 DEAR = {"networks", "doctor", "export", "train", "publish", "reproduce"}
@@ -107,7 +58,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     (here / "folder").mkdir()
     name = random.choice(sorted(app.registry.known))
     command = app.find(name)
-    words = [name, *MADE.get(name, ())]
+    words = [name, *MADE.get(name, "").split()]
     done, asked = [], ["out", "out.png", "out.ply", "out.html", "out.toml", "out.safetensors"]
     parents = []
     for _ in range(random.choice((1, 1, 2))):
@@ -144,15 +95,7 @@ def _values(parameter: click.Parameter, random: Random) -> list[str]:
         return []
     count = parameter.nargs if parameter.nargs > 1 else 1
     small = (
-        "0",
-        "-1",
-        "2",
-        "1.5",
-        "1e3",
-        "nan",
-        "inf",
-        "-inf",
-        "1_000",
+        *words("0 -1 2 1.5 1e3 nan inf -inf 1_000"),
         " 1",
         "٣",
         "0x10",
@@ -162,17 +105,8 @@ def _values(parameter: click.Parameter, random: Random) -> list[str]:
         parameter.type, click.types.IntParamType | click.types.FloatParamType | click.Tuple
     ):
         return [random.choice((*small, text(random))) for _ in range(count)]
-    paths = (
-        "pipe",
-        "loop",
-        "file",
-        "folder",
-        "d",
-        "d/dataset.json",
-        "missing/deep/x",
-        "/dev/null/x",
-        "file/x",
-        "/proc/self/mem",
+    paths = words(
+        "pipe loop file folder d d/dataset.json missing/deep/x /dev/null/x file/x /proc/self/mem"
     )
     return [
         random.choice((*paths, *paths, text(random), str(number(random))[:500]))

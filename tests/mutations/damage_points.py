@@ -10,7 +10,7 @@ from random import Random
 import numpy as np
 
 from scenegen.display.points import encode_points
-from tests.mutations.case import Attempt, refuses
+from tests.mutations.case import Attempt, refuses, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.damage_weights import _holds, _Owned
 from tests.mutations.datasets import finite_prediction
@@ -45,13 +45,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
         words=(
             "complete",
             path.name,
-            "--weights",
-            "n.safetensors",
-            "--quiet",
-            "--device",
-            "cpu",
-            "-o",
-            "out.h5",
+            *words("--weights n.safetensors --quiet --device cpu -o out.h5"),
         ),
         damage=f"{path.name}: {said}",
         makes=("out.h5",),
@@ -110,7 +104,7 @@ def _ply(random: Random) -> tuple[bytes, str, bool]:
             )
             return (_head(20, properties=wrong) + text).encode(), f"properties {wrong!r}", True
         case 7:
-            value = random.choice(("nan", "inf", "1e300", "-1e38", "1e9", "0x10", ESCAPES))
+            value = random.choice((*words("nan inf 1e300 -1e38 1e9 0x10"), ESCAPES))
             return (
                 (_head(21) + text + f"\n{value} 0 0").encode(),
                 f"a point at {ascii(value)[:40]}",

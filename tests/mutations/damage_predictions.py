@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from tests.mutations import damage_hdf5
-from tests.mutations.case import REFUSED, SAME, VALID, Attempt, Result, refuses
+from tests.mutations.case import REFUSED, SAME, VALID, Attempt, Result, refuses, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.nasty import ESCAPES
 from tests.mutations.valid import Valid, scores
@@ -42,15 +42,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
 
     return Attempt(
         words=(
-            "bench",
-            "d",
-            "--quick",
-            "--workers",
-            "1",
-            "--quiet",
-            "--method",
-            "returns",
-            "--predictions",
+            *words("bench d --quick --workers 1 --quiet --method returns --predictions"),
             path.name,
         ),
         damage=f"{path.name}: {said}",

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.mutations.case import NOTHING, Attempt, Result, refuses
+from tests.mutations.case import NOTHING, Attempt, Result, refuses, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.datasets import finite_prediction
 from tests.mutations.nasty import nasty, number, spoil
@@ -28,11 +28,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
             "scan.npy",
             "--weights",
             name,
-            "--quiet",
-            "--device",
-            "cpu",
-            "-o",
-            "out.h5",
+            *words("--quiet --device cpu -o out.h5"),
         ),
         damage=f"{name}: {said}",
         makes=("out.h5",),

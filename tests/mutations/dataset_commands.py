@@ -6,10 +6,10 @@ from random import Random
 from typing import Any
 
 from tests.mutations import datasets
-from tests.mutations.case import REFUSED, SAME, Attempt, Result, equals, refuses
+from tests.mutations.case import REFUSED, SAME, Attempt, Result, equals, refuses, words
 from tests.mutations.valid import GENERATE, Valid
 
-ALL = ("load", "load", "inspect", "quick", "verify", "resume", "complete", "world")
+ALL = words("load load inspect quick verify resume complete world")
 
 
 def read_dataset(
@@ -113,13 +113,7 @@ def _complete(
         words=(
             "complete",
             name,
-            "--weights",
-            "n.safetensors",
-            "--quiet",
-            "--device",
-            "cpu",
-            "-o",
-            "out.h5",
+            *words("--weights n.safetensors --quiet --device cpu -o out.h5"),
         ),
         damage=damage,
         makes=("out.h5",),

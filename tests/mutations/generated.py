@@ -10,27 +10,19 @@ from typing import Any
 import h5py
 import numpy as np
 
-from tests.mutations.case import Attempt, Result
+from tests.mutations.case import Attempt, Result, words
 
 
-def generated(words: tuple[str, ...], damage: str, *, samples: int = 1) -> Attempt:
-    """A dataset made by `words`; where that succeeds, `verify --quick` passes it and its numbers
+def generated(asked: tuple[str, ...], damage: str, *, samples: int = 1) -> Attempt:
+    """A dataset made by the words `asked`; where that succeeds, `verify --quick` passes it and its numbers
     can be such."""
     return Attempt(
         words=(
             "generate",
-            *words,
+            *asked,
             "--n",
             str(samples),
-            "--val",
-            "0",
-            "--test",
-            "0",
-            "--out",
-            "out",
-            "--workers",
-            "1",
-            "--quiet",
+            *words("--val 0 --test 0 --out out --workers 1 --quiet"),
         ),
         damage=damage,
         makes=("out", "out/*"),

@@ -15,6 +15,7 @@ import numpy as np
 from lidarsim import GridSpec
 from scenegen import __main__ as cli
 from tests.mutations import datasets
+from tests.mutations.case import words
 
 EDGE = 16
 """Voxels along each edge of the map."""
@@ -55,19 +56,7 @@ SCENE = """<mujoco model="small">
 </mujoco>
 """
 GENERATE = (
-    *(
-        "generate",
-        "--recipe",
-        "recipe.toml",
-        "--n",
-        "4",
-        "--val",
-        "2",
-        "--test",
-        "2",
-        "--shard-samples",
-        "2",
-    ),
+    *words("generate --recipe recipe.toml --n 4 --val 2 --test 2 --shard-samples 2"),
     *("--workers", "1", "--quiet", "--out"),
 )
 
@@ -107,8 +96,8 @@ def make_valid(folder: Path) -> Valid:
     run(*GENERATE, "d")
     run(*GENERATE, "c", "--compact")
     (folder / "scene.xml").write_text(SCENE)
-    of_one = ("--n", "1", "--val", "0", "--test", "0", "--workers", "1", "--quiet")
-    run("generate", "--scene", "scene.xml", "--recipe", "scene.toml", *of_one, "--out", "s")
+    of_one = words("--n 1 --val 0 --test 0 --workers 1 --quiet")
+    run(*words("generate --scene scene.xml --recipe scene.toml"), *of_one, "--out", "s")
     _write_networks(folder)
     points = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 3))
     np.save("scan.npy", points)
@@ -119,32 +108,17 @@ def make_valid(folder: Path) -> Valid:
     (folder / "scan.ply").write_text(
         head + "end_header\n" + "\n".join(" ".join(f"{x:.4f}" for x in p) for p in points)
     )
-    run("verify", "d", "--workers", "1", "--quiet")
-    run("complete", "d", "--weights", "n.safetensors", "--quiet", "--device", "cpu")
+    run(*words("verify d --workers 1 --quiet"))
+    run(*words("complete d --weights n.safetensors --quiet --device cpu"))
     for scan in ("scan.npy", "scan.ply", "scan.xyz"):
         run(
             "complete",
             scan,
-            "--weights",
-            "n.safetensors",
-            "--quiet",
-            "-o",
-            "out.h5",
-            "--device",
-            "cpu",
+            *words("--weights n.safetensors --quiet -o out.h5 --device cpu"),
         )
-    run("complete", "scan.npy", "--weights", "n.onnx", "--quiet", "-o", "out.h5")
+    run(*words("complete scan.npy --weights n.onnx --quiet -o out.h5"))
     run(
-        "bench",
-        "d",
-        "--quick",
-        "--workers",
-        "1",
-        "--quiet",
-        "--method",
-        "returns",
-        "--predictions",
-        "predictions.h5",
+        *words("bench d --quick --workers 1 --quiet --method returns --predictions predictions.h5"),
     )
     return Valid(
         folder=folder,

@@ -179,20 +179,10 @@ def test_a_recipe_that_this_version_reads_differently_is_refused(
     dataset: Path, asked: Request
 ) -> None:
     found = manifest.read(dataset)
-    for change, named in (
-        ({"density": [0.2, 0.3]}, ""),
-        ({"colour": 1}, "unknown parameter 'colour'"),
-    ):
-        changed = {
-            **found,
-            "recipe": {**found["recipe"], "world": {**found["recipe"]["world"], **change}},
-        }
-        manifest.write(dataset, changed)
-        if named:
-            with pytest.raises(
-                PublishError, match=rf"would not make the same dataset again.*{named}"
-            ):
-                stage(asked, CHECKS)
+    found["recipe"]["world"]["colour"] = 1
+    manifest.write(dataset, found)
+    with pytest.raises(PublishError, match=r"not make the same dataset again.*'colour'"):
+        stage(asked, CHECKS)
     assert not asked.out.exists()
 
 
@@ -272,20 +262,6 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked: Request, dataset:
     with pytest.raises(PublishError, match=r"val-00000.h5: is missing"):
         stage(asked, CHECKS)
     assert list(asked.out.parent.iterdir()) == []
-
-
-def test_a_manifest_cannot_lead_out_of_the_folder(
-    asked: Request, dataset: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "secret.h5").write_text("not yours")
-    found = manifest.read(dataset)
-    for name in ("../../secret.h5", "/etc/passwd", "train-00000.h5/../x", "-train.h5", 7):
-        shards = [{**found["shards"][0], "file": name}]
-        manifest.write(dataset, {**found, "shards": shards})
-        with pytest.raises(Exception, match=r"dataset.json is damaged: shards.0.file") as refused:
-            stage(asked, CHECKS)
-        assert "\n" not in str(refused.value)
-    assert not asked.out.exists()
 
 
 def test_too_many_files_are_refused_with_what_helps(

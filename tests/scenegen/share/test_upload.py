@@ -123,18 +123,6 @@ def test_a_refused_token_is_one_line_that_does_not_show_it(
     assert "\n" not in str(refused.value)
 
 
-def test_no_hub_at_all_is_one_line_and_the_folder_stays(
-    asked: Request, hub: Hub, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from huggingface_hub import constants
-
-    monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
-    with pytest.raises(PublishError, match="what arrived is kept") as refused:
-        publish(asked)
-    assert "\n" not in str(refused.value)
-    assert (asked.out / "README.md").is_file()
-
-
 def test_a_dataset_that_fails_its_check_goes_nowhere(
     asked: Request, hub: Hub, verified: list[Check]
 ) -> None:

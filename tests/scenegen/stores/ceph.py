@@ -126,18 +126,8 @@ class Ceph:
         self._run("ceph-osd", "-i", "0", "--mkfs", "--osd-uuid", disk)
         self._ceph("osd", "crush", "add", "osd.0", "1", "root=default", "host=here")
         self._start("ceph-osd", "-i", "0")
-        self.admin(
-            "user",
-            "create",
-            "--uid",
-            USER,
-            "--display-name",
-            "Ada",
-            "--access-key",
-            KEY,
-            "--secret-key",
-            SECRET,
-        )
+        keys = f"--access-key {KEY} --secret-key {SECRET}"
+        self.admin(*f"user create --uid {USER} --display-name Ada {keys}".split())
         self.begin()
 
     def begin(self) -> None:

@@ -32,20 +32,7 @@ from tests.scenegen.stores.conftest import forget
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(missing()), reason=missing())]
 pytest.importorskip("boto3")
-ASKED = (
-    "-n",
-    "240",
-    "--val",
-    "6",
-    "--test",
-    "6",
-    "--shard-samples",
-    "3",
-    "--seed",
-    "5",
-    "--workers",
-    "2",
-)
+ASKED = "-n 240 --val 6 --test 6 --shard-samples 3 --seed 5 --workers 2"
 SHARDS = 84
 
 
@@ -99,18 +86,8 @@ class Run:
     """`scenegen generate`, begun in the folder `home`."""
 
     def __init__(self, home: Path, out: str, *more: str):
-        words = [
-            sys.executable,
-            "-m",
-            "scenegen",
-            "generate",
-            "--recipe",
-            "small.toml",
-            *ASKED,
-            "--out",
-            out,
-            *more,
-        ]
+        asked = f"-m scenegen generate --recipe small.toml {ASKED} --out {out}"
+        words = [sys.executable, *asked.split(), *more]
         self.process = subprocess.Popen(
             [*words, "--quiet"],
             cwd=home,
@@ -319,19 +296,8 @@ def test_nodes_open_it_for_themselves(bucket: str, here: Path, cache: Path, tmp_
 
 def test_commands_read_it(bucket: str, here: Path, cache: Path, tmp_path: Path) -> None:
     Run(tmp_path, f"s3://{bucket}/d").ends(0)
-    train = (
-        "train",
-        f"s3://{bucket}/d",
-        "--epochs",
-        "1",
-        "--width",
-        "1",
-        "--out",
-        "run",
-        "--device",
-        "cpu",
-        "--quiet",
-    )
+    how = "--epochs 1 --width 1 --out run --device cpu --quiet"
+    train = ("train", f"s3://{bucket}/d", *how.split())
     for words in (
         ("inspect", f"s3://{bucket}/d", "--json"),
         ("verify", f"s3://{bucket}/d", "--json"),

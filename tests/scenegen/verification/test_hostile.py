@@ -57,10 +57,6 @@ def external_link(shard: h5py.File) -> None:
     shard["tudf"] = h5py.ExternalLink("/etc/passwd", "/x")
 
 
-def soft_link(shard: h5py.File) -> None:
-    shard["tudf"] = h5py.SoftLink("/occupancy")
-
-
 def external_storage(shard: h5py.File) -> None:
     shard.create_dataset(
         "tudf", (6, 24, 24, 16), "<f4", external=[("/etc/passwd", 0, 6 * 24 * 24 * 16 * 4)]
@@ -89,10 +85,6 @@ def other_type(shard: h5py.File) -> None:
 
 def other_chunks(shard: h5py.File) -> None:
     shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", chunks=(6, 24, 24, 16), compression="gzip")
-
-
-def contiguous(shard: h5py.File) -> None:
-    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", data=np.zeros((6, 24, 24, 16)))
 
 
 def nothing_stored(shard: h5py.File) -> None:
@@ -125,7 +117,6 @@ def chunks(content: bytes) -> Callable[[h5py.File], None]:
     ("put", "said"),
     [
         (external_link, "tudf is a link to elsewhere"),
-        (soft_link, "tudf is a link to elsewhere"),
         (external_storage, "tudf keeps its data in other files"),
         (virtual, "tudf keeps its data in other files"),
         (
@@ -138,7 +129,6 @@ def chunks(content: bytes) -> Callable[[h5py.File], None]:
         ),
         (other_type, "tudf is float64"),
         (other_chunks, "tudf has other chunks than one a sample"),
-        (contiguous, "tudf has other chunks than one a sample"),
         (nothing_stored, "tudf: 0 of 6 samples are stored"),
         (group, "tudf is not a dataset"),
         (hidden, "more: there or missing"),
@@ -169,12 +159,6 @@ def test_filters_that_the_format_allows_are_read(folder: Path) -> None:
     assert failed(folder) == {}
 
 
-def test_a_shard_that_differs_from_the_list_is_told_once(folder: Path) -> None:
-    with h5py.File(folder / SHARD, "r+") as shard:
-        shard.attrs["rejected"] = "nonsense"
-    assert failed(folder, quick=True)["checksums"].count("SHA-256") == 1
-
-
 def test_truth_values_other_than_true_and_false_are_refused(folder: Path) -> None:
     def put(shard: h5py.File) -> None:
         kind = h5py.h5t.py_create(np.dtype(bool), logical=True)
@@ -193,17 +177,6 @@ def test_truth_values_other_than_true_and_false_are_refused(folder: Path) -> Non
 def test_shards_cut_anywhere_are_named(folder: Path, cut: int) -> None:
     (folder / SHARD).write_bytes((folder / SHARD).read_bytes()[:cut])
     assert failed(folder, quick=True)["layout"].startswith(f"{SHARD}: is damaged")
-
-
-def test_shards_with_damage_anywhere_fail_and_nothing_else_happens(folder: Path) -> None:
-    whole = (folder / SHARD).read_bytes()
-    rng = np.random.default_rng(0)
-    for _ in range(8):
-        damaged = bytearray(whole)
-        begin = int(rng.integers(len(whole) // 2))
-        damaged[begin : begin + 64] = rng.bytes(64)
-        (folder / SHARD).write_bytes(damaged)
-        assert "checksums" in failed(folder, quick=True)
 
 
 def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder: Path) -> None:
@@ -266,7 +239,6 @@ LAUGHS = (
             lambda m: m.update({"../evil.xml": b""}),
             "member '../evil.xml': expected a plain file name",
         ),
-        (lambda m: m.update({"/tmp/evil": b""}), "member '/tmp/evil': expected a plain file name"),
         (lambda m: m.update({"a\\..\\evil": b""}), "expected a plain file name"),
         (lambda m: m.update({"world.xml": b""}), "member 'world.xml': expected a world's number"),
         (
@@ -276,15 +248,10 @@ LAUGHS = (
         (lambda m: m.pop("000001.xml"), "holds worlds 0 to 0 (1), its samples are of 0 to 1 (2)"),
         (world(b" " * (MOST_DOCUMENT_BYTES + 1)), f"expected {MOST_DOCUMENT_BYTES} at most"),
         (world(b"<mujoco>"), "000000.xml: is not plain XML"),
-        (world(b""), "000000.xml: is not plain XML"),
         (world(LAUGHS), "declares a document type or entities"),
         (world(geoms(1, '<include file="/etc/passwd"/>')), "has <include>"),
         (
             world(geoms(1, '<asset><mesh file="/etc/passwd"/></asset>')),
-            "expected a file of the archive",
-        ),
-        (
-            world(geoms(1, '<asset><mesh file="../evil.obj"/></asset>')),
             "expected a file of the archive",
         ),
         (world(geoms(1, '<compiler meshdir="/etc"/>')), "expected files beside the document"),

@@ -121,10 +121,6 @@ def flip_rays(arrays: forge.Arrays) -> None:
     arrays["ranges"] = np.ascontiguousarray(arrays["ranges"][:, :, ::-1])
 
 
-def scale_tudf(arrays: forge.Arrays) -> None:
-    arrays["tudf"] *= np.float32(1.01)
-
-
 def nudge_tudf(arrays: forge.Arrays) -> None:
     arrays["tudf"][5, 0, 0, 0] = np.nextafter(arrays["tudf"][5, 0, 0, 0], np.float32(1))
 
@@ -181,11 +177,8 @@ def change_everything_alike(arrays: forge.Arrays) -> None:
     ("change", "check", "said", "quick"),
     [
         (roll, "voxels", "sample 1: observed is not what follows from ranges", False),
-        (roll, "occupancy", "sample 1: occupancy is not what follows from world 0", False),
         (move_a_return, "rays", "sample 2: 1 of 192 rays differ", False),
         (flip_rays, "rays", "rays differ", False),
-        (flip_rays, "voxels", "observed is not what follows from ranges", False),
-        (scale_tudf, "tudf", "sample 0: tudf is not what follows from occupancy", False),
         (
             nudge_tudf,
             "tudf",
@@ -213,7 +206,6 @@ def change_everything_alike(arrays: forge.Arrays) -> None:
             True,
         ),
         (stretch_the_attitude, "centred", "sample 1: quaternion has length 1.001", True),
-        (stretch_the_attitude, "free", "sample 1: pose: quaternion has length 1.001", False),
         (rename, "names", "sample 0: is world 0, viewpoint 1, expected (0, 0)", True),
         (lengthen, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
         (not_a_number, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
@@ -227,16 +219,6 @@ def test_a_forger_who_rewrites_every_digest_is_caught_by_name(
     assert f"{SHARD}: " in found[check]
     assert said in found[check]
     assert set(found) & {"manifest", "checksums", "layout", "digest", "archives"} == set()
-
-
-def test_the_same_edits_without_the_digests_are_caught_by_the_digest(folder: Path) -> None:
-    arrays, attributes = forge.load(folder, SHARD)
-    move_a_return(arrays)
-    forge.store(folder, SHARD, arrays, attributes, digests=False)
-    assert (
-        "sample 2: its content does not have the digest stored beside it"
-        in failed(folder, quick=True)["digest"]
-    )
 
 
 def test_samples_that_are_true_but_not_the_seeds_are_caught(
@@ -329,19 +311,6 @@ def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder: Path) -> No
     )
 
 
-def test_a_truncated_shard_is_named(folder: Path) -> None:
-    (folder / SHARD).write_bytes((folder / SHARD).read_bytes()[:-1000])
-    found = failed(folder)
-    assert found["checksums"].startswith(f"{SHARD}: SHA-256")
-    assert found["layout"].startswith(f"{SHARD}: is damaged")
-
-
-def test_a_truncated_archive_is_named(folder: Path) -> None:
-    path = folder / "val-00000.worlds.zip"
-    path.write_bytes(path.read_bytes()[:-30])
-    assert "val-00000.worlds.zip: is not a whole zip file" in failed(folder, quick=True)["archives"]
-
-
 @pytest.mark.parametrize("resigned", [False, True])
 def test_swapped_shards_are_named(folder: Path, resigned: bool) -> None:
     shutil.move(folder / "val-00000.h5", folder / "x")
@@ -379,14 +348,8 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
         ),
         ({"complete": False}, "manifest", "complete is false"),
         ({"seed": "0"}, "manifest", "seed = '0'"),
-        ({"seed": -1}, "manifest", "seed = -1"),
         ({"fields": ["tudf"]}, "manifest", "fields = ['tudf']"),
         ({"shards": [{"file": "../x"}]}, "manifest", "shards.0.file"),
-        (
-            {"grid": {"shape": [8000] * 3, "voxel": 0.2, "truncation": 2.0}},
-            "manifest",
-            "voxels at most",
-        ),
         (
             {"grid": {"shape": [24, 24, 16], "voxel": float("nan"), "truncation": 2.0}},
             "manifest",
@@ -398,7 +361,6 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
             f"{SHARD}: observed is bool",
         ),
         ({"lidar": {"rows": 10**9}}, "manifest", "rows = 1000000000"),
-        ({"lidar": {"rays": 4}}, "manifest", "unknown parameter 'rays'"),
         ({"recipe": {"flight": {"speed": 1}}}, "manifest", "unknown parameter 'speed'"),
         ({"kind": "scene"}, "manifest", "recipe.scenes = None"),
     ],
