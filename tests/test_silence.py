@@ -50,9 +50,11 @@ int connect(int socket, const struct sockaddr *to, socklen_t length) {
     return real(socket, to, length);
 }
 
-ssize_t sendto(int socket, const void *data, size_t size, int flags, const struct sockaddr *to, socklen_t length) {
+ssize_t sendto(int socket, const void *data, size_t size, int flags,
+               const struct sockaddr *to, socklen_t length) {
     if (far(to)) { note("sendto", ""); errno = ECONNREFUSED; return -1; }
-    ssize_t (*real)(int, const void *, size_t, int, const struct sockaddr *, socklen_t) = dlsym(RTLD_NEXT, "sendto");
+    ssize_t (*real)(int, const void *, size_t, int, const struct sockaddr *, socklen_t)
+        = dlsym(RTLD_NEXT, "sendto");
     return real(socket, data, size, flags, to, length);
 }
 
@@ -62,14 +64,19 @@ ssize_t sendmsg(int socket, const struct msghdr *message, int flags) {
     return real(socket, message, flags);
 }
 
-int getaddrinfo(const char *node, const char *service, const struct addrinfo *hints, struct addrinfo **found) {
+int getaddrinfo(const char *node, const char *service, const struct addrinfo *hints,
+                struct addrinfo **found) {
     note("getaddrinfo", node);
     return EAI_FAIL;
 }
 
 struct hostent *gethostbyname(const char *name) { note("gethostbyname", name); return NULL; }
-struct hostent *gethostbyname2(const char *name, int family) { note("gethostbyname2", name); return NULL; }
-int gethostbyname_r(const char *name, struct hostent *entry, char *buffer, size_t size, struct hostent **found,
+struct hostent *gethostbyname2(const char *name, int family) {
+    note("gethostbyname2", name);
+    return NULL;
+}
+int gethostbyname_r(const char *name, struct hostent *entry, char *buffer, size_t size,
+                    struct hostent **found,
                     int *error) {
     note("gethostbyname_r", name);
     *found = NULL;

@@ -119,7 +119,8 @@ def test_returns_are_lost_with_the_stated_probability(
 
 def wall(turn_deg: float, grey: float = 0.4) -> str:
     """A wide wall 10 m ahead, its normal turned by `turn_deg` away from the sensor."""
-    return f'<geom type="box" size="0.5 60 60" pos="10 0 0" euler="0 0 {turn_deg}" rgba="{grey} {grey} {grey} 1"/>'
+    look = f'euler="0 0 {turn_deg}" rgba="{grey} {grey} {grey} 1"'
+    return f'<geom type="box" size="0.5 60 60" pos="10 0 0" {look}/>'
 
 
 def seen(stage: Stage, *geoms: str, rays: int = RAYS) -> Returns:
