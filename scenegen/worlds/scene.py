@@ -39,7 +39,7 @@ class Scene:
     notes: tuple[str, ...] = field(default=())
     """What was left out or taken otherwise than one might expect: a sentence each."""
     geometry: bytes = b""
-    """See `scenegen.worlds.world.geometry_digest`."""
+    """What tells its solids from those of other worlds: their `geometry_digest`."""
 
 
 @dataclass(frozen=True)
