@@ -94,7 +94,7 @@ def _ply(random: Random) -> tuple[bytes, str, bool]:
                 False,
             )
         case 4:
-            lists = "property list uint float x\nproperty list uint float y\nproperty list uint float z\n"
+            lists = "".join(f"property list uint float {axis}\n" for axis in "xyz")
             body = struct.pack("<L", 2**32 - 1) + binary
             return (
                 _head(20, "binary_little_endian", properties=lists).encode() + body,
