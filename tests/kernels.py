@@ -106,7 +106,7 @@ def _chance() -> None:
 
 
 def _twins() -> None:
-    from scenegen.verification.checks import between_splits
+    from scenegen.verification import splits as between_splits
 
     maps = np.ones((2, 16, 16, 10), np.bool_)
     signatures, folds = (

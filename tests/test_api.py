@@ -34,7 +34,9 @@ def test_samples_are_shown(dataset: scenegen.Dataset, tmp_path: Path) -> None:
     guess = scenegen.Prediction(occupancy_probability=sample.observed.astype(np.float32))
     page = scenegen.show(sample, {"<mine>": guess}, out=tmp_path / "page.html")
     assert "\\u003cmine>" in page.read_text(encoding="utf-8")
-    assert sample.sha256() == scenegen.stream("pillar", seed=3)[0].sha256()
+    drawn = scenegen.stream("pillar", seed=3)[0]
+    assert drawn.sha256() == sample.sha256()
+    assert scenegen.show([drawn], out=tmp_path / "drawn.html").stat().st_size > 10_000
     with pytest.raises(DatasetError, match="grid"):
         scenegen.show(scenegen.Sample(**{name: getattr(sample, name) for name in sample.names}))
 

@@ -86,17 +86,17 @@ LACKING = {
     "kind of no base": (
         ("generate", "--quiet", "--kind", "wrong:Loose"),
         1,
-        "inherits from scenegen.recipes.kind.WorldKind",
+        "class Mine(scenegen.WorldKind)",
     ),
     "kind without add_to": (
         ("generate", "--quiet", "--kind", "wrong:Empty"),
         1,
-        "lacks `add_to`, a method",
+        "class Mine(scenegen.WorldKind)",
     ),
     "kind that is no dataclass": (
         ("generate", "--quiet", "--kind", "wrong:Bare"),
         1,
-        "is no dataclass; write @dataclass(",
+        "class Mine(scenegen.WorldKind)",
     ),
     "kind with odd values": (
         ("generate", "--quiet", "--kind", "wrong:Odd"),
@@ -106,7 +106,7 @@ LACKING = {
     "a name beyond what readers take": (
         ("generate", "--quiet", "--kind", f"wrong:{'K' * 95}"),
         1,
-        "100 at most",
+        "at most 100 characters",
     ),
     "method without name": (
         ("bench", "DATASET", "--quiet", "--method", "wrong:Nameless"),

@@ -6,7 +6,13 @@ from typing import Any
 
 import rich_click as click
 
-from scenegen.cli.options import dataset_argument, examples, json_option, workers_option
+from scenegen.cli.options import (
+    dataset_argument,
+    examples,
+    json_option,
+    open_dataset,
+    workers_option,
+)
 from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
 from scenegen.cli.types import OutputFile
 from scenegen.worlds.mapping import Mapper
@@ -66,24 +72,21 @@ def _facts(path: Path) -> dict[str, Any] | None:
 def _inspect_dataset(
     dataset: Path | str, out: Path | None, every: bool, workers: int, as_json: bool
 ) -> None:
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.read import Dataset
     from scenegen.display.inspect import MOST_MEASURED, misfits, statistics_page
     from scenegen.display.inspect import inspect as examine
     from scenegen.files import write_result
     from scenegen.model.config import NetworkConfig
 
-    folder = locate(dataset, shown=not as_json)
+    opened = open_dataset(dataset, shown=not as_json)
     with Progress("inspect", shown=every and not as_json) as progress:
         found = examine(
-            folder,
+            opened.folder,
             most=None if every else MOST_MEASURED,
             values=out is not None,
             workers=workers,
             on_start=progress.start,
             on_done=progress.count,
         )
-    opened = Dataset(folder, partial=True)
     warnings = misfits(opened.grid, opened.lidar)
     try:
         NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)

@@ -33,6 +33,13 @@ if TYPE_CHECKING:
 )
 @seed_option("Chooses what is audited at random.")
 @kind_option
+@click.option(
+    "--check",
+    "own",
+    multiple=True,
+    metavar="MODULE:OBJECT",
+    help="Also make a check of your own; may be given several times.",
+)
 @workers_option
 @on_option
 @json_option
@@ -42,6 +49,7 @@ def verify(
     quick: bool,
     seed: int,
     kind: str | None,
+    own: tuple[str, ...],
     workers: int,
     on: str,
     as_json: bool,
@@ -64,6 +72,7 @@ def verify(
             quick=quick,
             seed=seed,
             kind=kind,
+            own=own,
             execute=executor(on, workers),
             on_start=progress.start,
             on_done=progress.count,

@@ -42,15 +42,16 @@ def find_kind(name: str) -> "type[WorldKind]":
     from scenegen.recipes.kind import WorldKind
 
     found: Any = KINDS.find(name)
-    wrong = ""
-    if len(name) > MOST_KIND_NAME:
-        wrong = f"has a name of {len(name)} characters, expected {MOST_KIND_NAME} at most"
-    elif not (isinstance(found, type) and issubclass(found, WorldKind)):
-        wrong = "is no class that inherits from scenegen.recipes.kind.WorldKind"
-    elif found.__abstractmethods__:
-        wrong = f"lacks `add_to`, {KINDS.needs['add_to']}"
-    elif "__dataclass_fields__" not in vars(found):
-        wrong = "is no dataclass; write @dataclass(frozen=True, kw_only=True) above the class"
-    if wrong:
-        raise ValueError(f"kind {name[:MOST_KIND_NAME]}: {wrong}")
+    # a subclass that is no dataclass itself would have its parent's parameters alone
+    if (
+        len(name) > MOST_KIND_NAME
+        or not (isinstance(found, type) and issubclass(found, WorldKind))
+        or found.__abstractmethods__
+        or "__dataclass_fields__" not in vars(found)
+    ):
+        raise ValueError(
+            f"kind {name[:MOST_KIND_NAME]}: expected a name of at most {MOST_KIND_NAME} characters "
+            "and a class as @dataclass(frozen=True, kw_only=True) class Mine(scenegen.WorldKind), "
+            "with a method `add_to`"
+        )
     return found

@@ -27,6 +27,12 @@ TYPES = {
     "float64": "cr:Float64",
 }
 """Types of fields, by numpy's names."""
+TERMS = """
+arrayShape citeAs column containedIn equivalentProperty extract field fileObject fileProperty
+fileSet format includes isArray isLiveDataset jsonPath key md5 parentField path recordSet references
+regex repeated replace samplingRate separator source subField transform
+"""
+"""Terms of Croissant that keep their names."""
 CONTEXT: dict[str, Any] = {
     "@language": "en",
     "@vocab": "https://schema.org/",
@@ -40,43 +46,7 @@ CONTEXT: dict[str, Any] = {
     "description": {"@container": "@language"},
     "examples": {"@id": "cr:examples", "@type": "@json"},
     "name": {"@container": "@language"},
-} | {
-    term: f"cr:{term}"
-    for term in (
-        *(
-            "arrayShape",
-            "citeAs",
-            "column",
-            "containedIn",
-            "equivalentProperty",
-            "extract",
-            "field",
-            "fileObject",
-        ),
-        *(
-            "fileProperty",
-            "fileSet",
-            "format",
-            "includes",
-            "isArray",
-            "isLiveDataset",
-            "jsonPath",
-            "key",
-            "md5",
-        ),
-        *(
-            "parentField",
-            "path",
-            "recordSet",
-            "references",
-            "regex",
-            "repeated",
-            "replace",
-            "samplingRate",
-        ),
-        *("separator", "source", "subField", "transform"),
-    )
-}
+} | {term: f"cr:{term}" for term in TERMS.split()}
 """What the short names mean, as the specification has it."""
 
 
@@ -115,7 +85,8 @@ def _responsible(it: Publication) -> dict[str, Any]:
     count = sum(sum(counts.values()) for counts in it.manifest.rejected.values())
     rejected = f"{count} worlds and viewpoints with too little to see were drawn again."
     if it.manifest.rescan is not None:
-        rejected = f"The worlds and poses are those of the dataset {it.manifest.rescan['digest']}, scanned again."
+        original = it.manifest.rescan["digest"]
+        rejected = f"The worlds and poses are those of the dataset {original}, scanned again."
     made = ", ".join(f"{name} {number}" for name, number in it.manifest.software.items())
     recipe = RECIPE if it.manifest.rescan is None else "the recipe in dataset.json"
     noise = it.manifest.noise

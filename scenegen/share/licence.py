@@ -1,4 +1,5 @@
-"""Licences for published data, by their SPDX names."""
+"""Licences for published data, by their SPDX names. A command's help reads this file: it imports
+nothing heavy."""
 
 from dataclasses import dataclass
 
@@ -7,7 +8,7 @@ from scenegen.errors import PublishError
 
 @dataclass(frozen=True)
 class Licence:
-    """A licence, named rather than copied."""
+    """A licence for data, named rather than copied."""
 
     spdx: str
     name: str
@@ -16,9 +17,8 @@ class Licence:
     @property
     def hub(self) -> str:
         """Its name on the Hub."""
-        return {"ODC-By-1.0": "odc-by", "PDDL-1.0": "pddl", "ODbL-1.0": "odbl"}.get(
-            self.spdx, self.spdx.lower()
-        )
+        named = {"ODC-By-1.0": "odc-by", "PDDL-1.0": "pddl", "ODbL-1.0": "odbl"}
+        return named.get(self.spdx, self.spdx.lower())
 
     def text(self, holder: str) -> str:
         """The LICENSE file of data that `holder` publishes."""
@@ -30,43 +30,21 @@ class Licence:
         )
 
 
-_CREATIVE_COMMONS = "https://creativecommons.org/"
+def _creative_commons(short: str, name: str) -> Licence:
+    url = f"https://creativecommons.org/licenses/{short.lower()}/4.0/"
+    return Licence(f"CC-{short}-4.0", f"Creative Commons {name} 4.0 International", url)
+
+
+_ZERO = "https://creativecommons.org/publicdomain/zero/1.0/"
+_OPEN = "https://opendatacommons.org/licenses"
 LICENCES = (
-    Licence(
-        "CC-BY-4.0",
-        "Creative Commons Attribution 4.0 International",
-        _CREATIVE_COMMONS + "licenses/by/4.0/",
-    ),
-    Licence(
-        "CC-BY-SA-4.0",
-        "Creative Commons Attribution-ShareAlike 4.0 International",
-        _CREATIVE_COMMONS + "licenses/by-sa/4.0/",
-    ),
-    Licence(
-        "CC-BY-NC-4.0",
-        "Creative Commons Attribution-NonCommercial 4.0 International",
-        _CREATIVE_COMMONS + "licenses/by-nc/4.0/",
-    ),
-    Licence(
-        "CC0-1.0",
-        "Creative Commons Zero 1.0 Universal",
-        _CREATIVE_COMMONS + "publicdomain/zero/1.0/",
-    ),
-    Licence(
-        "ODC-By-1.0",
-        "Open Data Commons Attribution 1.0",
-        "https://opendatacommons.org/licenses/by/1-0/",
-    ),
-    Licence(
-        "ODbL-1.0",
-        "Open Data Commons Open Database 1.0",
-        "https://opendatacommons.org/licenses/odbl/1-0/",
-    ),
-    Licence(
-        "PDDL-1.0",
-        "Open Data Commons Public Domain 1.0",
-        "https://opendatacommons.org/licenses/pddl/1-0/",
-    ),
+    _creative_commons("BY", "Attribution"),
+    _creative_commons("BY-SA", "Attribution-ShareAlike"),
+    _creative_commons("BY-NC", "Attribution-NonCommercial"),
+    Licence("CC0-1.0", "Creative Commons Zero 1.0 Universal", _ZERO),
+    Licence("ODC-By-1.0", "Open Data Commons Attribution 1.0", f"{_OPEN}/by/1-0/"),
+    Licence("ODbL-1.0", "Open Data Commons Open Database 1.0", f"{_OPEN}/odbl/1-0/"),
+    Licence("PDDL-1.0", "Open Data Commons Public Domain 1.0", f"{_OPEN}/pddl/1-0/"),
 )
 """Licences that are made for data."""
 USUAL = LICENCES[0].spdx

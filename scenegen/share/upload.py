@@ -11,15 +11,17 @@ from typing import Any
 from scenegen import __version__
 from scenegen.dataset.locate import client_output, reason
 from scenegen.errors import PublishError, ScenegenError, needs
-from scenegen.share.folder import SUMS
-from scenegen.share.stage import Request, Staged, examine, stage
+from scenegen.share.stage import SUMS, Request, Staged, examine, stage
 
 OURS = re.compile(
     r"(train|val|test)-\d{5}(\.h5|\.worlds\.zip)|pictures/(train|val|test)-\d+\.png|look\.html",
     re.ASCII,
 )
 """Files that another dataset of ours may have left in the repository; others there are let be."""
-TOKEN = "no token for the Hub: run `hf auth login`, or set HF_TOKEN, with one that may write; it is never an argument"
+TOKEN = (
+    "no token for the Hub: run `hf auth login`, or set HF_TOKEN, with one that may write; "
+    "it is never an argument"
+)
 
 
 def check_token() -> None:
@@ -127,7 +129,10 @@ def _explain(staged: Staged, error: Exception) -> str:
     target = f"hf://{staged.repository}"
     status = getattr(getattr(error, "response", None), "status_code", None)
     if status in (401, 403):
-        return f"{target}: the Hub refuses the token ({status}); use one that may write there: `hf auth login`"
+        return (
+            f"{target}: the Hub refuses the token ({status}); use one that may write there: "
+            "`hf auth login`"
+        )
     return (
         f"{target}: {reason(error)}; what arrived is kept, and the same command goes on from there"
     )

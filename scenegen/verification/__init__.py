@@ -2,6 +2,7 @@
 what it cannot see."""
 
 from scenegen.verification.folder import verify
-from scenegen.verification.report import Outcome, Report
+from scenegen.verification.report import Outcome, Page, Report
+from scenegen.verification.stages import Check
 
-__all__ = ["Outcome", "Report", "verify"]
+__all__ = ["Check", "Outcome", "Page", "Report", "verify"]

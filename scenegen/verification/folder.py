@@ -4,7 +4,7 @@ own, then the whole is."""
 import functools
 import os
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,20 +17,49 @@ from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
 from scenegen.dataset.rules import files_of
 from scenegen.draw import draw_unit
+from scenegen.errors import DatasetError, told
 from scenegen.recipe import make_recipe
 from scenegen.run import Executor
 from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
 from scenegen.stores.cache import fetch_all, note_of
-from scenegen.verification.checks import CHECKS
-from scenegen.verification.checks.between_splits import MOST_TWINS, candidates, fold, signature
-from scenegen.verification.checks.files import ARCHIVES, EXAMINED, LAYOUT
-from scenegen.verification.checks.repeated import why_not_comparable, why_not_scanned
-from scenegen.verification.contract import Contract, compile_solids, read_archive, read_contract
+from scenegen.verification.contract import Contract, read_contract
+from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT
+from scenegen.verification.files import CHECKS as OF_FILES
+from scenegen.verification.repeated import CHECKS as REPEATED
+from scenegen.verification.repeated import why_not_comparable, why_not_scanned
 from scenegen.verification.report import BrokenError, Ledger, Report
-from scenegen.verification.stages import Sample, Shard, SignedFile, Task, Worlds
+from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
+from scenegen.verification.splits import MOST_TWINS, candidates, fold, signature
+from scenegen.verification.stages import (
+    OWN_CHECKS,
+    Check,
+    Sample,
+    Shard,
+    SignedFile,
+    Task,
+    Worlds,
+    compile_solids,
+)
+from scenegen.verification.stored import CHECKS as STORED
 from scenegen.worlds.world import quiet_mujoco
+
+CHECKS: tuple[Check, ...] = tuple(
+    sorted(
+        (*OF_FILES, *STORED, *BETWEEN_SPLITS, *REPEATED),
+        key=lambda check: not check.quick,
+    )
+)
+"""All checks in the order of the report: those that `--quick` makes come first."""
+
+
+def chosen_checks(contract: Contract, *, quick: bool, own: Iterable[str]) -> list[Check]:
+    """The checks that are made of a dataset: those of ours that apply, then a user's `own`, always.
+    Raises ValueError for a name that leads to no check."""
+    fields = ("", *contract.fields)
+    applying = [check for check in CHECKS if (check.quick or not quick) and check.field in fields]
+    return [*applying, *map(OWN_CHECKS.find, own)]
 
 
 @functools.cache
@@ -75,19 +104,24 @@ def examine(task: Task) -> Findings:
     findings' ledger, and raises nothing."""
     found = Findings(task.number, task.entry.samples)
     ledger, contract, entry = found.ledger, task.contract, task.entry
-    checks = [check for check in CHECKS if check.applies(contract, quick=task.quick)]
+    checks = chosen_checks(contract, quick=task.quick, own=task.own)
 
     def look(stage: str, at: Any) -> None:
         """Make every check that looks at this stage."""
         for check in checks:
             if (examination := getattr(check, stage)) is not None:
                 with ledger.checking(check.name) as page:
-                    examination(at, page)
+                    try:
+                        examination(at, page)
+                    except Exception as error:
+                        if check in CHECKS:
+                            raise
+                        page.fault(str(told(error)))  # the user's own code fails
 
     worlds, path = None, contract.folder / entry.worlds
     with ledger.checking(ARCHIVES.name) as page, open_file(path) as file:
         page.count(files=1)
-        worlds = Worlds(task, read_archive(file, path.name, entry.samples))
+        worlds = Worlds.read(task, file, path.name)
         look("file", SignedFile(file, path.name, entry.worlds_sha256))
         look("archive", worlds)
     path = contract.folder / entry.file
@@ -107,9 +141,8 @@ def examine(task: Task) -> Findings:
         look("shard", shard)
         stored = [name for name in contract.fields if not (task.quick and FIELDS[name]["derived"])]
         for row in range(entry.samples):
-            with ledger.checking(
-                LAYOUT.name
-            ) as page:  # a sample that cannot be unpacked does not end the walk
+            # a sample that cannot be unpacked does not end the walk
+            with ledger.checking(LAYOUT.name) as page:
                 page.count(samples=1)
                 fields = {name: opened.value(name, row, read_only=task.quick) for name in stored}
                 look("sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes()))
@@ -129,12 +162,13 @@ def verify(
     quick: bool = False,
     seed: int = 0,
     kind: str | None = None,
+    own: Sequence[str] = (),
     workers: int = 1,
     execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Report:
-    """Check a dataset against the format. `scenegen.verification.checks` has all checks.
+    """Check a dataset against the format, and by checks of your own.
 
     Args:
         dataset: Its folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``.
@@ -142,6 +176,7 @@ def verify(
         seed: Chooses the samples that are cast and made anew.
         kind: A user's own kind, by which worlds may be drawn again: no module is imported because a
             manifest names it.
+        own: Checks of your own, ``module:Object``, each a `Check`.
         workers: Processes of this machine that examine a shard each; none can take this one down.
         execute: What has the shards examined, instead. Where others see to a part of them, what
             compares all of them is skipped.
@@ -152,7 +187,8 @@ def verify(
         The report. A fault fails a check of it, whatever it is.
 
     Raises:
-        DatasetError: The folder holds no dataset at all, or one of another `kind`.
+        DatasetError: The folder holds no dataset at all, or one of another `kind`; or a name of
+            `own` leads to no check.
         GenerationError: `execute` lost a shard for good.
     """
     folder, execute = locate(dataset, whole=True), execute or Local("", workers)
@@ -161,8 +197,11 @@ def verify(
     if contract is None:
         outcomes = ledger.outcomes(check.name for check in CHECKS)
         return Report(folder=str(folder), quick=quick, seed=seed, samples=0, checks=outcomes)
-    checks = [check for check in CHECKS if check.applies(contract, quick=quick)]
-    whole = _tasks(contract, quick=quick, seed=seed)
+    try:
+        checks = chosen_checks(contract, quick=quick, own=own)
+    except ValueError as error:
+        raise DatasetError(f"--check: {error}") from None
+    whole = [replace(task, own=tuple(own)) for task in _tasks(contract, quick=quick, seed=seed)]
     tasks = execute.mine(whole)
     samples = sum(task.entry.samples for task in tasks)
     order, waiting = deque(task.number for task in tasks), dict[int, Findings]()
@@ -172,9 +211,8 @@ def verify(
     with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
         for found in results:
             waiting[found.number] = found
-            while (
-                order and order[0] in waiting
-            ):  # in the order of shards, and no more of them kept than are early
+            # in the order of shards, and no more of them kept than are early
+            while order and order[0] in waiting:
                 ledger.add(waiting.pop(order.popleft()).ledger)
                 ledger.page(EXAMINED.name).count(shards=1)
             on_done(found.samples)
@@ -193,7 +231,7 @@ def verify(
 
 
 class _Examination(Limited[Task, Findings]):
-    """Copies on another machine what a task reads of a place, before limits are set: that a store
+    """Copies on another machine what a task reads of a store, before limits are set: that a store
     is slow or refuses is no fault of the dataset."""
 
     def __call__(self, task: Task) -> Findings:

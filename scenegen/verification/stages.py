@@ -1,33 +1,67 @@
-"""What checks are handed at each stage. What several of them need is computed here, once."""
+"""What a check is, and what checks are handed at each stage of the walk over a shard. What several
+checks need is computed here, once."""
 
 import functools
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BufferedReader
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Engine, ObservedGrid, Pose, Scan, fuse
-from lidarsim.engines import ENGINES
+from lidarsim import AnalyticEngine, Engine, MujocoEngine, ObservedGrid, Pose, Scan, fuse
+from lidarsim.engines import ENGINES, MUJOCO
+from lidarsim.registry import Registry
+from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
+from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.trust import Entry, GatheredEntry
-from scenegen.verification.contract import (
-    Archive,
-    Contract,
-    archived_world,
-    auditor,
-    compile_solids,
-)
+from scenegen.errors import SceneError, printable
+from scenegen.verification.contract import Contract
 from scenegen.verification.rays import as_rounded
-from scenegen.verification.report import BrokenError
-from scenegen.worlds.world import World
+from scenegen.verification.report import BrokenError, Page
+from scenegen.worlds.screen import screen
+from scenegen.worlds.world import World, compile_world, quiet_mujoco
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
-"""Checks that cost much look at this share of a shard's samples, and at this many at least."""
+"""Expensive checks look at this share of a shard's samples, and at this many at least."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One check of a dataset.
+
+    Its examinations are functions, one for each stage at which it looks. Each is handed what the
+    stage is about, and the check's page of the ledger: there it writes down faults, counts what it
+    examined, and keeps what it needs at the end. A BrokenError that it raises becomes a fault of
+    this check.
+    """
+
+    name: str
+    proves: str
+    """One sentence: what holds of a dataset that passes."""
+    quick: bool = False
+    """Whether `--quick` makes it."""
+    field: str = ""
+    """The field of samples that it examines, where not every dataset stores that field."""
+    file: "Callable[[SignedFile, Page], None] | None" = None
+    """Looks at the bytes of a shard or of an archive."""
+    archive: "Callable[[Worlds, Page], None] | None" = None
+    """Looks at the worlds of a shard's archive, which are screened by then."""
+    shard: "Callable[[Shard, Page], None] | None" = None
+    """Looks at a shard, whose file is open by then, before its samples."""
+    sample: "Callable[[Sample, Page], None] | None" = None
+    """Looks at one sample, whose fields are unpacked by then."""
+    folder: Callable[[Contract, Page], None] | None = None
+    """Looks at the whole folder in the end; the page holds what the stages before kept."""
+
+
+OWN_CHECKS = Registry("check", {}, needs={"name": "its name", "proves": "a sentence: what it says"})
+"""Checks of a user's own, each a `Check` named as ``module:Object``."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +69,13 @@ class Task:
     """All that examining one shard depends on."""
 
     contract: Contract
-    """What is promised of the dataset that the shard was made for; its other shards are not in
-    it."""
+    """What is promised of the dataset that the shard was made for, without its other shards."""
     entry: Entry
     """The shard, as the manifest lists it."""
     number: int
-    """Its place in the manifest."""
+    """Its position in the manifest."""
     start: int
-    """Place of its first sample within the split of the dataset that it was made for."""
+    """Position of its first sample in the split of the dataset that it was made for."""
     quick: bool
     seed: int
     twins_of: int
@@ -51,15 +84,14 @@ class Task:
     """Why samples made here need not have the dataset's bits; empty where they must."""
     not_scanned: str = ""
     """Why scans made here of its archived worlds need not have its bits; empty where they must."""
+    own: tuple[str, ...] = ()
+    """The user's own checks, as ``module:Object``."""
 
     @property
     def stop(self) -> int:
-        """One more than the place of its last sample."""
-        return (
-            self.entry.stop
-            if isinstance(self.entry, GatheredEntry)
-            else self.start + self.entry.samples
-        )
+        """One more than the position of its last sample."""
+        entry = self.entry
+        return entry.stop if isinstance(entry, GatheredEntry) else self.start + entry.samples
 
     @property
     def cut(self) -> bool:
@@ -81,50 +113,104 @@ class SignedFile:
     sha256: str
 
 
+def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Solids:
+    """Compile an archived world that has been screened to its solids. Raises BrokenError, which
+    names `name`."""
+    try:
+        with quiet_mujoco():
+            return solids_of(mujoco.MjModel.from_xml_string(document.decode(), assets))
+    except (ValueError, MemoryError, mujoco.FatalError) as error:
+        raise BrokenError(f"{name}: MuJoCo cannot compile it: {printable(error)[:200]}") from None
+
+
+def auditor(document: bytes, assets: dict[str, bytes], solids: Solids, *, made_with: str) -> Engine:
+    """The engine that casts rays anew in a world whose `solids` have been compiled: never the one
+    that the dataset was `made_with`, and always one of ours."""
+    if made_with == MUJOCO:
+        return AnalyticEngine(solids)
+    with quiet_mujoco():
+        return MujocoEngine.of(mujoco.MjModel.from_xml_string(document.decode(), assets))
+
+
 @dataclass(frozen=True, eq=False)
 class Worlds:
     """The archive of one shard, screened."""
 
     task: Task
-    archive: Archive
+    documents: dict[int, bytes]
+    """MJCF by the world's number."""
+    outlines: dict[int, bytes]
+    """What `screen` gives for each document."""
+    assets: dict[str, bytes]
     solids: dict[int, Solids] = field(default_factory=dict)
     """The solids of every world that was compiled, by its number."""
-    _auditors: dict[int, Engine] = field(default_factory=dict)
-    _made: dict[int, tuple[World, Engine]] = field(default_factory=dict)
-    _worlds: dict[int, World] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, task: Task, file: BufferedReader, name: str) -> "Worlds":
+        """Read and screen all members of the archive in `file`. Raises BrokenError, which names
+        `name` and the fault."""
+        most = task.entry.samples
+        with open_archive(file, name) as members:
+            if (worlds := sum(member.endswith(".xml") for member in members)) > most:
+                raise BrokenError(f"{worlds} worlds, expected one a sample at most, {most}")
+            assets = {member: members.read(member) for member in members}
+            documents = {
+                int(name[:-4]): assets.pop(name) for name in [*assets] if name.endswith(".xml")
+            }
+            outlines = {
+                number: screen(document, assets, f"{number:06d}.xml")
+                for number, document in documents.items()
+            }
+        return cls(task, documents, outlines, assets)
+
+    def source(self, number: int) -> tuple[bytes, dict[str, bytes]]:
+        """A world's document and the files it refers to. Raises BrokenError where there is none."""
+        if number not in self.documents:
+            raise BrokenError(f"has no member {number:06d}.xml")
+        document = self.documents[number]
+        return document, {name: self.assets[name] for name in referred(document, self.assets)}
 
     def compile(self, number: int) -> Solids:
         """Compile a world to its solids, which checks of samples are handed later. Raises
         BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
-        self.solids[number] = compile_solids(*self.archive.world(number), name)
+        self.solids[number] = compile_solids(*self.source(number), name)
         return self.solids[number]
 
-    def auditor(self, number: int) -> Engine:
-        """What casts rays anew in a world that was compiled."""
-        if number not in self._auditors:
-            world, made_with = self.archive.world(number), self.task.contract.engine
-            self._auditors[number] = auditor(*world, self.solids[number], made_with=made_with)
-        return self._auditors[number]
+    # Samples come world by world, so each of these keeps the last world alone.
 
     def world(self, number: int) -> World:
         """A world, compiled. Raises BrokenError."""
-        if number not in self._worlds:
-            self._worlds.clear()  # samples come world by world
-            self._worlds[number] = archived_world(self.archive, number)
-        return self._worlds[number]
+        return _world(self, number)
 
-    def made(self, number: int) -> tuple[World, Engine]:
-        """A world that was compiled, and the dataset's own engine of it, which is one of ours.
-        Raises BrokenError."""
-        if number not in self._made:
-            self._made.clear()
-            world = self.world(number)
-            self._made[number] = (
-                world,
-                ENGINES.find(self.task.contract.engine).of(world.model, world.data),
-            )
-        return self._made[number]
+    def engine(self, number: int) -> Engine:
+        """The dataset's own engine of a world, which is one of ours. Raises BrokenError."""
+        return _engine(self, number)
+
+    def auditor(self, number: int) -> Engine:
+        """What casts rays anew in a world that was compiled."""
+        return _auditor(self, number)
+
+
+@functools.lru_cache(maxsize=1)
+def _world(worlds: Worlds, number: int) -> World:
+    try:
+        return compile_world(*worlds.source(number))
+    except SceneError as error:
+        raise BrokenError(str(error)) from None
+
+
+@functools.lru_cache(maxsize=1)
+def _engine(worlds: Worlds, number: int) -> Engine:
+    world = worlds.world(number)
+    engine: Engine = ENGINES.find(worlds.task.contract.engine).of(world.model, world.data)
+    return engine
+
+
+@functools.lru_cache(maxsize=1)
+def _auditor(worlds: Worlds, number: int) -> Engine:
+    made_with = worlds.task.contract.engine
+    return auditor(*worlds.source(number), worlds.solids[number], made_with=made_with)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,25 +233,26 @@ class Shard:
 
     @functools.cached_property
     def places(self) -> Sequence[int]:
-        """Places of its samples; where it is cut, as their names tell. Raises BrokenError."""
+        """Positions of its samples in their split; where the shard is cut, as their names tell.
+        Raises BrokenError."""
         task = self.task
         if not task.cut:
             return range(task.start, task.stop)
-        numbering = task.contract.numbering(task.entry.split)
-        found: list[int] = numbering.place(
-            self.file.column("world"), self.file.column("viewpoint")
-        ).tolist()
+        found: list[int] = (
+            task.contract.numbering(task.entry.split)
+            .place(self.file.column("world"), self.file.column("viewpoint"))
+            .tolist()
+        )
         if (min(found), max(found)) != (task.start, task.stop - 1):
             raise BrokenError(
                 f"{task.entry.file}: its samples stood from {min(found)} to {max(found)} in their "
-                f"split, the manifest "
-                f"says {task.start} to {task.stop - 1}"
+                f"split, the manifest says {task.start} to {task.stop - 1}"
             )
         return found
 
     @functools.cached_property
     def audited(self) -> frozenset[int]:
-        """The samples that checks which cost much look at."""
+        """The samples that expensive checks look at."""
         samples = self.task.entry.samples
         chosen = self.rng.permutation(samples)[: max(LEAST_AUDITED, round(AUDITED_SHARE * samples))]
         return frozenset(chosen.tolist())
@@ -207,8 +294,8 @@ class Sample:
 
     @functools.cached_property
     def scans(self) -> list[Scan]:
-        """The stored ranges and poses: its own scan, and those before it. Raises BrokenError where
-        a pose is none."""
+        """The stored ranges and poses: its own scan, and those before it. Raises BrokenError for
+        an invalid pose."""
         found = []
         for ranges, *pose in self.contract.of_scans(
             self.fields.__getitem__, "ranges", "position", "quaternion"
@@ -223,12 +310,10 @@ class Sample:
 
     @functools.cached_property
     def seen(self) -> ObservedGrid:
-        """What follows from the stored ranges and poses. Raises BrokenError where a pose is
-        none."""
+        """The map that follows from the stored ranges and poses. Raises BrokenError for an invalid
+        pose."""
         grid = self.contract.grid
         seen = fuse(self.scans[::-1], grid, self.fields["origin"], self.contract.mapping)
-        return (
-            as_rounded(seen, self.scans[0], grid, self.fields)
-            if self.contract.generator == 1
-            else seen
-        )
+        if self.contract.generator == 1:  # its last bits depended on the processor
+            return as_rounded(seen, self.scans[0], grid, self.fields)
+        return seen

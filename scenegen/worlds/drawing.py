@@ -215,8 +215,7 @@ def flatten(
             about["name"] = model.geom(geom).name
         if shape in (MESH, HFIELD):
             if (shape, number) not in named:
-                add = _add_mesh if shape == MESH else _add_field
-                named[shape, number] = add(asset, files, model, number)
+                named[shape, number] = _add_bent(asset, files, model, shape, number)
             about[about["type"]] = named[shape, number]
         else:
             about["size"] = "0 0 1" if shape == PLANE else _exact(model.geom_size[geom])
@@ -236,50 +235,36 @@ def flatten(
     return ElementTree.tostring(root, encoding="utf-8"), files
 
 
-def _add_mesh(
-    asset: ElementTree.Element, files: dict[str, bytes], model: mujoco.MjModel, mesh: int
+def _add_bent(
+    asset: ElementTree.Element,
+    files: dict[str, bytes],
+    model: mujoco.MjModel,
+    shape: int,
+    number: int,
 ) -> str:
-    """Add a mesh as MuJoCo compiled it, in its MSH format, which keeps every bit of a vertex.
-    Returns its name."""
-    first, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
-    vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
-    faces = model.mesh_face[face : face + model.mesh_facenum[mesh]]
-    content = np.array([len(vertices), 0, 0, len(faces)], "<i4").tobytes()
-    content += vertices.astype("<f4").tobytes() + faces.astype("<i4").tobytes()
-    name = model.mesh(mesh).name or f"mesh{mesh}"
-    # a shell's inertia exists for every mesh, closed or not, flat or not
-    ElementTree.SubElement(
-        asset, "mesh", name=name, file=_put(files, content, name, "msh"), inertia="shell"
-    )
-    return name
-
-
-def _add_field(
-    asset: ElementTree.Element, files: dict[str, bytes], model: mujoco.MjModel, field: int
-) -> str:
-    """Add a height field as MuJoCo compiled it, heights from 0 to 1. Returns its name."""
-    first, rows, columns = (
-        model.hfield_adr[field],
-        int(model.hfield_nrow[field]),
-        int(model.hfield_ncol[field]),
-    )
-    content = np.array([rows, columns], "<i4").tobytes()
-    content += model.hfield_data[first : first + rows * columns].astype("<f4").tobytes()
-    name = model.hfield(field).name or f"hfield{field}"
-    size = _exact(model.hfield_size[field])
-    ElementTree.SubElement(
-        asset, "hfield", name=name, file=_put(files, content, name, "bin"), size=size
-    )
-    return name
-
-
-def _put(files: dict[str, bytes], content: bytes, name: str, ending: str) -> str:
-    """Put a file among `files` under a name made of its content and its own, and return that
-    name."""
+    """Add a mesh or a height field as MuJoCo compiled it. Returns its name."""
+    if shape == MESH:  # in the MSH format, which keeps every bit of a vertex
+        first, face = model.mesh_vertadr[number], model.mesh_faceadr[number]
+        vertices = model.mesh_vert[first : first + model.mesh_vertnum[number]]
+        faces = model.mesh_face[face : face + model.mesh_facenum[number]]
+        header, arrays = [len(vertices), 0, 0, len(faces)], [vertices, faces]
+        tag, ending, called = "mesh", "msh", model.mesh(number).name
+        # a shell's inertia exists for every mesh, closed or not, flat or not
+        more = {"inertia": "shell"}
+    else:  # heights from 0 to 1
+        header = [int(model.hfield_nrow[number]), int(model.hfield_ncol[number])]
+        first = model.hfield_adr[number]
+        arrays = [model.hfield_data[first : first + header[0] * header[1]]]
+        tag, ending, called = "hfield", "bin", model.hfield(number).name
+        more = {"size": _exact(model.hfield_size[number])}
+    parts = [values.astype("<f4" if values.dtype.kind == "f" else "<i4") for values in arrays]
+    content = b"".join(part.tobytes() for part in (np.array(header, "<i4"), *parts))
+    name = called or f"{tag}{number}"
     safe = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:60]
-    called = f"{hashlib.sha256(content).hexdigest()[:12]}-{safe}.{ending}"
-    files[called] = content
-    return called
+    file = f"{hashlib.sha256(content).hexdigest()[:12]}-{safe}.{ending}"
+    files[file] = content
+    ElementTree.SubElement(asset, tag, {"name": name, "file": file, **more})
+    return name
 
 
 def _exact(numbers: object) -> str:

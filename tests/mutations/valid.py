@@ -50,7 +50,7 @@ SCENE = """<mujoco model="small">
 <geom name="stone" type="mesh" mesh="rock" pos="0 -2 0"/>
 <geom name="ground" type="hfield" hfield="hill" pos="2 2 0"/>
 <body name="cart" pos="-2 2 0.5" quat="1 0 0 0">
- <geom name="lid" type="ellipsoid" size="0.3 0.2 0.1"/></body>
+<geom name="lid" type="ellipsoid" size="0.3 0.2 0.1"/></body>
 </worldbody>
 </mujoco>
 """

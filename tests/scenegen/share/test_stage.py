@@ -23,7 +23,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
 from scenegen.errors import PublishError
 from scenegen.recipe import read_recipe
-from scenegen.share import folder as folder_module
+from scenegen.share import stage as folder_module
 from scenegen.share.stage import Request, stage
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe

@@ -500,7 +500,8 @@ class Odd(BaseHTTPRequestHandler):
 
     def _give(self) -> None:
         self.rfile.read(int(self.headers.get("Content-Length") or 0))
-        here = f"http://127.0.0.1:{self.server.server_address[1]}{self.path}"  # type: ignore[attr-defined]
+        port = self.server.server_address[1]  # type: ignore[attr-defined]
+        here = f"http://127.0.0.1:{port}{self.path}"
         page = b"<html>log in</html>"
         status, content, headers = {
             "cut": (200, b"half", {"ETag": "e", "Content-Length": "8"}),

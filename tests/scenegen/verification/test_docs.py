@@ -1,8 +1,13 @@
-"""docs/verify.md says of every check what the check says of itself."""
+"""docs/verify.md says of every check what the check says of itself, and how to write one's own."""
 
 from pathlib import Path
 
-from scenegen.verification.checks import CHECKS
+import pytest
+
+from scenegen.errors import DatasetError
+from scenegen.verification import verify
+from scenegen.verification.folder import CHECKS
+from tests.command_line import run
 
 PAGE = Path(__file__).parents[3] / "docs" / "verify.md"
 
@@ -22,3 +27,28 @@ def test_every_check_has_a_name_of_its_own_and_proves_something_in_one_sentence(
         assert check.proves.endswith(".")
         assert ". " not in check.proves
         assert check.proves.isprintable()
+
+
+def test_a_check_of_ones_own(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    code = PAGE.read_text(encoding="utf-8").split("```python\n")[-1].split("```")[0]
+    (tmp_path / "my_checks.py").write_text(
+        code + "\nlow = Check(name='low', proves='x', sample=lambda s, page: page.fault(s.where))\n"
+        "def _fail(sample, page):\n    1 / 0\n\n\n"
+        "bad = Check(name='bad', proves='x', sample=_fail)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    report = verify(folder, quick=True, own=["my_checks:high", "my_checks:low"])
+    high, low = report.checks[-2:]
+    assert (high.name, high.ok, high.counts) == ("high", True, {"samples": 12})
+    assert (low.ok, low.faults) == (False, 12)
+    assert run(capsys, "verify", folder, "--quick", "--check", "my_checks:high")[0] == 0
+    with pytest.raises(DatasetError, match=r"--check: .*none"):
+        verify(folder, own=["my_checks:none"])
+    bad = verify(folder, quick=True, own=["my_checks:bad"]).checks[-1]
+    assert (bad.ok, bad.faults) == (False, 12)
+    assert "of my_checks.py: ZeroDivisionError: division by zero" in bad.detail

@@ -8,10 +8,11 @@ import pytest
 from lidarsim import Lidar, MujocoEngine, Pose, cast
 from lidarsim.engines import ENGINES
 from lidarsim.pose import rotate
-from scenegen.verification.contract import auditor, compile_solids
 from scenegen.verification.rays import audit, disagrees, ray_directions
+from scenegen.verification.stages import auditor, compile_solids
 
-WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/><geom type="sphere" size="1" pos="-3 1 0"/>
+WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/>
+<geom type="sphere" size="1" pos="-3 1 0"/>
 </worldbody></mujoco>"""
 
 

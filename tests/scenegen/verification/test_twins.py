@@ -4,7 +4,7 @@ so."""
 import numpy as np
 import pytest
 
-from scenegen.verification.checks.between_splits import (
+from scenegen.verification.splits import (
     OBSERVED_IOU,
     OCCUPIED_IOU,
     candidates,
@@ -81,7 +81,7 @@ def test_empty_maps_are_no_twins() -> None:
 def test_a_folder_full_of_the_same_map_is_not_compared_all_with_all(
     monkeypatch: pytest.MonkeyPatch, most: int
 ) -> None:
-    monkeypatch.setattr("scenegen.verification.checks.between_splits.MOST_PAIRS", most)
+    monkeypatch.setattr("scenegen.verification.splits.MOST_PAIRS", most)
     same = np.ones((600, 320), np.uint32), np.ones((600, 128), np.uint64), np.full(600, 128)
     found, complete = candidates(*same, np.arange(600) % 3)
     assert (len(found), complete) == (5000, False)

@@ -21,7 +21,7 @@ from scenegen.sample import LABELS
 from scenegen.source import read_scenes
 from scenegen.truth import distance_field, rasterize
 from scenegen.verification import verify
-from scenegen.verification.checks import CHECKS
+from scenegen.verification.folder import CHECKS
 from scenegen.worlds.world import compile_world
 from tests.conftest import SMALL, small_recipe
 from tests.scenegen.verification import forge

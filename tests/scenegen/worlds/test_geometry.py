@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenegen.verification.contract import compile_solids
+from scenegen.verification.stages import compile_solids
 from scenegen.worlds.world import geometry_digest
 
 FIELD = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 {} 0 1"/>'

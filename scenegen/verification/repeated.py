@@ -19,11 +19,10 @@ from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds, SceneWorlds
-from scenegen.verification.check import Check
-from scenegen.verification.contract import Archive, Contract, archived_world
+from scenegen.verification.contract import Contract
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Sample, Shard, Worlds
+from scenegen.verification.stages import Check, Sample, Shard, Worlds
 from scenegen.worlds.world import World, compile_world
 
 
@@ -31,16 +30,16 @@ from scenegen.worlds.world import World, compile_world
 class ArchivedWorlds(SceneWorlds):
     """Worlds from MJCF files, as they lie in a shard's archive; `scenes` only counts them."""
 
-    archive: Archive
+    worlds: Worlds
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
         """See `Source.world`."""
-        return compile_world(*self.archive.world(number))
+        return compile_world(*self.worlds.source(number))
 
 
 def regenerate(
     contract: Contract,
-    archive: Archive,
+    worlds: Worlds,
     split: str,
     unit: int,
     poses: Callable[[], list[list[Pose]]],
@@ -58,7 +57,7 @@ def regenerate(
     try:
         if contract.rescan is not None:
             names = contract.numbering(split).name(unit * contract.viewpoints)
-            world, seed = archived_world(archive, names[0]), contract.seed
+            world, seed = worlds.world(names[0]), contract.seed
             return scan_again(
                 world,
                 poses(),
@@ -70,9 +69,7 @@ def regenerate(
                 engine=engine,
             )
         source = (
-            DrawnWorlds(recipe)
-            if scenes is None
-            else ArchivedWorlds(scenes=scenes, archive=archive)
+            DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, worlds=worlds)
         )
         return draw_unit(
             source, recipe, seed=contract.seed, split=split, unit=unit, derived=True, engine=engine
@@ -85,7 +82,10 @@ def why_not_comparable(contract: Contract) -> str:
     """Why samples made here need not have the dataset's bits; empty where they must."""
     if not contract.drawn and contract.scenes is None and contract.rescan is None:
         advice = "; if it is yours, give --kind with its name" if ":" in contract.kind else ""
-        return f"kind {contract.kind!r} is none of scenegen's own: its worlds cannot be drawn again{advice}"
+        return (
+            f"kind {contract.kind!r} is none of scenegen's own: its worlds cannot be drawn again"
+            f"{advice}"
+        )
     return why_not_scanned(contract)
 
 
@@ -95,7 +95,10 @@ def why_not_scanned(contract: Contract) -> str:
     if not contract.noise_is_ours:
         return "made with noise that is not scenegen's own, so it is not imported"
     if contract.engine not in ENGINES.known:
-        return f"made with the engine {contract.engine!r}, which is not scenegen's own, so it is not imported"
+        return (
+            f"made with the engine {contract.engine!r}, which is not scenegen's own, so it is not "
+            "imported"
+        )
     if lacking := _lacking(contract.engine):
         return f"made with the engine {contract.engine!r}, which {lacking}"
     if contract.generator != GENERATOR:
@@ -151,7 +154,7 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
     """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
     stored ones. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
-    world, engine = worlds.made(sample.world)
+    world, engine = worlds.world(sample.world), worlds.engine(sample.world)
     unit, view = divmod(sample.shard.places[sample.row], contract.viewpoints)
     try:
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
@@ -226,7 +229,6 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
     bit for bit."""
     task = shard.task
     assert shard.worlds is not None
-    archive = shard.worlds.archive
 
     def poses() -> list[list[Pose]]:
         try:
@@ -242,10 +244,10 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
         except ValueError as error:
             raise BrokenError(f"{task.entry.file}: {error}") from None
 
-    again = regenerate(task.contract, archive, task.entry.split, unit, poses)
+    again = regenerate(task.contract, shard.worlds, task.entry.split, unit, poses)
     page.count(worlds=1)
     page.expect(
-        archive.documents.get(again.number) == again.world.mjcf,
+        shard.worlds.documents.get(again.number) == again.world.mjcf,
         f"{task.entry.worlds}: {again.number:06d}.xml is not the world that the seed gives",
     )
     for row, view in views:

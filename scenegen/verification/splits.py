@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from lidarsim.jit import kernel
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
-from scenegen.verification.check import Check
 from scenegen.verification.contract import Contract
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Sample, Worlds
+from scenegen.verification.stages import Check, Sample, Worlds
 from scenegen.worlds.world import geometry_digest
 
 OCCUPIED_IOU = 0.9
@@ -173,11 +172,11 @@ MOST_OPEN = 100
 
 def _digest_worlds(worlds: Worlds, page: Page) -> None:
     digests, numbers = list[bytes](), list[int]()
-    for number in sorted(worlds.archive.documents):
+    for number in sorted(worlds.documents):
         page.count(worlds=1)
         try:
             digest = (
-                worlds.archive.outlines[number]
+                worlds.outlines[number]
                 if worlds.task.quick
                 else geometry_digest(worlds.compile(number))
             )

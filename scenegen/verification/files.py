@@ -6,10 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 
 from scenegen.dataset import manifest
-from scenegen.verification.check import Check
 from scenegen.verification.contract import Contract
 from scenegen.verification.report import Page
-from scenegen.verification.stages import Shard, SignedFile, Worlds
+from scenegen.verification.stages import Check, Shard, SignedFile, Worlds
 
 
 def _written_for_these_parameters(shard: Shard, page: Page) -> None:
@@ -90,7 +89,7 @@ examination."""
 
 
 def _expected_worlds(worlds: Worlds, page: Page) -> None:
-    task, there = worlds.task, sorted(worlds.archive.documents)
+    task, there = worlds.task, sorted(worlds.documents)
     expected = list(
         task.contract.numbering(task.entry.split).worlds(task.start, task.stop - task.start)
     )
@@ -108,8 +107,8 @@ def _expected_worlds(worlds: Worlds, page: Page) -> None:
     if task.contract.scenes is None:
         return
     listed = task.contract.scenes[task.entry.split]
-    for number in worlds.archive.documents:
-        document, assets = worlds.archive.world(number)
+    for number in worlds.documents:
+        document, assets = worlds.source(number)
         digest = hashlib.sha256(document)
         for name, content in sorted(assets.items()):
             digest.update(name.encode() + hashlib.sha256(content).digest())
@@ -124,7 +123,7 @@ def _worlds_of_samples(shard: Shard, page: Page) -> None:
     if not shard.task.cut or shard.worlds is None:
         return
     there, found = (
-        sorted(shard.worlds.archive.documents),
+        sorted(shard.worlds.documents),
         sorted(set(shard.file.column("world").tolist())),
     )
     name = shard.task.entry.worlds

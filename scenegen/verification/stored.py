@@ -14,11 +14,10 @@ from scenegen.dataset import manifest
 from scenegen.dataset.trust import Manifest
 from scenegen.sample import LABELS, derive_tudf
 from scenegen.truth import rasterize
-from scenegen.verification.check import Check
 from scenegen.verification.contract import Contract
 from scenegen.verification.rays import count_strays
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Sample
+from scenegen.verification.stages import Check, Sample
 from scenegen.worlds.labels import label_fields
 
 DIGESTED = (
