@@ -62,8 +62,7 @@ class Slurm(Executor):
         self.minutes = given.pop("time", str(MINUTES))
         if not re.fullmatch("[1-9][0-9]{0,6}", self.minutes):
             raise DatasetError(
-                f"--on slurm://…?time={printable(self.minutes)[:100]}: expected whole minutes, as "
-                f"60"
+                f"--on slurm://…?time={printable(self.minutes)[:100]}: expected whole minutes"
             )
         self.options = ({"partition": partition} if partition else {}) | given
         self.workers = workers
