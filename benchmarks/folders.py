@@ -76,7 +76,8 @@ folder = Path(sys.argv[1])
 there = load(folder)
 manifest.write(folder, manifest.assemble(there.parameters, [], complete=False))
 if sys.argv[2] == "noted":
-    write_note(folder, there.fingerprint, [folder / entry.file for entry in there.shards], there.shards)
+    files = [folder / entry.file for entry in there.shards]
+    write_note(folder, there.fingerprint, files, there.shards)
 """
 """Takes the list of shards out of a manifest, and writes it down as one job's of many, if asked
 to."""

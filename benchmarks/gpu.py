@@ -39,7 +39,8 @@ from scenegen.truth import distance_field, rasterize
 PUBLISHED = {"mujoco-lidar (JAX)": 231e6, "OmniPerception (RTX 4090)": 328e6}
 CHECKED = 16
 """Worlds in which what the device gives is compared with what the processor gives."""
-THREE = """<mujoco><worldbody><geom type="sphere" size="1" pos="4 0 0"/><geom type="box" size="1 1 1" pos="-2 3.5 0"/>
+THREE = """<mujoco><worldbody>
+<geom type="sphere" size="1" pos="4 0 0"/><geom type="box" size="1 1 1" pos="-2 3.5 0"/>
 <geom type="cylinder" size="1 1" pos="-2 -3.5 0"/></worldbody></mujoco>"""
 
 

@@ -2,8 +2,8 @@
 
     python benchmarks/mutants.py --count 200 --out mutants.json
 
-A mutant is one operator, number or branch changed, as cosmic-ray draws them. It is made in a copy of
-the checkout, and killed if the tests of its room fail. Given again with the same `--out`, a run
+A mutant is one operator, number or branch changed, as cosmic-ray draws them. It is made in a copy
+of the checkout, and killed if the tests of its room fail. Given again with the same `--out`, a run
 that was stopped goes on. `--whole` runs the whole suite on those that survived.
 """
 
@@ -72,7 +72,7 @@ def _counts(one: Any) -> bool:
 
 @cache
 def _spared(path: Path) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Where a file has annotations, decorators, assertions and errors, from and to (line, column)."""
+    """Where a file has annotations, decorators, assertions and errors: from, to (line, column)."""
     spared: list[Any] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         match node:
@@ -90,7 +90,7 @@ def _spared(path: Path) -> list[tuple[tuple[int, int], tuple[int, int]]]:
 
 
 def tested(copy: Path, mutant: dict[str, Any], whole: bool) -> str:
-    """Make the mutant in `copy`, run the tests, and undo it: "killed", "survived" or "no mutant"."""
+    """Make the mutant in `copy`, test, and undo it: "killed", "survived" or "no mutant"."""
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 

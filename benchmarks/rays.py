@@ -291,7 +291,7 @@ print(time.process_time() - begin)
 def first_scan(repeats: int) -> str:
     """Seconds of a process's first scan."""
     seconds = [float(measuring.run("-c", FIRST_SCAN)[1]) for _ in range(repeats)]
-    return f"the first scan of a process, kernels cached: {min(seconds):.2f} s (numba is loaded for it)"
+    return f"the first scan of a process, kernels cached: {min(seconds):.2f} s (loads numba)"
 
 
 def growth(casts: int) -> str:
@@ -310,7 +310,8 @@ def growth(casts: int) -> str:
         analytic.move(solids)
         analytic.hits(origins, directions, MAX_RANGE_M)
         ours.cast(origins[:1], directions[:1], MAX_RANGE_M)
-    return f"memory after {casts // 10} and after {casts} casts: {found[0] / 1e6:.1f} and {found[1] / 1e6:.1f} MB"
+    few, many = (bytes_ / 1e6 for bytes_ in found[:2])
+    return f"memory after {casts // 10} and after {casts} casts: {few:.1f} and {many:.1f} MB"
 
 
 def main() -> None:

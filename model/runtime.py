@@ -185,7 +185,8 @@ def _open(content: bytes, found: Examined, threads: int) -> Run:
         options.log_severity_level = 4  # what goes wrong is raised
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         return lambda batch: session.run(list(found.outputs), dict(batch))
-    sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type] # it would report every import
+    # it would report every import
+    sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]
     import openvino
 
     hints = {"PERFORMANCE_HINT": "LATENCY"} | (

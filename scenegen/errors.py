@@ -84,7 +84,10 @@ def needs(packages: str, extra: str) -> str:
 def empty_split(split: str) -> str:
     """What to say of a dataset whose `split` holds no samples, and how to get some."""
     option = "--n" if split == "train" else f"--{split}"
-    return f"its {split} split is empty; generate with {option} (scenes are split by world: give three or more)"
+    return (
+        f"its {split} split is empty; generate with {option} (scenes are split by world: give "
+        "three or more)"
+    )
 
 
 def printable(text: object) -> str:

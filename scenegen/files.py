@@ -94,7 +94,8 @@ def check_ours(path: Path) -> None:
     check_target(path)
     if path.exists() and not _is_marked(path):
         raise DatasetError(
-            f"{path}: is there already, and not as scenegen wrote it; remove it, or give another name"
+            f"{path}: is there already, and not as scenegen wrote it; remove it, or give another "
+            "name"
         )
 
 

@@ -128,7 +128,8 @@ class Sample:
                 else ""
             )
             rows.append(
-                f"<tr><td>{name}</td><td>{value.shape}</td><td>{said}</td><td>{about['meaning']}</td></tr>"
+                f"<tr><td>{name}</td><td>{value.shape}</td><td>{said}</td>"
+                f"<td>{about['meaning']}</td></tr>"
             )
         return f"<table>{''.join(rows)}</table>"
 

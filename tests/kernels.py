@@ -171,7 +171,8 @@ def _grid(shape: tuple[int, int, int] = (4, 4, 4), truncation_m: float = 2.0) ->
 
 
 TASKS: list[Callable[[], None]] = [
-    _rasterize, _meshes, _clearance, _cast, _chance, _maps, _distances, _voxelize, _twins, _plans, _reference
+    _rasterize, _meshes, _clearance, _cast, _chance, _maps, _distances, _voxelize, _twins, _plans,
+    _reference
 ]  # fmt: skip
 """Neighbours share kernels, which the first of them compiles; the two halves take about as
 long."""

@@ -102,7 +102,8 @@ class Device:
     def __str__(self) -> str:
         tilt = f", {self.pitch_deg:g}° nose down" if self.pitch_deg else ""
         rays = " × ".join(map(str, self.shape))
-        return f"{rays} rays of {self.name or type(self).__name__.lower()}{tilt}, up to {self.max_range_m:g} m"
+        name = self.name or type(self).__name__.lower()
+        return f"{rays} rays of {name}{tilt}, up to {self.max_range_m:g} m"
 
 
 def pointing(

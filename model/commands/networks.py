@@ -35,7 +35,8 @@ def networks(as_json: bool) -> None:
     say(f"{'variant':<10}{'stem stride':>12}{'parameters':>12}{'GMACs':>8}{'activations':>13}")
     for row in found:
         say(
-            f"{row['variant']:<10}{row['stem_stride']:>12}{row['parameters']:>12,}{row['macs'] / 1e9:>8.2f}"
+            f"{row['variant']:<10}{row['stem_stride']:>12}{row['parameters']:>12,}"
+            f"{row['macs'] / 1e9:>8.2f}"
             f"{row['activation_bytes'] / 1e6:>10.1f} MB"
         )
 

@@ -375,4 +375,5 @@ class _Shown:
 
 
 def _validated(row: dict[str, float]) -> str:
-    return f"validation loss {row['val_loss']:.4f}, IoU {row['val_iou']:.3f}, Near-MAE {row['val_near_mae']:.3f} m"
+    near = f"Near-MAE {row['val_near_mae']:.3f} m"
+    return f"validation loss {row['val_loss']:.4f}, IoU {row['val_iou']:.3f}, {near}"

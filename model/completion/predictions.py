@@ -210,7 +210,10 @@ def read_completion(path: Path) -> Look:
 
 
 def _completion(path: Path) -> Look:
-    advice = "expected what `scenegen complete` wrote of a scan; of a split: scenegen render DATASET --predictions FILE"
+    advice = (
+        "expected what `scenegen complete` wrote of a scan; of a split: scenegen render DATASET "
+        "--predictions FILE"
+    )
     try:
         with h5py.File(path, "r") as file:
             origin, voxel_m = np.array(file.attrs["origin"], np.float64), float(file.attrs["voxel"])

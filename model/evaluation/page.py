@@ -7,7 +7,7 @@ It has no script and fetches nothing; texts and names are shown as text alone.
 import base64
 import html
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from scenegen.model.evaluation import paper
@@ -21,8 +21,8 @@ REFERENCES = ("truth", "seen")
 CHARTS = {"reconstruction": ("iou", "near_rmse"), "planning": ("success", "min_clearance")}
 """Metrics that are drawn, by table."""
 STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; background: #fff; margin: 0 auto; padding: 1rem;
-  max-width: 70rem; }
+body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; background: #fff;
+  margin: 0 auto; padding: 1rem; max-width: 70rem; }
 h1, h2, h3 { line-height: 1.2; }
 h2 { margin-top: 2.2rem; border-top: 1px solid #d5dae1; padding-top: 1rem; }
 dl { display: grid; grid-template-columns: auto 1fr; gap: 0 1rem; }
@@ -42,8 +42,10 @@ figcaption { font-weight: 600; }
 svg, img { width: 100%; height: auto; }
 """
 HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy"
+  content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
 """
 
 
@@ -98,7 +100,8 @@ def to_html(
             for told, image in shown
         )
         body.append(f"<div class='charts'>{''.join(images)}</div>" if shown else "")
-    return f"{HEAD}<title>Bench</title><style>{STYLE}</style></head><body>{''.join(body)}</body></html>\n"
+    head = f"{HEAD}<title>Bench</title><style>{STYLE}</style></head>"
+    return f"{head}<body>{''.join(body)}</body></html>\n"
 
 
 def best(rows: Mapping[str, Any], name: str, metric: Metric) -> set[str]:
@@ -139,7 +142,8 @@ def _table(
 
 
 def _framed(heads: str, lines: str) -> str:
-    return f"<div class='wide'><table><thead><tr><th></th>{heads}</tr></thead><tbody>{lines}</tbody></table></div>"
+    head = f"<thead><tr><th></th>{heads}</tr></thead>"
+    return f"<div class='wide'><table>{head}<tbody>{lines}</tbody></table></div>"
 
 
 def _cell(figure: Mapping[str, Any], is_best: bool) -> str:
@@ -147,7 +151,8 @@ def _cell(figure: Mapping[str, Any], is_best: bool) -> str:
         return "<td>–</td>"
     more = "" if figure["std"] is None else f"± {figure['std']:.3f}<br>"
     mark = " class='best'" if is_best else ""
-    return f"<td{mark}>{figure['mean']:.3f}<small>{more}{interval(figure, '.3f')}{threshold(figure)}</small></td>"
+    more += f"{interval(figure, '.3f')}{threshold(figure)}"
+    return f"<td{mark}>{figure['mean']:.3f}<small>{more}</small></td>"
 
 
 def _chart(rows: Mapping[str, Any], metric: Metric, name: str, reference: Mapping[str, Any]) -> str:
@@ -208,15 +213,11 @@ def _failures(rows: Mapping[str, Any]) -> str:
     if not causes:
         return ""
     heads = "".join(f"<th>{_text(CAUSES[cause])}</th>" for cause in causes)
-    lines = "".join(
-        f"<tr><th>{_text(method)}</th>{_counts(row['failures'].get(cause, 0) for cause in causes)}</tr>"
-        for method, row in rows.items()
-    )
+    lines = ""
+    for method, row in rows.items():
+        counts = "".join(f"<td>{row['failures'].get(cause, 0)}</td>" for cause in causes)
+        lines += f"<tr><th>{_text(method)}</th>{counts}</tr>"
     return f"<h3>Trials that failed, by what became of the path</h3>{_framed(heads, lines)}"
-
-
-def _counts(counts: Iterable[int]) -> str:
-    return "".join(f"<td>{count}</td>" for count in counts)
 
 
 def _text(value: object) -> str:

@@ -1,35 +1,39 @@
-"""What the paper reports, Tables I and II, mean±standard deviation, to stand beside our figures."""
+"""What the paper reports, Tables I and II, mean±standard deviation, to stand beside ours."""
 
 Row = dict[str, tuple[float, float | None]]
 
 
 def _read(table: str) -> dict[str, dict[str, Row]]:
     """``tables[kind][method][metric]``: (mean, standard deviation, or None where the paper gives
-    none)."""
-    names, *rows = [line.split() for line in table.strip().splitlines()]
+    none). A line is a metric, a column a method."""
+    columns, *lines = [line.split() for line in table.strip().splitlines()]
     found: dict[str, dict[str, Row]] = {}
-    for kind, method, *cells in rows:
-        pairs = (cell.partition("±") for cell in cells)
-        values = ((float(mean), float(std) if std else None) for mean, _, std in pairs)
-        found.setdefault(kind, {})[method] = dict(zip(names, values, strict=True))
+    for metric, *cells in lines:
+        for column, cell in zip(columns, cells, strict=True):
+            kind, method = column.split("/")
+            mean, _, std = cell.partition("±")
+            row = found.setdefault(kind, {}).setdefault(method, {})
+            row[metric] = float(mean), float(std) if std else None
     return found
 
 
 RECONSTRUCTION = _read("""
-                   rmse      mae       near_rmse near_mae  bias       near_bias iou       f1        precision recall
-geometric TUDF     .317±.097 .162±.068 .310±.111 .157±.064 .004±.050  .101±.064 .526±.068 .687±.060 .830±.046 .590±.077
-geometric OCC      .437±.123 .203±.081 .576±.156 .313±.114 .188±.082  .305±.115 .575±.081 .727±.067 .966±.029 .587±.083
-geometric Proposed .321±.097 .162±.064 .282±.113 .141±.062 -.028±.047 .064±.065 .601±.080 .747±.064 .867±.043 .662±.090
-pillar TUDF        .355±.069 .214±.050 .344±.075 .186±.047 .016±.061  .134±.053 .440±.043 .610±.042 .681±.037 .557±.065
-pillar OCC         .485±.095 .251±.072 .574±.112 .308±.087 .238±.077  .304±.087 .556±.058 .713±.048 .976±.035 .564±.057
-pillar Proposed    .329±.068 .191±.050 .338±.079 .177±.049 .026±.060  .128±.054 .559±.058 .715±.049 .890±.039 .601±.065
+          geometric/TUDF geometric/OCC geometric/Proposed pillar/TUDF pillar/OCC pillar/Proposed
+rmse      .317±.097      .437±.123     .321±.097          .355±.069   .485±.095  .329±.068
+mae       .162±.068      .203±.081     .162±.064          .214±.050   .251±.072  .191±.050
+near_rmse .310±.111      .576±.156     .282±.113          .344±.075   .574±.112  .338±.079
+near_mae  .157±.064      .313±.114     .141±.062          .186±.047   .308±.087  .177±.049
+bias      .004±.050      .188±.082     -.028±.047         .016±.061   .238±.077  .026±.060
+near_bias .101±.064      .305±.115     .064±.065          .134±.053   .304±.087  .128±.054
+iou       .526±.068      .575±.081     .601±.080          .440±.043   .556±.058  .559±.058
+f1        .687±.060      .727±.067     .747±.064          .610±.042   .713±.048  .715±.049
+precision .830±.046      .966±.029     .867±.043          .681±.037   .976±.035  .890±.039
+recall    .590±.077      .587±.083     .662±.090          .557±.065   .564±.057  .601±.065
 """)
 PLANNING = _read("""
-                   success length      min_clearance avg_clearance
-geometric TUDF     .787    9.377±1.279 .985±.713     1.376±.675
-geometric OCC      .778    9.156±1.020 .917±.737     1.347±.657
-geometric Proposed .806    9.404±1.281 1.007±.698    1.371±.683
-pillar TUDF        .846    8.639±3.885 .750±.403     1.312±.356
-pillar OCC         .769    7.873±1.572 .725±.418     1.310±.268
-pillar Proposed    .885    8.525±3.881 .816±.370     1.326±.352
+              geometric/TUDF geometric/OCC geometric/Proposed pillar/TUDF pillar/OCC  pillar/Proposed
+success       .787           .778          .806               .846        .769        .885
+length        9.377±1.279    9.156±1.020   9.404±1.281        8.639±3.885 7.873±1.572 8.525±3.881
+min_clearance .985±.713      .917±.737     1.007±.698         .750±.403   .725±.418   .816±.370
+avg_clearance 1.376±.675     1.347±.657    1.371±.683         1.312±.356  1.310±.268  1.326±.352
 """)

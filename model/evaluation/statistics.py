@@ -137,7 +137,8 @@ def caution(worlds: int) -> str:
     """What is to be said of intervals over so many worlds; nothing where they are enough."""
     if worlds >= FEW_WORLDS:
         return ""
-    return f"{worlds} world{'s' * (worlds != 1)}: too few to rely on the intervals; measure {FEW_WORLDS} or more"
+    counted = f"{worlds} world{'s' * (worlds != 1)}"
+    return f"{counted}: too few to rely on the intervals; measure {FEW_WORLDS} or more"
 
 
 def paired_p(

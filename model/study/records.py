@@ -115,7 +115,8 @@ class Records:
             for name in ARRAYS
         }
         memory = io.BytesIO()
-        np.savez_compressed(memory, **{TREE: np.array(json.dumps(tree))}, **arrays)  # type: ignore[arg-type]
+        members: dict[str, Any] = {TREE: np.array(json.dumps(tree)), **arrays}
+        np.savez_compressed(memory, **members)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, memory.getvalue())
 

@@ -14,8 +14,8 @@ A claim says that one of the paper's methods is better than another, by one metr
 worlds. Each bold cell of the paper's tables makes one against every other row. It is confirmed, or
 contradicted, if the mean difference over all seeds (two of each method at least) is told from
 chance, in worlds and in training seeds, at a level of .05 for all claims together (Holm). Otherwise
-it is undecided. Only networks that trained for {PATIENCE} epochs without a lower validation loss, as
-the paper's early stopping asks, can refute a claim; others can contradict it.
+it is undecided. Only networks that trained for {PATIENCE} epochs without a lower validation loss,
+as the paper's early stopping asks, can refute a claim; others can contradict it.
 """.strip().replace("\n", " ")
 
 

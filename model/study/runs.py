@@ -113,4 +113,4 @@ RUNS = tuple(
     for run in (*CLAIMED, PLAIN, COLUMNS)
     if seed < SEEDS.get(run.name, LEAST_SEEDS)
 )
-"""The runs that verdicts compare, with the whole budget. `benchmarks/study.py` adds shorter ones."""
+"""Runs that verdicts compare, with the whole budget; `benchmarks/study.py` adds shorter ones."""

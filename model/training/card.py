@@ -98,14 +98,16 @@ def card(name: str, about: Mapping[str, Any]) -> str:
     if "maps" in figures:
         length = f"{figures['maps']:.0f} maps seen"
     if epochs < FULL_EPOCHS and settings.get("maps") is None:
-        full = f"""This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and stops when \
-validation has not improved for {settings["patience"]}: `{re.sub(f" --epochs[ =]{epochs}(?![0-9])", "", command)}`.
+        whole = re.sub(f" --epochs[ =]{epochs}(?![0-9])", "", command)
+        full = f"""This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and \
+stops when validation has not improved for {settings["patience"]}: `{whole}`.
 
 """
+    versions = ", ".join(f"{one} {version}" for one, version in about["versions"].items())
     return f"""# {name}
 
-A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}, stem stride \
-{network["stem_stride"]}. It takes {", ".join(network["inputs"])} of one map{gives}.
+A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}, \
+stem stride {network["stem_stride"]}. It takes {", ".join(network["inputs"])} of one map{gives}.
 
 | trained | |
 |---|---|
@@ -114,7 +116,7 @@ A completion network of scenegen: variant `{network["variant"]}`, width {network
 | for | {length}, batch {settings["batch"]}, AdamW at {settings["lr"]:g}, seed {settings["seed"]}, \
 {settings["precision"]} |
 | on hardware | {about["device"]} |
-| with | commit {about["commit"]}; {", ".join(f"{name} {version}" for name, version in about["versions"].items())} |
+| with | commit {about["commit"]}; {versions} |
 
 Means over the validation split at the paper's thresholds, whole maps:
 
@@ -122,8 +124,9 @@ Means over the validation split at the paper's thresholds, whole maps:
 {"|---" * len(shown)}|
 | {" | ".join(f"{figures[key]:.3f}" for key in shown)} |
 
-{full}Limits: the network knows the worlds, the sensor and the grid that it was trained on, and nothing else. It takes \
-one scan and no history. Where no ray came near, it repeats what was usual in training. {_sure(about)}
+{full}Limits: the network knows the worlds, the sensor and the grid that it was trained on, and \
+nothing else. It takes one scan and no history. Where no ray came near, it repeats what was usual \
+in training. {_sure(about)}
 """
 
 

@@ -75,7 +75,8 @@ def _children_allowed() -> Iterator[None]:
     before they do."""
     import multiprocessing
 
-    settings: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]
+    process: Any = multiprocessing.current_process()
+    settings: dict[str, Any] = process._config
     daemon = settings.pop("daemon", None)
     try:
         yield

@@ -2,7 +2,7 @@
 
 ``GET /`` is the page; ``GET /sample/<dataset>/<split>/<index>`` a sample, JSON as
 `scenegen.display.page.packed` has it, of the dataset of that number; ``GET /world/…`` the world
-that it is of, where its shard's archive holds it. There is nothing else, and nothing can be changed.
+that it is of, where its shard's archive holds it. There is nothing else, and nothing changes.
 """
 
 import ipaddress

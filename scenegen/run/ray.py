@@ -26,12 +26,12 @@ AHEAD = 2
 
 
 class Ray(Executor):
-    """See `Executor`. With an address, ``ray://host:port`` or ``ray://auto`` for the cluster that
-    this machine is of, a cluster that is there; else one that is begun on this machine, of
-    `workers` cores, and ended afterwards.
+    """Tasks on a Ray cluster.
 
-    Every node needs scenegen, of this version, and the files that a command names by the same
-    paths.
+    With an address, ``ray://host:port``, or ``ray://auto`` for the cluster that this machine is of,
+    a cluster that is there; else one that is begun on this machine, of `workers` cores, and ended
+    afterwards. Every node needs scenegen, of this version, and the files that a command names by
+    the same paths.
     """
 
     def __init__(self, address: str, workers: int):
@@ -46,7 +46,7 @@ class Ray(Executor):
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
     ) -> Generator[Any, None, None]:
-        """See `Executor`."""
+        """Connect, where this process is not connected yet, and have the tasks done."""
         begun = self._connect()
         try:
             with _silence() if begun else nullcontext():

@@ -38,7 +38,7 @@ LOOKS = 10
 
 
 class Slurm(Executor):
-    """See `Executor`. `workers` jobs run at a time, one core each. The address,
+    """Tasks on a Slurm cluster: `workers` jobs run at a time, one core each. The address,
     ``slurm://PARTITION?time=60&mem=4G``, may name the partition, and options of sbatch.
 
     Every node needs this Python, scenegen, the files that a command names and the working folder by
@@ -57,13 +57,12 @@ class Slurm(Executor):
         except ValueError:
             raise DatasetError(
                 f"--on slurm://{printable(address)[:100]}: expected "
-                f"slurm://PARTITION?time=60&mem=4G"
+                "slurm://PARTITION?time=60&mem=4G"
             ) from None
         self.minutes = given.pop("time", str(MINUTES))
         if not re.fullmatch("[1-9][0-9]{0,6}", self.minutes):
             raise DatasetError(
-                f"--on slurm://…?time={printable(self.minutes)[:100]}: expected whole minutes, as "
-                f"60"
+                f"--on slurm://…?time={printable(self.minutes)[:100]}: expected whole minutes"
             )
         self.options = ({"partition": partition} if partition else {}) | given
         self.workers = workers
@@ -71,7 +70,7 @@ class Slurm(Executor):
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
     ) -> Generator[Any, None, None]:
-        """See `Executor`."""
+        """Submit an array of jobs, each of which does several tasks, and wait for them."""
         if not tasks:
             on_start()
             return

@@ -175,16 +175,17 @@ def run(
                 for worker in _ready(busy):
                     result = worker.take(workers)
                     deaths += not worker.alive
-                    ended = not worker.alive and deaths > MOST_REPLACED
-                    following = [] if ended else list(itertools.islice(waiting, 1))
-                    if not (following and worker.alive):
+                    more = worker.alive or deaths <= MOST_REPLACED
+                    following = list(itertools.islice(waiting, 1)) if more else []
+                    if following and worker.alive:
+                        worker.give(following[0])
+                    else:
                         busy.remove(worker)
                         worker.end()
-                        # by now there may be threads, so that these are not forked
-                        busy += [Worker(function, "spawn") for _ in following]
-                        worker = busy[-1] if following else worker
-                    for task in following:
-                        worker.give(task)
+                        for task in following:
+                            # by now there may be threads, so that this one is not forked
+                            busy.append(Worker(function, "spawn"))
+                            busy[-1].give(task)
                     yield result
             for task in waiting:
                 assert isinstance(function, Limited)

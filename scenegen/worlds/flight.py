@@ -145,7 +145,9 @@ class _Motions(ob.MotionValidator):
         super().__init__(information)
         self._clearance, self._radius_m = clearance, radius_m
 
-    def checkMotion(self, a: ob.State, b: ob.State, last_valid: object = None) -> bool:  # noqa: N802 (OMPL's name)
+    def checkMotion(  # noqa: N802 (OMPL's name)
+        self, a: ob.State, b: ob.State, last_valid: object = None
+    ) -> bool:
         return self._clearance.motion_is_free(_place(a), _place(b), self._radius_m)
 
 

@@ -48,17 +48,13 @@ class Mapper(Fusion):
 
     def __str__(self) -> str:
         """In words: "of 5 scans, 0.5 m apart, by visibility, around a level sensor"."""
-        scans = (
-            f"{self.scans} scans, {self.scan_spacing_m:g} m apart" if self.scans > 1 else "1 scan"
-        )
-        held = (
-            f"a sensor that leans at {self.tilt_mps:g} m/s" if self.tilt_mps else "a level sensor"
-        )
-        place = (
-            "around"
-            if self.centred
-            else f"{', '.join(f'{part:g}' for part in self.map_ahead_m)} m ahead of"
-        )
+        scans, held, place = "1 scan", "a level sensor", "around"
+        if self.scans > 1:
+            scans = f"{self.scans} scans, {self.scan_spacing_m:g} m apart"
+        if self.tilt_mps:
+            held = f"a sensor that leans at {self.tilt_mps:g} m/s"
+        if not self.centred:
+            place = f"{', '.join(f'{part:g}' for part in self.map_ahead_m)} m ahead of"
         return f"of {scans}, by {self.fusion}, {place} {held}"
 
     @property
@@ -91,8 +87,7 @@ class Mapper(Fusion):
             if not abs(ahead) - extent / 2 < max_range_m:
                 raise ValueError(
                     f"[mapping] map_ahead_m = {list(self.map_ahead_m)}: lies beyond the sensor's "
-                    f"range of "
-                    f"{max_range_m:g} m; expected a map that rays reach"
+                    f"range of {max_range_m:g} m; expected a map that rays reach"
                 )
         if self.scans * rays > most_rays:
             raise ValueError(

@@ -39,7 +39,7 @@ class Scene:
     notes: tuple[str, ...] = field(default=())
     """What was left out or taken otherwise than one might expect: a sentence each."""
     geometry: bytes = b""
-    """See `scenegen.worlds.world.geometry_digest`."""
+    """What tells its solids from those of other worlds: their `geometry_digest`."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,9 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
     largest = max(map(len, assets.values()), default=0)
     if len(mjcf) > MOST_DOCUMENT_BYTES or largest > MOST_ASSET_BYTES:
         raise SceneError(
-            f"{path}: made self-contained, {len(mjcf)} bytes and files of up to {largest}, expected "
-            f"{MOST_DOCUMENT_BYTES} and {MOST_ASSET_BYTES} at most; use fewer geoms and coarser "
-            "meshes"
+            f"{path}: made self-contained, {len(mjcf)} bytes and files of up to {largest}, "
+            f"expected {MOST_DOCUMENT_BYTES} and {MOST_ASSET_BYTES} at most; use fewer geoms and "
+            "coarser meshes"
         )
     world = compile_world(mjcf, assets, name=str(path))
     if not _same(expected, world.solids):

@@ -74,7 +74,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         if len(within) > MOST_DEPTH or len(outline) >= MOST_ELEMENTS or geoms > MOST_GEOMS:
             raise BrokenError(
                 f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} "
-                f"levels of them"
+                "levels of them"
             )
         if others > MOST_OTHERS or len(attributes) > MOST_ATTRIBUTES:
             raise BrokenError(
@@ -164,7 +164,7 @@ def _check_field(content: bytes, where: str) -> None:
     if not (0 < rows * columns <= MOST_CELLS and len(content) == 8 + 4 * rows * columns):
         raise BrokenError(
             f"{where}: {rows} rows and {columns} columns in {len(content)} bytes, expected a "
-            f"height field"
+            "height field"
         )
 
 

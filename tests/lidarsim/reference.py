@@ -129,7 +129,8 @@ class Body:
     def xml(self) -> str:
         """The body as MJCF."""
         inside = self.inner + "".join(geom.xml() for geom in self.geoms)
-        return f'<body pos="{numbers(self.position)}" quat="{numbers(self.quaternion)}">{inside}</body>'
+        pose = f'pos="{numbers(self.position)}" quat="{numbers(self.quaternion)}"'
+        return f"<body {pose}>{inside}</body>"
 
 
 def numbers(values: Iterable[float]) -> str:

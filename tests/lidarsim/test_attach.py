@@ -17,10 +17,12 @@ WORLD = f"""<mujoco><asset>{HFIELD}{MESHES}</asset><worldbody>
 <geom type="hfield" hfield="h" pos="-3 0 0"/>
 <geom type="mesh" mesh="m" pos="3 3 0.2"/>
 <body name="robot" pos="0 0 2.5"><freejoint/><geom name="hull" type="box" size=".3 .2 .1"/>
-  <body name="arm" pos=".4 0 .2"><joint axis="0 1 0"/><geom name="arm" type="capsule" size=".05 .3"/></body></body>
+  <body name="arm" pos=".4 0 .2"><joint axis="0 1 0"/>
+   <geom name="arm" type="capsule" size=".05 .3"/></body></body>
 <body name="ball" pos="1.5 .2 4"><freejoint/><geom type="sphere" size=".4"/></body>
 <body name="stone" pos="1 2 3" euler="20 30 40"><freejoint/><geom type="mesh" mesh="n"/></body>
-<body name="drum" pos="2 -1.5 3" euler="50 0 20"><freejoint/><geom type="cylinder" size=".5 .3"/></body>
+<body name="drum" pos="2 -1.5 3" euler="50 0 20"><freejoint/>
+  <geom type="cylinder" size=".5 .3"/></body>
 </worldbody></mujoco>"""
 LIDAR = Lidar(rows=12, columns=40, vertical_fov_deg=150.0)
 
@@ -113,7 +115,7 @@ def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     offset = Pose.level((0.0, 0.0, 0.3))
-    hits = attach(model, "robot", LIDAR, offset=offset, unseen=unseen).hits(data)  # type: ignore[arg-type]
+    hits = attach(model, "robot", LIDAR, offset=offset, unseen=unseen).hits(data)
     own = {name for name in ("hull", "arm") if (hits.geoms == model.geom(name).id).any()}
     assert own == {"hull", "arm"} - missing
 

@@ -71,14 +71,6 @@ def test_both_rules_are_those_of_a_slow_reference(rule: Fusion) -> None:
     )
 
 
-@pytest.mark.parametrize("rule", RULES[:2])
-def test_several_scans_of_one_pose_are_that_one_scan(rule: Fusion) -> None:
-    (scan,) = random_scans(1, 1)
-    alone = voxelize(scan, GRID, ORIGIN)
-    for count in (1, 2, 9):
-        assert equal(fuse([scan] * count, GRID, ORIGIN, rule), alone)
-
-
 def test_by_visibility_the_order_says_nothing_and_more_scans_only_add() -> None:
     scans = random_scans(2, 5)
     whole = fuse(scans, GRID, ORIGIN)
@@ -128,8 +120,3 @@ def test_only_what_returned_something_is_observed_whatever_the_parameters() -> N
 def test_bad_values_are_named(values: dict, named: str) -> None:
     with pytest.raises(ValueError, match="^" + named.replace("(", r"\(")):
         Fusion(**values)
-
-
-def test_no_scan_is_no_map() -> None:
-    with pytest.raises(ValueError, match="no scans to fuse"):
-        fuse([], GRID, ORIGIN)

@@ -26,32 +26,6 @@ def test_the_index_of_a_centre_is_its_voxel(grid: GridSpec, origin: np.ndarray) 
     )
 
 
-@pytest.mark.parametrize("grid", GRIDS)
-@pytest.mark.parametrize("origin", ORIGINS)
-def test_a_centre_is_as_far_from_both_faces_along_each_axis(
-    grid: GridSpec, origin: np.ndarray
-) -> None:
-    centres = grid.centres(origin)
-    np.testing.assert_allclose(centres[0, 0, 0] - origin, grid.voxel_m / 2, rtol=1e-9)
-    np.testing.assert_allclose(
-        origin + grid.extent_m - centres[-1, -1, -1], grid.voxel_m / 2, rtol=1e-9
-    )
-    for axis in range(3):
-        steps = np.diff(centres, axis=axis)
-        np.testing.assert_allclose(steps[..., axis], grid.voxel_m, rtol=1e-9)
-        assert (np.delete(steps, axis, axis=-1) == 0).all()
-
-
-def test_points_anywhere_in_a_voxel_have_its_index() -> None:
-    grid, origin = GRIDS[2], ORIGINS[1]
-    rng = np.random.default_rng(0)
-    wanted = rng.integers(-5, 12, (500, 3))
-    points = origin + (wanted + rng.uniform(0.001, 0.999, (500, 3))) * grid.voxel_m
-    np.testing.assert_array_equal(grid.index(points, origin), wanted)
-    assert grid.index(points, origin).dtype == np.int64
-    np.testing.assert_array_equal(grid.index(points[0], origin), wanted[0])
-
-
 def test_a_face_belongs_to_the_voxel_above_it() -> None:
     """With an edge and an origin that float64 holds exactly, so that points lie right on faces."""
     grid, origin = GridSpec(shape=(4, 4, 4), voxel_m=0.25), np.array([-1.5, 0.75, 8.0])

@@ -8,7 +8,12 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from scenegen.model.losses import eikonal_loss, lovasz_loss, occupancy_loss, regression_loss  # noqa: E402
+from scenegen.model.losses import (  # noqa: E402
+    eikonal_loss,
+    lovasz_loss,
+    occupancy_loss,
+    regression_loss,
+)
 
 SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
 WEIGHTS = [5.0, 1.0, 0.3, 12.5]
@@ -282,9 +287,7 @@ def test_an_undecided_map_costs_a_bit_a_voxel_and_five_where_occupied() -> None:
         assert value(found) == pytest.approx(weights / 24 * math.log(2), rel=1e-6)
 
 
-def test_a_map_one_beside_the_threshold_loses_twice_the_iou_that_is_measured_and_an_empty_one_nothing() -> (
-    None
-):
+def test_a_map_one_beside_the_threshold_loses_twice_the_iou_and_an_empty_one_nothing() -> None:
     truth = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
     truth[0, 0] = True  # 12 voxels, of which 8 are found, and 4 beside them
     found = truth.clone()

@@ -78,9 +78,10 @@ def test_a_draft_is_never_somebody_elses_file(
     assert planted.is_symlink()
     assert victim.read_bytes() == b"mine"
     monkeypatch.undo()
-    with pytest.raises(DatasetError, match="exchanged"), whole(tmp_path / "a") as draft:  # noqa: PT012
-        draft.unlink()
-        draft.symlink_to(victim)
+    with pytest.raises(DatasetError, match="exchanged"):  # noqa: PT012, SIM117
+        with whole(tmp_path / "a") as draft:
+            draft.unlink()
+            draft.symlink_to(victim)
     assert victim.read_bytes() == b"mine"
     assert not (tmp_path / "a").exists()
 

@@ -182,7 +182,7 @@ def test_a_parameter_without_default_is_asked_for(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("scenegen.recipe.find_kind", lambda name: Bare)
     with pytest.raises(RecipeError, match=r"^test: \[world\] posts: is missing"):
         make_recipe("pillar", {}, where="test")
-    assert make_recipe("pillar", {"world": {"posts": 3}}, where="test").world.posts == 3  # type: ignore[union-attr]
+    assert make_recipe("pillar", {"world": {"posts": 3}}, where="test").world.posts == 3
     with pytest.raises(RecipeError, match=r"posts = 3.5: expected a whole number"):
         make_recipe("pillar", {"world": {"posts": 3.5}}, where="test")
 

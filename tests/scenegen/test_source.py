@@ -179,10 +179,11 @@ def test_a_new_kind_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_two_files_of_one_world_are_refused(folder: Path) -> None:
     """Renamed and reordered, they could still come to lie in two splits."""
-    twin = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></custom><worldbody>
+    twin = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></custom>
+    <worldbody>
     <geom type="box" size="0.1 2 2" pos="3 9 2"/><geom type="box" size="0.5 0.5 0.5" pos="9 3 0.5"/>
-    <geom name="mast" type="cylinder" size="0.3 2" pos="3 6 2"/><geom type="plane" size="1 1 1"/></worldbody>
-    </mujoco>"""
+    <geom name="mast" type="cylinder" size="0.3 2" pos="3 6 2"/><geom type="plane"
+    size="1 1 1"/></worldbody></mujoco>"""
     (folder / "twin.xml").write_text(twin)
     with pytest.raises(SceneError, match=r"twin\.xml: the same world as room1\.xml"):
         read_scenes(folder, COUNTS, seed=0)

@@ -10,7 +10,7 @@ import pytest
 from lidarsim import AnalyticEngine
 from lidarsim.engines import analytic
 from lidarsim.solids.model import solids_of
-from tests.lidarsim.engines.test_laws import DATA, SIZES, model_of, random_model, random_rays
+from tests.lidarsim.engines.test_laws import model_of, random_model, random_rays
 
 
 def test_hits_where_arithmetic_says() -> None:
@@ -70,33 +70,6 @@ def test_hits_are_mujocos(seed: int) -> None:
         np.testing.assert_allclose(hits.normals[p][seen], normals[seen], rtol=0, atol=1e-5)
         assert np.isnan(hits.points[p][~seen]).all()
         assert np.isnan(hits.normals[p][~seen]).all()
-
-
-@pytest.mark.parametrize("shape", [*SIZES, "mesh"])
-def test_a_ray_from_inside_returns_where_it_comes_out_as_mujocos_does(shape: str) -> None:
-    given = DATA.get(shape) or f'size="{SIZES[shape]}"'
-    model = model_of(f'type="{shape}" {given}')
-    rays = random_rays(np.random.default_rng(5), 1, 200)[1][0]
-    inside = [0.1, 0.05, 0.1 if shape == "mesh" else -0.15]
-    ranges, geoms, _ = from_mujoco(model, np.array(inside), rays)
-    hits = AnalyticEngine.of(model).hits([inside], rays[None], 1e4)
-    np.testing.assert_array_equal(hits.geoms[0], geoms)
-    np.testing.assert_allclose(hits.ranges[0], ranges, rtol=0, atol=1e-6)
-    assert np.isfinite(ranges).sum() == (0 if shape == "plane" else 200)
-
-
-@pytest.mark.parametrize(
-    "ray", [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0], [2, 0, 0], [1e-200, 0, 0], [1e200, 0, 0]]
-)
-def test_what_is_no_direction_meets_nothing(ray: list[float]) -> None:
-    engine = AnalyticEngine.of(
-        model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"')
-    )
-    good = [1.0, 0.0, 0.0]
-    found = engine.hits([[0.0, 0.0, 0.0]], [[good, ray, good]], 10.0)
-    np.testing.assert_array_equal(found.ranges, [[1.0, np.inf, 1.0]])
-    np.testing.assert_array_equal(found.geoms, [[0, -1, 0]])
-    assert np.isinf(engine.cast([[np.nan, 0.0, 0.0]], [[good]], 10.0)).all()
 
 
 def test_an_empty_world_and_a_crowded_one() -> None:

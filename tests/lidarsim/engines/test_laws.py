@@ -7,7 +7,8 @@ import pytest
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines import ENGINES, Engine
 
-HFIELD = '<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3" elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>'
+HFIELD = """<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3"
+ elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>"""
 MESHES = """<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
 <mesh name="n" vertex="-1 -1 0  1 -1 0  1 1 0  -1 1 0  0 0 1.5"/>"""
 SIZES = {

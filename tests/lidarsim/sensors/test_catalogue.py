@@ -187,15 +187,6 @@ def test_beams_fire_in_the_documented_order_while_the_head_turns(
     )
 
 
-def test_at_twice_the_rate_a_fixed_cycle_gives_half_the_columns() -> None:
-    vlp, ouster = NAMED["velodyne-vlp-16"], NAMED["ouster-os1-64"]
-    assert dataclasses.replace(vlp, rate_hz=20.0).shape == (16, vlp.shape[1] // 2)
-    assert dataclasses.replace(vlp, rate_hz=20.0).made_by == "velodyne-vlp-16(rate_hz=20.0)"
-    fast = dataclasses.replace(ouster, rate_hz=20.0)
-    assert fast.shape == ouster.shape
-    assert fast.times_s.max() == pytest.approx(ouster.times_s.max() / 2)
-
-
 @pytest.mark.parametrize(
     ("name", "points_hz", "up"),
     [("livox-mid-360", 2e5, (-7, 52)), ("livox-avia", 2.4e5, (-38.6, 38.6))],
@@ -256,12 +247,6 @@ def test_a_depth_cameras_rays_meet_a_plane_in_a_square_grid(name: str) -> None:
     assert 2 * math.degrees(math.atan(picture[0, 0, 0] + across[0, 0] / 2)) == pytest.approx(87)
     assert 2 * math.degrees(math.atan(picture[0, 0, 1] + down[0, 0] / 2)) == pytest.approx(58)
     np.testing.assert_allclose(picture, -picture[::-1, ::-1], atol=1e-12)
-
-
-def test_the_tilt_is_the_rasters() -> None:
-    raster = Lidar(rows=3, columns=4, vertical_fov_deg=30, pitch_deg=20)
-    tilted = Spinning(elevations_deg=(-15, 0, 15), columns=4, clockwise=False, pitch_deg=20)
-    np.testing.assert_allclose(tilted.directions_body, raster.directions_body, atol=1e-14)
 
 
 def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body() -> None:

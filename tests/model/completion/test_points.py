@@ -128,7 +128,10 @@ def test_what_scan_writes_comes_back(tmp_path: Path, suffix: str) -> None:
         np.testing.assert_array_equal(read_points(tmp_path / f"scan{suffix}"), points)
 
 
-PCD = "VERSION .7\nFIELDS {fields}\nSIZE {size}\nTYPE {type}\nCOUNT {count}\nWIDTH {n}\nPOINTS {n}\nDATA {form}\n"
+PCD = (
+    "VERSION .7\nFIELDS {fields}\nSIZE {size}\nTYPE {type}\nCOUNT {count}\n"
+    "WIDTH {n}\nPOINTS {n}\nDATA {form}\n"
+)
 
 
 def pcd(form: str, n: int = 3, **said: str) -> bytes:

@@ -27,7 +27,6 @@ from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.tuning import tune
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
 from tests.conftest import small_recipe
@@ -129,18 +128,6 @@ def test_tables_show_iou_at_the_best_threshold_and_where_it_is(
     assert " at 0.3</small>" in to_html(report)
 
 
-def test_an_empty_prediction_flies_straight_and_collides_more_often(dataset: Dataset) -> None:
-    found = bench(dataset, [Truth(), Completed(Nothing())], CONFIG)
-    truth, nothing = found.methods["truth"].trials, found.methods["nothing"].trials
-    assert len(truth) == len(nothing) == 20
-    assert sum(trial.success for trial in nothing) < sum(trial.success for trial in truth)
-    assert {trial.cause for trial in nothing} <= {None, "initial_collides"}
-    assert np.mean([trial.length_m for trial in nothing]) < np.mean(
-        [trial.length_m for trial in truth]
-    )
-    assert found.methods["nothing"].reconstruction[:, 0, list(METRICS).index("recall")].max() == 0
-
-
 def test_workers_and_other_rows_change_no_figure(dataset: Dataset) -> None:
     alone = bench(dataset, [Completed(Returns())], CONFIG)
     beside = bench(dataset, [Truth(), Completed(Returns())], CONFIG, workers=2)
@@ -150,10 +137,6 @@ def test_workers_and_other_rows_change_no_figure(dataset: Dataset) -> None:
     assert bench(dataset, [Truth()], BenchConfig(trials=20, seed=1, plan=CONFIG.plan)).methods[
         "truth"
     ].trials != (beside.methods["truth"].trials)
-
-
-def test_a_method_that_says_the_same_at_any_threshold_keeps_the_papers(dataset: Dataset) -> None:
-    assert tune(Completed(Returns()), dataset, most=4, thresholds=Thresholds()) == Thresholds()
 
 
 class Silent:
@@ -330,16 +313,6 @@ def test_no_report_holds_a_number_that_json_lacks(dataset: Dataset) -> None:
     report = build_report([found], seed=0, about=about)
     assert [report[name] for name in "abde"] == [None, [None, {"c": None}], 1.5, "nan"]
     json.dumps(report, allow_nan=False)
-
-
-def test_at_the_threshold_itself_nothing_is_occupied() -> None:
-    """ "Greater than" 0.85, as the paper has it."""
-    values = np.array([np.nextafter(np.float32(0.85), np.float32(0)), 0.85, 0.8500001], np.float32)
-    assert Prediction(occupancy_probability=values).occupied(Thresholds()).tolist() == [
-        False,
-        False,
-        True,
-    ]
 
 
 class Nameless:

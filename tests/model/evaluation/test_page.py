@@ -126,13 +126,6 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
         assert all(f"{mean:.3f}" in said for mean, _ in row.values())
 
 
-def test_a_trial_s_place_leads_to_it(measured: Any) -> None:
-    result, dataset, _ = measured
-    worlds = [world for _, world, _ in dataset.split("train").names]
-    assert [worlds[index] for index, _ in result.trial_places] == result.trial_worlds.tolist()
-    assert len(set(result.trial_places)) == len(result.trial_places)
-
-
 def test_the_best_is_the_best_as_printed_and_never_the_truth() -> None:
     def rows(**means: float | None) -> dict[str, Any]:
         return {

@@ -145,7 +145,8 @@ def main(root: Path) -> None:
         resumed = build(plan_at(folder))
         left = sorted(path.name for path in folder.iterdir() if path.name.startswith("."))
         result["kills"].append(
-            {"at": at, "digest": resumed.digest, "same_manifest": manifest.read(folder) == result["manifest"],
+            {"at": at, "digest": resumed.digest,
+             "same_manifest": manifest.read(folder) == result["manifest"],
              "whole_files": whole_files, "left": left, "written": resumed.samples_written}
         )  # fmt: skip
         at += 1

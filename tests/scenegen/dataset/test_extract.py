@@ -17,7 +17,8 @@ SCENE = """
   <compiler meshdir="meshes" angle="radian"/>
   <asset><mesh name="m" file="m.obj"/><hfield name="h" file="h.png" size="2 2 1 0.1"/></asset>
   <worldbody>
-    <geom type="mesh" mesh="m" pos="0 0 2" euler="0.1 0.2 0.3"/><geom type="hfield" hfield="h" pos="4 0 0"/>
+    <geom type="mesh" mesh="m" pos="0 0 2" euler="0.1 0.2 0.3"/>
+    <geom type="hfield" hfield="h" pos="4 0 0"/>
   </worldbody>
 </mujoco>
 """

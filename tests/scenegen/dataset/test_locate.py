@@ -162,5 +162,8 @@ def test_no_token_is_ever_told(token: str, hub: Hub, monkeypatch: pytest.MonkeyP
 
 
 def test_the_hubs_client_tells_nobody_that_it_runs() -> None:
-    code = "import scenegen.dataset.locate, huggingface_hub.constants as c; assert c.HF_HUB_DISABLE_TELEMETRY"
+    code = (
+        "import scenegen.dataset.locate, huggingface_hub.constants as c; "
+        "assert c.HF_HUB_DISABLE_TELEMETRY"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -270,7 +270,7 @@ def test_corrected_motion_is_refused_and_motion_that_bends_walls_is_not() -> Non
     base = dataclasses.replace(small_recipe(), lidar=BeamTable(rays=rays))
     place = {"seed": 1, "split": "train", "unit": 0}
     bent = dataclasses.replace(base, noise=Noise.parse("motion:5"))
-    clean, moved = (draw_unit(DrawnWorlds(it), it, **place).samples[0] for it in (base, bent))  # type: ignore[arg-type]
+    clean, moved = (draw_unit(DrawnWorlds(it), it, **place).samples[0] for it in (base, bent))
     assert (clean.ranges != moved.ranges).mean() > 0.3
     told = dataclasses.replace(base, noise=Noise.parse("motion:5:corrected=true"))
     with pytest.raises(GenerationError, match="rays begin where the scan does"):

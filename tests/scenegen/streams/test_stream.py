@@ -183,7 +183,10 @@ def test_reading_goes_on_where_a_state_says() -> None:
 
 def test_a_stream_that_nobody_closes_ends_without_a_word() -> None:
     """Also one that outlives the modules that it needs."""
-    code = "import numpy, scenegen; numpy.kept = scenegen.stream('pillar', seed=0, workers=2); numpy.kept[0]"
+    code = (
+        "import numpy, scenegen; "
+        "numpy.kept = scenegen.stream('pillar', seed=0, workers=2); numpy.kept[0]"
+    )
     ended = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
     )

@@ -152,7 +152,8 @@ def test_scenes_know_their_classes(tmp_path: Path) -> None:
     assert {"wall", "ball", "crate", "wall_top"} <= set(labels.classes)
 
 
-DRESSED = """<mujoco><asset><material name="oak_01" rgba="0.5 0.4 0.3 1"/><material name="oak_02" rgba="0.6 0.4 0.3 1"/>
+DRESSED = """<mujoco><asset>
+<material name="oak_01" rgba="0.5 0.4 0.3 1"/><material name="oak_02" rgba="0.6 0.4 0.3 1"/>
 <material name="steel"/><material name="unused"/></asset><worldbody>
 <geom name="floor" type="plane" size="5 5 1" material="steel"/>
 <geom type="box" size="0.8 0.8 0.8" pos="2 1 0.8" material="oak_01" group="3"/>

@@ -97,24 +97,6 @@ def test_cubes_that_share_a_face_with_the_surface_touch_it(proud_m: float, inner
     assert (solid.sum(), (solid & ~surface).sum()) == (7**3, inner**3)
 
 
-def test_solids_that_overlap_keep_each_its_own_surface() -> None:
-    rng = np.random.default_rng(5)
-    origin = np.zeros(3)
-    shapes = [
-        Shape(
-            kind,
-            tuple(rng.uniform(0.5, 1.2, 3)),
-            pos=tuple(rng.uniform(1, 2, 3)),
-            quat=rng.normal(size=4),
-        )
-        for kind in reference.KINDS
-        if kind != "plane"
-    ]
-    _, together = both(solids_of(reference.world_of(*shapes)), (EDGE,) * 3, 0.125, origin)
-    alone = [both(solids, (EDGE,) * 3, 0.125, origin)[1] for solids in compiled(shapes)]
-    np.testing.assert_array_equal(together, np.any(alone, axis=0))
-
-
 def test_a_closed_mesh_is_its_surface() -> None:
     solids = solids_of(mesh_model(bracket_shape(), (0, 0, 0), (0.9, 0.2, 0.3, 0.1)))
     assert solids.mesh_filled.all()
@@ -180,11 +162,3 @@ def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path: Path)
     del said["grid"]["hollow"]
     path.write_text(json.dumps(said))
     assert not verify(one.folder).ok  # solids are another truth
-
-
-def test_manifests_of_solids_do_not_name_it(tmp_path: Path) -> None:
-    assert plan(tmp_path, hollow=False).parameters == plan(tmp_path, hollow=None).parameters
-    assert plan(tmp_path, hollow=None).parameters["grid"].keys() == {"shape", "voxel", "truncation"}
-    assert plan(tmp_path).parameters["grid"] == plan(tmp_path, hollow=None).parameters["grid"] | {
-        "hollow": True
-    }

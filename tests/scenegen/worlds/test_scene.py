@@ -22,14 +22,18 @@ from scenegen.worlds.world import compile_world, quiet_mujoco
 
 REACH_M = 100.0
 ONE = {"train": 1, "val": 0, "test": 0}
-HFIELD = '<mujoco><asset><hfield name="h" size="4 4 1 1" {}/></asset><worldbody><geom type="hfield" hfield="h"/>'
-HFIELD += "</worldbody></mujoco>"
-MESH = '<mujoco><asset><mesh name="m" {}/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
+HFIELD = """<mujoco><asset><hfield name="h" size="4 4 1 1" {}/></asset>
+<worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>"""
+MESH = """<mujoco><asset><mesh name="m" {}/></asset>
+<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>"""
 ATTACHED = """<mujoco><asset>{assets}<model name="robot" file="sub/robot.xml"/></asset><worldbody>
 <geom type="box" size="1 2 3" pos="5 0 1.23456789"/>
-<frame pos="-4 1 2" euler="10 20 30"><attach model="robot" body="arm" prefix="r/"/></frame></worldbody></mujoco>"""
-ROBOT = """<mujoco><compiler meshdir="parts"/><asset><mesh name="arm" file="arm.obj" scale="1 1.2345678 1"/></asset>
-<worldbody><body name="arm" pos="0 0 1"><joint name="j"/><geom type="mesh" mesh="arm"/></body></worldbody></mujoco>"""
+<frame pos="-4 1 2" euler="10 20 30"><attach model="robot" body="arm" prefix="r/"/></frame>
+</worldbody></mujoco>"""
+ROBOT = """<mujoco><compiler meshdir="parts"/><asset>
+<mesh name="arm" file="arm.obj" scale="1 1.2345678 1"/></asset><worldbody>
+<body name="arm" pos="0 0 1"><joint name="j"/><geom type="mesh" mesh="arm"/></body>
+</worldbody></mujoco>"""
 
 
 @pytest.fixture(autouse=True)
@@ -107,17 +111,21 @@ def test_every_kind_of_geom_lies_where_mujoco_puts_it(tmp_path: Path) -> None:
     (tmp_path / "hill.bin").write_bytes(np.array([9, 7], np.int32).tobytes() + heights.tobytes())
     path = write(
         tmp_path,
-        """<mujoco><compiler angle="radian" eulerseq="zyx"/><default><geom rgba="1 0 0 1"/></default>
+        """<mujoco><compiler angle="radian" eulerseq="zyx"/>
+        <default><geom rgba="1 0 0 1"/></default>
         <asset><mesh name="ring" file="ring.stl" scale="0.7 1.3 1" refpos="0.1 0.2 0.3"/>
-        <hfield name="hill" file="hill.bin" size="3 2 1 0.3"/><material name="glass" rgba="0 0 0 0"/></asset>
+        <hfield name="hill" file="hill.bin" size="3 2 1 0.3"/>
+        <material name="glass" rgba="0 0 0 0"/></asset>
         <worldbody><geom type="plane" size="1 1 1" pos="0 0 -4" euler="0.1 0.2 0"/>
-        <body pos="1 2 3" euler="0.3 0.4 0.5"><joint type="ball"/><geom type="capsule" fromto="0 0 0 1 2 1" size="0.3"/>
+        <body pos="1 2 3" euler="0.3 0.4 0.5"><joint type="ball"/>
+        <geom type="capsule" fromto="0 0 0 1 2 1" size="0.3"/>
         <body pos="-2.123456789 0 0.1" quat="1 2 3 4"><geom type="mesh" mesh="ring"/>
         <geom type="box" mesh="ring"/></body></body>
         <geom type="ellipsoid" size="1 2 0.5" pos="-5 0 0" axisangle="1 1 0 0.7"/>
         <geom type="hfield" hfield="hill" pos="0 -4 0" euler="0.2 0 0"/>
         <geom name="pane" type="sphere" size="3" pos="0 0 8" material="glass"/>
-        <replicate count="5" offset="1 0 0.1"><geom type="cylinder" size="0.2 1" pos="-2 5 0"/></replicate>
+        <replicate count="5" offset="1 0 0.1"><geom type="cylinder" size="0.2 1" pos="-2 5 0"/>
+        </replicate>
         </worldbody></mujoco>""",
     )
     scene = assert_as_mujoco_compiles_it(path)
@@ -133,11 +141,14 @@ def test_what_only_dresses_geoms_is_not_needed(tmp_path: Path) -> None:
     scene = load_scene(
         write(
             tmp_path,
-            f"""<mujoco><compiler strippath="true"/><asset><mesh name="m" file="/no/such/folder/box.stl"/>
-            <texture name="t" type="cube" {sides}/><material name="seen" texture="t" rgba="1 1 1 0.5"/>
-            <material name="hidden" texture="t" rgba="1 1 1 0"/></asset><deformable><skin name="s" file="dog.skn"/>
-            </deformable><worldbody><geom type="mesh" mesh="m" material="seen"/><geom name="ghost" size="1"
-            material="hidden"/></worldbody></mujoco>""",
+            f"""<mujoco><compiler strippath="true"/><asset>
+            <mesh name="m" file="/no/such/folder/box.stl"/>
+            <texture name="t" type="cube" {sides}/>
+            <material name="seen" texture="t" rgba="1 1 1 0.5"/>
+            <material name="hidden" texture="t" rgba="1 1 1 0"/></asset>
+            <deformable><skin name="s" file="dog.skn"/></deformable>
+            <worldbody><geom type="mesh" mesh="m" material="seen"/>
+            <geom name="ghost" size="1" material="hidden"/></worldbody></mujoco>""",
         )
     )
     assert scene.unseen == ("ghost",)
@@ -252,7 +263,8 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path: Path) -> None:
     write(folder, '<mujocoinclude><geom size="1"/></mujocoinclude>', "part.xml")
     write(folder, '<mujoco><asset><material name="m"/></asset></mujoco>', "assets.xml")
     for n in range(2):
-        body = f'<include file="part.xml"/><geom type="box" size="1 1 1" material="m" pos="{n + 3} 0 0"/>'
+        body = '<include file="part.xml"/><geom type="box" size="1 1 1" material="m" '
+        body += f'pos="{n + 3} 0 0"/>'
         text = f'<mujoco><include file="assets.xml"/><worldbody>{body}</worldbody></mujoco>'
         write(folder, text, f"world{n}.xml")
     source = read_scenes(folder, {"train": 1, "val": 0, "test": 1}, seed=0)

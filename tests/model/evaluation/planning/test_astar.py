@@ -89,21 +89,6 @@ def test_paths_are_as_short_as_dijkstras(step: int, density: float, edge_check: 
         assert reached > 3
 
 
-def test_some_free_nodes_of_crowded_maps_cannot_be_reached() -> None:
-    """Seven eighths blocked: the comparison above is of both kinds of answer here."""
-    rng = np.random.default_rng(4)
-    lattice = Lattice(GRID, 1)
-    occupied = rng.random(GRID.shape) < 0.93
-    occupied[12, 10, 7] = False
-    expected = reference_lengths(occupied, GRID, 1, edge_check=False)
-    reasons = set()
-    for voxel in np.argwhere(~occupied):
-        reason = plan_path(occupied, lattice.centres(voxel), GRID, PlanConfig(step_voxels=1)).reason
-        assert (reason is None) == (tuple(voxel.tolist()) in expected)
-        reasons.add(reason)
-    assert reasons == {None, "no_path"}
-
-
 def test_the_default_lattice_is_the_papers() -> None:
     """Steps of 0.6 m around voxel (40, 40, 20) of 80 x 80 x 40."""
     lattice = Lattice(GridSpec(), PlanConfig().step_voxels)
@@ -116,21 +101,6 @@ def test_the_default_lattice_is_the_papers() -> None:
         assert (lattice.voxels(node) >= 0).all()
         assert (lattice.voxels(node) < GridSpec().shape).all()
         assert lattice.node_at(lattice.centres(node)).tolist() == node
-
-
-def test_an_empty_map_is_crossed_by_the_lattices_own_distance() -> None:
-    """As many space diagonals as the shortest axis needs, then plane diagonals, then straight
-    steps."""
-    grid, config = GridSpec(), PlanConfig()
-    lattice = Lattice(grid, 3)
-    empty = np.zeros(grid.shape, bool)
-    for node in itertools.product((0, 5, 13, 26), (0, 12, 26), (0, 6, 11)):
-        low, middle, high = sorted(np.abs(np.array(node) - lattice.start).tolist())
-        expected = 0.6 * (np.sqrt(3) * low + np.sqrt(2) * (middle - low) + (high - middle))
-        path, _ = plan_path(empty, lattice.centres(node), grid, config)
-        assert path is not None
-        assert length_of(path) == pytest.approx(expected, abs=1e-9)
-        assert len(path) == high + 1
 
 
 def test_a_wall_between_nodes_stops_paths_with_the_edge_check_alone() -> None:
@@ -153,22 +123,6 @@ def test_a_wall_between_nodes_stops_paths_with_the_edge_check_alone() -> None:
     assert length_of(around) == pytest.approx(
         reference_lengths(occupied, grid, 3, edge_check=True)[(32, 20, 10)]
     )
-
-
-def test_the_same_map_gives_the_same_path() -> None:
-    """Again, and however it lies in memory; the map is left alone."""
-    rng = np.random.default_rng(8)
-    grid = GridSpec()
-    lattice = Lattice(grid, 3)
-    occupied = rng.random(grid.shape) < 0.3
-    occupied[40, 40, 20] = occupied[tuple(lattice.voxels([26, 3, 9]))] = False
-    before = occupied.copy()
-    goal = lattice.centres([26, 3, 9])
-    first = plan_path(occupied, goal, grid, PlanConfig()).waypoints
-    assert first is not None
-    for other in (occupied, np.asfortranarray(occupied), occupied.astype(np.uint8)):
-        np.testing.assert_array_equal(plan_path(other, goal, grid, PlanConfig()).waypoints, first)
-    np.testing.assert_array_equal(occupied, before)
 
 
 def test_blocked_ends_are_told_apart() -> None:

@@ -138,45 +138,6 @@ def test_an_empty_prediction_goes_straight_and_fails_where_the_truth_blocks(
         assert result.waypoints_clear == (not any(truth[voxel] for voxel in passed[::3]))
 
 
-def test_an_empty_truth_leaves_the_truncation_as_clearance() -> None:
-    result = trial(FREE, FREE)
-    assert result.success
-    assert result.min_clearance_m == 2.0
-    assert result.mean_clearance_m == pytest.approx(2.0)
-    assert result.length_m == pytest.approx(3.6)
-
-
-@pytest.mark.parametrize(
-    ("pred", "cause"),
-    [
-        (filled((20, 20, 10)), "start_blocked"),
-        (filled((38, 20, 10)), "goal_blocked"),
-        (filled((29,)), "no_path"),
-    ],
-)
-def test_a_prediction_that_blocks_the_way_fails_without_a_path(
-    pred: NDArray[np.bool_], cause: str
-) -> None:
-    result = trial(pred, FREE)
-    assert not result.success
-    assert not result.waypoints_clear
-    assert result.cause == cause
-    assert np.isnan([result.length_m, result.min_clearance_m, result.mean_clearance_m]).all()
-
-
-def test_a_missed_obstacle_is_run_into() -> None:
-    result = trial(FREE, filled((slice(28, 31), slice(18, 23))))
-    assert (result.success, result.waypoints_clear, result.cause) == (
-        False,
-        False,
-        "initial_collides",
-    )
-    assert result.min_clearance_m == 0.0
-    assert trial(
-        filled((slice(28, 31), slice(18, 23))), filled((slice(28, 31), slice(18, 23)))
-    ).success
-
-
 def test_a_thin_obstacle_between_waypoints_is_seen_by_the_samples_alone() -> None:
     result = trial(FREE, filled((30,)))  # nodes at 29 and 32
     assert (result.success, result.waypoints_clear, result.cause) == (
@@ -203,12 +164,6 @@ def test_refinement_can_save_a_path_that_collides_at_first() -> None:
     assert trial(imagined, real, iterations=0).cause == "initial_collides"
     saved = trial(imagined, real)
     assert (saved.success, saved.cause) == (True, None)
-
-
-def test_a_goal_at_the_start_is_reached() -> None:
-    result = trial(FREE, filled((20, 23, 10)), LATTICE.centres(LATTICE.start))
-    assert (result.success, result.length_m) == (True, 0.0)
-    assert result.min_clearance_m == result.mean_clearance_m == pytest.approx(0.6)
 
 
 def test_maps_of_another_shape_are_refused() -> None:

@@ -126,14 +126,6 @@ def test_the_cost_never_rises_and_the_ends_stay(first_step: float) -> None:
     assert max(fell) < 0.7
 
 
-def test_a_straight_line_in_free_space_stays() -> None:
-    tudf = np.full(GRID.shape, 2.0, np.float32)
-    line = np.linspace([0.5, 0.5, 0.5], [4.5, 3.5, 2.5], 9)
-    np.testing.assert_allclose(refine(line, tudf, GRID, PlanConfig()), line, atol=1e-12)
-    for short in (line[:1], line[:2]):
-        np.testing.assert_array_equal(refine(short, tudf, GRID, PlanConfig()), short)
-
-
 def test_a_bent_path_in_free_space_becomes_the_even_straight_line() -> None:
     """The only path without second differences between its ends."""
     rng = np.random.default_rng(5)
@@ -147,22 +139,6 @@ def test_a_bent_path_in_free_space_becomes_the_even_straight_line() -> None:
     np.testing.assert_allclose(
         refine(corner, tudf, GRID, PlanConfig())[1], [2.0, 1.75, 0.5], atol=1e-9
     )
-
-
-def test_an_obstacle_beside_the_path_pushes_it_to_the_other_side() -> None:
-    """And the more the larger the safety distance; outside it nothing moves."""
-    grid = GridSpec(shape=(40, 40, 20))
-    occupied = np.zeros(grid.shape, bool)
-    occupied[19:22, 22, :] = True
-    tudf = distance_field(occupied, grid)
-    line = np.linspace([0.5, 4.1, 2.1], [7.5, 4.1, 2.1], 13)
-    nearest = [
-        interpolate(tudf, refine(line, tudf, grid, PlanConfig(safety_m=d)), grid).min()
-        for d in (0.3, 0.6, 1.0, 1.5)
-    ]
-    assert nearest[0] == pytest.approx(interpolate(tudf, line, grid).min(), abs=1e-9)
-    assert (np.diff(nearest) > 0.05).all()
-    assert refine(line, tudf, grid, PlanConfig())[6, 1] < 4.1
 
 
 def test_waypoints_stay_within_the_outermost_voxel_centres() -> None:

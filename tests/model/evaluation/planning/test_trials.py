@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from scenegen.model.evaluation.config import PlanConfig
-from scenegen.model.evaluation.planning.astar import Lattice, plan_path
+from scenegen.model.evaluation.planning.astar import plan_path
 from scenegen.model.evaluation.planning.measure import draw_trials
 
 GRID = GridSpec(shape=(40, 40, 20))
-LATTICE = Lattice(GRID, 3)  # nodes at voxels 2, 5 ... 38 in x and y, at 1, 4 ... 19 in z
 
 
 def scattered(seed: int, density: float) -> NDArray[np.bool_]:
@@ -67,14 +66,6 @@ def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason() -> None:
     assert (trials.goals[:, 0] < 35 * 0.2).all()
 
 
-def test_a_blocked_start_gives_no_trials() -> None:
-    truth = np.zeros(GRID.shape, bool)
-    truth[20, 20, 10] = True
-    trials = draw_trials(truth, GRID, PlanConfig(), count=7, rng=np.random.default_rng(0))
-    assert trials.goals.shape == (0, 3)
-    assert trials.excluded == {"start_blocked": 7}
-
-
 def test_goals_keep_within_bounds() -> None:
     """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
     bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
@@ -90,13 +81,3 @@ def test_goals_keep_within_bounds() -> None:
     ]
     assert 0 < len(goals) < len(everywhere)
     assert {tuple(goal) for goal in goals} == {tuple(goal) for goal in inside}
-
-
-def test_the_start_is_never_a_goal() -> None:
-    """On a map of one node there is none."""
-    grid = GridSpec(shape=(3, 3, 3))
-    trials = draw_trials(
-        np.zeros((3, 3, 3), bool), grid, PlanConfig(), count=5, rng=np.random.default_rng(0)
-    )
-    assert trials.goals.shape == (0, 3)
-    assert not trials.excluded
