@@ -205,7 +205,7 @@ def draft_of(path: Path) -> Path:
 def names_in(folder: Path) -> set[str]:
     """Names of what lies directly in a folder."""
     if isinstance(folder, PlacePath):
-        return {item.name for item in folder.place.list()}
+        return {item.name for item in folder.store.list()}
     with os.scandir(folder) as found:
         return {item.name for item in found}
 

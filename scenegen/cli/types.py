@@ -125,10 +125,10 @@ def _refuse_remote(
     kind: click.ParamType, value: Any, param: Any, ctx: Any, *, stores: bool = False
 ) -> None:
     """Fails where a name with a scheme is given to write to, and no such thing is written there."""
-    from scenegen.stores import PLACES, is_remote
+    from scenegen.stores import STORES, is_remote
 
     scheme = str(value).partition("://")[0]
-    if is_remote(value) and not (stores and scheme in PLACES.known):
+    if is_remote(value) and not (stores and scheme in STORES.known):
         hint = " or s3://bucket/folder" if stores else "; only generate and rescan write to s3://"
         kind.fail(f"{scheme}://… is not written to; give a folder{hint}", param, ctx)
 

@@ -39,7 +39,7 @@ def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[
     PlaceError.
     """
     assert isinstance(folder, PlacePath)
-    there = {item.name: item for item in folder.place.list()} if tasks else {}
+    there = {item.name: item for item in folder.store.list()} if tasks else {}
 
     def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
         spec, listed = task
@@ -79,7 +79,7 @@ def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) 
         "digests": report.digests.hex(),
     }
     assert isinstance(spec.folder, PlacePath)
-    spec.folder.place.put_whole(spec.file.with_suffix(SUFFIX).name, json.dumps(said).encode())
+    spec.folder.store.put_whole(spec.file.with_suffix(SUFFIX).name, json.dumps(said).encode())
 
 
 def _rejections(said: dict[str, dict[str, int]]) -> Rejections:

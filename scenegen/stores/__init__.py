@@ -1,5 +1,5 @@
-"""Places: where a dataset lies that lies in no folder, by a name with a scheme. One file a place;
-each fills `Place`.
+"""Stores: where a dataset lies that lies in no folder, by a name with a scheme. One file a store;
+each fills `Store`.
 
 A store has no rename and no locks. What it promises instead: an object is complete or absent, and
 it can be put on the condition that nobody else put one meanwhile. `PlacePath` is how the code of
@@ -26,7 +26,7 @@ Version = str | None
 """What tells two contents of an object apart; None where there is no object."""
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
 ONE_SLASH = re.compile(r"(hf|s3|gs|az|https?):/(?!/)")
-"""What was meant for a place, and would be a folder of an odd name."""
+"""What was meant for a store, and would be a folder of an odd name."""
 TRIES = 5
 """How often an object is put that comes and goes meanwhile."""
 
@@ -41,19 +41,19 @@ class ConflictError(PlaceError):
 
 
 class Object(NamedTuple):
-    """An object of a place, as a listing has it."""
+    """An object of a store, as a listing has it."""
 
     name: str
     bytes: int
     version: Version
 
 
-class Place(Protocol):
+class Store(Protocol):
     """A flat folder of objects, made of its whole name. Raises DatasetError for a name that cannot
     be.
 
     Every method raises PlaceError, in one line that tells no credential, where the store refuses,
-    is full, or does not answer in good time; a first failure is tried again. A place for reading
+    is full, or does not answer in good time; a first failure is tried again. A store for reading
     alone raises it in the last three.
     """
 
@@ -82,9 +82,9 @@ class Place(Protocol):
 
 
 OTHERS = "fsspec"
-"""What reads the places that are not named below."""
-PLACES = Registry(
-    "place",
+"""What reads the stores that are not named below."""
+STORES = Registry(
+    "store",
     {"s3": "scenegen.stores.bucket:Bucket", OTHERS: "scenegen.stores.bucket:Foreign"},
     needs={
         "list": "a method: () -> objects",
@@ -94,17 +94,17 @@ PLACES = Registry(
         "remove": "a method: name -> None",
     },
 )
-"""Places by the scheme of their names."""
+"""Stores by the scheme of their names."""
 
 
 def is_remote(name: object) -> bool:
-    """Whether `name` stands for a place. A Path never does, whatever it looks like, unless it is a
+    """Whether `name` stands for a store. A Path never does, whatever it looks like, unless it is a
     `PlacePath`."""
     return isinstance(name, PlacePath) or (isinstance(name, str) and REMOTE.match(name) is not None)
 
 
 def folder_of(name: str) -> Path:
-    """What a name stands for that a user gave for a dataset's folder: a place where it begins with
+    """What a name stands for that a user gave for a dataset's folder: a store where it begins with
     a scheme, a path otherwise. Raises DatasetError for a name that cannot be."""
     if not is_remote(name):
         if ONE_SLASH.match(name):
@@ -112,18 +112,18 @@ def folder_of(name: str) -> Path:
                 f"{printable(name)}: expected two slashes, {printable(name.replace('/', '//', 1))}"
             )
         return Path(name)
-    place_of(name)
+    store_of(name)
     return PlacePath(name)
 
 
-def place_of(name: str) -> Place:
-    """The place called `name`, opened once a process. Raises DatasetError for a name that cannot
+def store_of(name: str) -> Store:
+    """The store called `name`, opened once a process. Raises DatasetError for a name that cannot
     be."""
     return _opened(name, os.getpid())  # connections do not survive a fork
 
 
 @lru_cache(maxsize=64)
-def _opened(name: str, process: int) -> Place:
+def _opened(name: str, process: int) -> Store:
     match = REMOTE.fullmatch(name)
     assert match is not None
     scheme, rest = match["scheme"], match["rest"]
@@ -139,7 +139,7 @@ def _opened(name: str, process: int) -> Place:
         or len(name) > 1000
     ):
         raise DatasetError(f"{printable(name)[:200]}: expected a name such as s3://bucket/folder")
-    return PLACES.find(scheme if scheme in PLACES.known else OTHERS)(name)
+    return STORES.find(scheme if scheme in STORES.known else OTHERS)(name)
 
 
 _seen: dict[str, Version] = {}
@@ -153,26 +153,26 @@ else:
 
 
 class PlacePath(_Path):
-    """A place, or an object in it, in the stead of a Path: it has those methods of Path that
+    """A store, or an object in it, in the stead of a Path: it has those methods of Path that
     datasets are written by.
 
-    What is put replaces only what this process has read before; see `Place.put_if`.
+    What is put replaces only what this process has read before; see `Store.put_if`.
     """
 
     def __str__(self) -> str:
         return PurePosixPath.__str__(self).replace(":/", "://", 1)
 
     @property
-    def place(self) -> Place:
-        """The place that it is."""
-        return place_of(str(self))
+    def store(self) -> Store:
+        """The store that it is."""
+        return store_of(str(self))
 
-    def _home(self) -> Place:
-        return place_of(str(self.parent))
+    def _home(self) -> Store:
+        return store_of(str(self.parent))
 
     def iterdir(self) -> Generator["PlacePath", None, None]:
         """The objects in it."""
-        return (self / item.name for item in self.place.list())
+        return (self / item.name for item in self.store.list())
 
     def glob(self, pattern: str) -> Generator["PlacePath", None, None]:
         """The objects in it whose names are like `pattern`."""
@@ -180,7 +180,7 @@ class PlacePath(_Path):
 
     def is_dir(self) -> bool:
         """Whether there is an object in it."""
-        return next(self.place.list(), None) is not None
+        return next(self.store.list(), None) is not None
 
     def is_file(self) -> bool:
         """Whether it is an object."""
@@ -193,7 +193,7 @@ class PlacePath(_Path):
         return True
 
     def exists(self) -> bool:
-        """Whether it is an object, or a place that holds any."""
+        """Whether it is an object, or a store that holds any."""
         return (len(self.parts) > 2 and self.is_file()) or self.is_dir()
 
     def mkdir(self, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
@@ -204,7 +204,7 @@ class PlacePath(_Path):
         return self
 
     def open_bounded(self, most_bytes: int) -> io.BufferedReader:
-        """A copy of the object on this disk, that nobody else sees. Raises as `Place.read`."""
+        """A copy of the object on this disk, that nobody else sees. Raises as `Store.read`."""
         try:
             copy = tempfile.TemporaryFile()  # noqa: SIM115 (closed below)
         except OSError as error:  # FileNotFoundError, too, where a full disk takes none

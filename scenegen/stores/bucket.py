@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import IO, Any, NoReturn, TypeVar
 
 from scenegen.errors import DatasetError, PlaceError, needs, printable
-from scenegen.stores import ConflictError, Object, Place, Version
+from scenegen.stores import ConflictError, Object, Store, Version
 
 Result = TypeVar("Result")
 
@@ -50,8 +50,8 @@ EXPIRED = (
 )
 
 
-class Bucket(Place):
-    """See `Place`. ``s3://bucket/prefix``; the bucket is there already."""
+class Bucket(Store):
+    """See `Store`. ``s3://bucket/prefix``; the bucket is there already."""
 
     def __init__(self, name: str):
         match = NAME.fullmatch(name)
@@ -87,7 +87,7 @@ class Bucket(Place):
         does."""
 
     def list(self) -> Iterator[Object]:
-        """See `Place`."""
+        """See `Store`."""
         after: dict[str, str] = {}
         while True:
             asked = {"Bucket": self.bucket, "Prefix": self.prefix, "Delimiter": "/", **after}
@@ -102,7 +102,7 @@ class Bucket(Place):
                 raise self._silent("", f"its list lacks {error.args[0]}") from None
 
     def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
-        """See `Place`."""
+        """See `Store`."""
         for attempt in range(CUTS):
             found = self._ask(
                 name, self._client.get_object, "ETag", "ContentLength", **self._object(name)
@@ -126,11 +126,11 @@ class Bucket(Place):
         raise self._silent(name, "its answers end too early")
 
     def put_whole(self, name: str, content: bytes) -> Version:
-        """See `Place`."""
+        """See `Store`."""
         return self._put(name, content)
 
     def put_if(self, name: str, content: bytes, version: Version) -> Version:
-        """See `Place`."""
+        """See `Store`."""
         if version is None:
             return self._put(name, content, IfNoneMatch="*")
         try:
@@ -142,7 +142,7 @@ class Bucket(Place):
         return self.put_if(name, content, version)
 
     def remove(self, name: str) -> None:
-        """See `Place`."""
+        """See `Store`."""
         self._ask(name, self._client.delete_object, **self._object(name))
 
     def _put(self, name: str, content: bytes, **condition: str) -> Version:
@@ -226,8 +226,8 @@ AGAIN = "what is finished is kept: give the same command again to go on"
 GIVE = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or log in by Amazon's tools"
 
 
-class Foreign(Place):
-    """See `Place`."""
+class Foreign(Store):
+    """See `Store`."""
 
     def __init__(self, name: str):
         try:
@@ -245,7 +245,7 @@ class Foreign(Place):
             ) from None
 
     def list(self) -> Iterator[Object]:
-        """See `Place`."""
+        """See `Store`."""
         try:
             found = self._system.ls(self._path, detail=True)
         except FileNotFoundError:
@@ -257,7 +257,7 @@ class Foreign(Place):
                 yield Object(item["name"].rpartition("/")[2], int(item["size"] or 0), None)
 
     def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
-        """See `Place`."""
+        """See `Store`."""
         done = 0
         try:
             with self._system.open(f"{self._path}/{name}", "rb") as there:

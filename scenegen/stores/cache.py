@@ -1,7 +1,7 @@
-"""Copies of what was read from places, in a folder of this machine: fetched when first opened, and
+"""Copies of what was read from stores, in a folder of this machine: fetched when first opened, and
 held against the digest that the manifest has of each, once and whenever one has changed.
 
-A folder of copies is of one place and one manifest, and beside it lies a note of both. Like the
+A folder of copies is of one store and one manifest, and beside it lies a note of both. Like the
 kernels', it serves only where nobody but this user may write.
 """
 
@@ -20,7 +20,7 @@ from typing import IO
 
 from lidarsim.jit import cache_root, folder_trouble, is_ours
 from scenegen.errors import PlaceError, printable
-from scenegen.stores import note_file, place_of
+from scenegen.stores import note_file, store_of
 
 AT_A_TIME = 8
 """Files that are fetched at the same time, where all are needed."""
@@ -32,20 +32,20 @@ STALE_S = 24 * 3600.0
 class Note:
     """What a folder of copies is of."""
 
-    place: str
+    store: str
     files: Mapping[str, str]
     """Every file that the manifest lists, with its SHA-256."""
 
 
-def keep(place: str, name: str, manifest: bytes) -> Path:
-    """The folder of copies of what a manifest of this name and content lists at `place`, with the
+def keep(store: str, name: str, manifest: bytes) -> Path:
+    """The folder of copies of what a manifest of this name and content lists at `store`, with the
     manifest in it.
 
     Raises PlaceError, also where others may write to the folder.
     """
-    folder = _root() / _digest(place.encode())[:16] / _digest(manifest)[:16]
+    folder = _root() / _digest(store.encode())[:16] / _digest(manifest)[:16]
     _check(folder)
-    with _told(place):
+    with _told(store):
         _put(folder / name, manifest)
         for draft in folder.glob(".*.tmp"):
             with contextlib.suppress(FileNotFoundError):
@@ -54,56 +54,56 @@ def keep(place: str, name: str, manifest: bytes) -> Path:
     return folder
 
 
-def note(folder: Path, place: str, files: Mapping[str, str]) -> None:
+def note(folder: Path, store: str, files: Mapping[str, str]) -> None:
     """Note what a folder of copies is of: from now on its `files`, names with their SHA-256, can be
     fetched.
 
-    What another manifest of the same place lists by the same name and digest is shared. Raises
+    What another manifest of the same store lists by the same name and digest is shared. Raises
     PlaceError.
     """
     path = note_file(folder)
-    with _told(place):
+    with _told(store):
         if not path.is_file():
             for other in sorted(folder.parent.glob("*.place")):
                 _share(other, folder, files)
-        _put(path, json.dumps(asdict(Note(place, dict(files)))).encode())
+        _put(path, json.dumps(asdict(Note(store, dict(files)))).encode())
 
 
 @contextlib.contextmanager
-def _told(place: str) -> Iterator[None]:
+def _told(store: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
         raise PlaceError(
-            f"{printable(error)}: copies of {place} go there; free some space, or name another "
+            f"{printable(error)}: copies of {store} go there; free some space, or name another "
             f"folder by SCENEGEN_CACHE"
         ) from None
 
 
 def fetch(path: Path) -> bool:
-    """Have `path` be there and whole, if it is in a folder of copies and a file of the place;
+    """Have `path` be there and whole, if it is in a folder of copies and a file of the store;
     whether it now is.
 
-    Raises PlaceError where the place does not give it, or other bytes than the manifest lists.
+    Raises PlaceError where the store does not give it, or other bytes than the manifest lists.
     """
     about = note_of(path.parent)
     if about is None or path.name not in about.files:
         return False
     if _is_whole(path, about.files[path.name]):
         return True
-    with _told(about.place):
+    with _told(about.store):
         handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
         try:
             with open(handle, "r+b") as file:
                 try:
-                    place_of(about.place).read(path.name, file, 1 << 62)
+                    store_of(about.store).read(path.name, file, 1 << 62)
                 except FileNotFoundError:
                     return False
                 file.flush()
                 file.seek(0)
                 if _sum(file) != about.files[path.name]:
                     raise PlaceError(
-                        f"{about.place}/{path.name}: is not the file that the manifest lists; if "
+                        f"{about.store}/{path.name}: is not the file that the manifest lists; if "
                         f"a run goes on there, "
                         "wait for its end and give the same command again; else generate the "
                         "dataset again"
@@ -153,7 +153,7 @@ def fetch_all(folder: Path, names: Iterable[str]) -> None:
         if not fetch(folder / name):
             about = note_of(folder)
             raise PlaceError(
-                f"{about.place if about else folder}/{name}: is missing, though the manifest "
+                f"{about.store if about else folder}/{name}: is missing, though the manifest "
                 f"lists it"
             )
 
@@ -182,7 +182,7 @@ def bytes_in(folder: Path) -> int:
     if (about := note_of(folder)) is not None:
         there |= {
             item.name: item.bytes
-            for item in place_of(about.place).list()
+            for item in store_of(about.store).list()
             if item.name in about.files
         }
     return sum(there.values())

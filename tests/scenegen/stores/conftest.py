@@ -16,7 +16,7 @@ def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     home.mkdir()
     monkeypatch.setenv(HOME, str(home))
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "copies"))
-    monkeypatch.setitem(stores.PLACES.known, "s3", "tests.scenegen.stores.kept:Kept")
+    monkeypatch.setitem(stores.STORES.known, "s3", "tests.scenegen.stores.kept:Kept")
     forget()
     return home
 

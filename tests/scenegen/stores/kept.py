@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from scenegen.errors import DatasetError, PlaceError
-from scenegen.stores import ConflictError, Object, Place, Version
+from scenegen.stores import ConflictError, Object, Store, Version
 
 HOME = "TESTS_KEPT"
 """Where the environment says that objects are kept."""
@@ -19,7 +19,7 @@ ROOM = "TESTS_KEPT_PUTS"
 full."""
 
 
-class Kept(Place):
+class Kept(Store):
     """``s3://bucket/prefix`` in a folder of that name."""
 
     log: list[str]

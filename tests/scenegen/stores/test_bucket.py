@@ -109,8 +109,8 @@ class Run:
 
 def objects(bucket: str) -> dict[str, bytes]:
     """What the bucket holds of the dataset, less what is there for resuming alone."""
-    place = PlacePath(f"s3://{bucket}/d").place
-    names = [item.name for item in place.list()]
+    store = PlacePath(f"s3://{bucket}/d").store
+    names = [item.name for item in store.list()]
     found = {name: (PlacePath(f"s3://{bucket}/d") / name).read_bytes() for name in names}
     for name, content in found.items():
         assert SECRET.encode() not in content, name
@@ -126,7 +126,7 @@ def wait_for(bucket: str, shards: int) -> int:
     """Wait until so many shards are there; how many are."""
     for _ in range(600):
         there = sum(
-            item.name.endswith(".h5") for item in PlacePath(f"s3://{bucket}/d").place.list()
+            item.name.endswith(".h5") for item in PlacePath(f"s3://{bucket}/d").store.list()
         )
         if there >= shards:
             return there
@@ -137,10 +137,10 @@ def wait_for(bucket: str, shards: int) -> int:
 @pytest.mark.parametrize("of_what", [None, "version"])
 def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -> None:
     """Of eight at once exactly one wins, and what it put is there."""
-    place = PlacePath(f"s3://{bucket}/d").place
+    store = PlacePath(f"s3://{bucket}/d").store
     for turn in range(20):
         name = f"race-{turn}"
-        version = place.put_whole(name, b"first") if of_what else None
+        version = store.put_whole(name, b"first") if of_what else None
         start, won = threading.Barrier(8), list[bytes]()
 
         def put(
@@ -152,7 +152,7 @@ def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -
         ) -> None:
             start.wait()
             try:
-                place.put_if(name, mine, version)
+                store.put_if(name, mine, version)
                 won.append(mine)
             except PlaceError:  # a conflict, or what Ceph answers to some that lose a race, 500
                 pass

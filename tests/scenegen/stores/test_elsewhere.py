@@ -1,4 +1,4 @@
-"""A dataset at a place, worked on by other machines: each opens the place for itself."""
+"""A dataset at a store, worked on by other machines: each opens the store for itself."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Laws of datasets at places: the same bytes as in a folder, whoever else writes and wherever it
+"""Laws of datasets at stores: the same bytes as in a folder, whoever else writes and wherever it
 ends."""
 
 import dataclasses
@@ -60,8 +60,8 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def asked() -> list[str]:
-    """What this process asked of the dataset's place."""
-    return stores.place_of(NAME).log  # type: ignore[attr-defined]
+    """What this process asked of the dataset's store."""
+    return stores.store_of(NAME).log  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("path", ["./s3:/b", "./s3://b", "S3://b/x", "data", "", "a b://c", "s3:"])
@@ -106,10 +106,10 @@ def test_what_others_put_is_never_replaced_unread(store: Path) -> None:
     path = folder_of(NAME) / "x"
     path.put(b"1")
     path.put(b"2")
-    path.parent.place.put_whole("x", b"theirs")  # type: ignore[attr-defined]
+    path.parent.store.put_whole("x", b"theirs")  # type: ignore[attr-defined]
     with pytest.raises(ConflictError, match=f"{NAME}/x: somebody else has put other bytes there"):
         path.put(b"3")
-    path.parent.place.put_whole("x", b"3")  # type: ignore[attr-defined]
+    path.parent.store.put_whole("x", b"3")  # type: ignore[attr-defined]
     path.put(b"3")  # the same bytes are no conflict
     path.put(b"4")
     assert path.read_bytes() == b"4"
@@ -224,7 +224,7 @@ def test_two_drivers_of_different_datasets_never_mix(store: Path, made: Path) ->
     with pytest.raises(DatasetError, match="holds another dataset: seed is 3 there, 4 asked for"):
         build(plan(folder_of(NAME), seed=4))
     shutil.rmtree(store / "lab" / "pillar")
-    home = stores.place_of(NAME)
+    home = stores.store_of(NAME)
     begin, theirs = (
         home.put_if,
         (made / "dataset.json").read_bytes().replace(b'"seed": 3', b'"seed": 4'),
@@ -317,7 +317,7 @@ def test_other_bytes_than_the_manifests_are_refused_and_not_kept(store: Path, ma
         locate(NAME, whole=True)
 
 
-@pytest.mark.parametrize("level", ["", "scenegen", "scenegen/places", "scenegen/places/{place}"])
+@pytest.mark.parametrize("level", ["", "scenegen", "scenegen/places", "scenegen/places/{store}"])
 @pytest.mark.parametrize("what", ["open to others", "another user's"])
 def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
     level: str, what: str, store: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -325,7 +325,7 @@ def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
     shutil.copytree(made, store / "lab" / "pillar")
     forget()
     folder = locate(NAME)
-    at = tmp_path / "copies" / level.format(place=folder.parent.name)
+    at = tmp_path / "copies" / level.format(store=folder.parent.name)
     if what == "open to others":
         at.chmod(0o777)
     else:
@@ -335,7 +335,7 @@ def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
     for ask in (
         lambda: locate(NAME),
         lambda: load(folder)[0],
-    ):  # by the place's name, and in another process
+    ):  # by the store's name, and in another process
         with pytest.raises(
             PlaceError, match=r"others may write to|belongs to another user"
         ) as refused:
