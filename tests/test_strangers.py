@@ -52,7 +52,7 @@ FILES: tuple[tuple[tuple[object, ...], str], ...] = (
 FOLDERS: tuple[tuple[tuple[object, ...], tuple[str, ...]], ...] = (
     (BENCH, ("report.json", "report.md", "report.html")),
     (TRAIN, ("card.md", "curve.png", "metrics.csv", "best.safetensors", "config.json")),
-    (REPRODUCE, ("settings.json", "study.json", "study.md", "figures")),
+    (REPRODUCE, ("settings.json", "study.json", "study.md")),
     (GENERATE, ("train-00000.h5", "train-00099.h5", "rays.npy", "dataset.json", "notes.txt")),
     (("rescan", "d", "-o", "out", "--noise", "range:0.02"), ("rays.npy",)),
     (("merge", "d", "e", "-o", "out"), ("train-00000.h5",)),

@@ -13,7 +13,8 @@ from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.trust import parse
 from scenegen.errors import PublishError
 from scenegen.share.croissant import croissant
-from scenegen.share.licence import LICENCES, Publication
+from scenegen.share.licence import LICENCES
+from scenegen.share.publication import Publication
 from scenegen.share.regenerate import check_kind, command
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
