@@ -31,7 +31,7 @@ precision .830±.046      .966±.029     .867±.043          .681±.037   .976±
 recall    .590±.077      .587±.083     .662±.090          .557±.065   .564±.057  .601±.065
 """)
 PLANNING = _read("""
-              geometric/TUDF geometric/OCC geometric/Proposed pillar/TUDF pillar/OCC  pillar/Proposed
+              geometric/TUDF geometric/OCC geometric/Proposed pillar/TUDF pillar/OCC pillar/Proposed
 success       .787           .778          .806               .846        .769        .885
 length        9.377±1.279    9.156±1.020   9.404±1.281        8.639±3.885 7.873±1.572 8.525±3.881
 min_clearance .985±.713      .917±.737     1.007±.698         .750±.403   .725±.418   .816±.370

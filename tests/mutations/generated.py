@@ -14,8 +14,8 @@ from tests.mutations.case import Attempt, Result, words
 
 
 def generated(asked: tuple[str, ...], damage: str, *, samples: int = 1) -> Attempt:
-    """A dataset made by the words `asked`; where that succeeds, `verify --quick` passes it and its numbers
-    can be such."""
+    """A dataset made by the words `asked`; where that succeeds, `verify --quick` passes it and its
+    numbers can be such."""
     return Attempt(
         words=(
             "generate",
