@@ -25,7 +25,6 @@ from lidarsim.sensors import RASTER, SENSORS
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.lidar import named_noise
 from scenegen.model.completion.unlearned import Extrude, Returns
 from scenegen.model.config import bundled
 from scenegen.model.evaluation.config import BenchConfig
@@ -40,6 +39,7 @@ from scenegen.recipes.kind import WorldKind, yaw_quaternion
 from scenegen.run.software import commit
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.tables import named_noise
 
 ROOT = Path(__file__).parents[1]
 SCAFFOLD = "elsewhere:Scaffold"

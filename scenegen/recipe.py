@@ -15,7 +15,6 @@ from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.parameters import check, number
 from scenegen.errors import RecipeError, printable, short
-from scenegen.lidar import beam_table, named_noise, sensor_of
 from scenegen.limits import (
     MOST_CANDIDATES,
     MOST_DRAWS,
@@ -26,7 +25,15 @@ from scenegen.limits import (
 )
 from scenegen.recipes import find_kind
 from scenegen.recipes.kind import WorldKind
-from scenegen.tables import check_name, field_names, from_table, read_toml
+from scenegen.tables import (
+    beam_table,
+    check_name,
+    field_names,
+    from_table,
+    named_noise,
+    read_toml,
+    sensor_of,
+)
 from scenegen.worlds.flight import Flight
 from scenegen.worlds.labels import Labels
 from scenegen.worlds.mapping import Mapper

@@ -70,7 +70,7 @@ def rescan(
     if talk:
         announce_compilation()
     from scenegen.dataset.rescan import plan_rescan
-    from scenegen.lidar import named_lidar, named_noise
+    from scenegen.tables import named_lidar, named_noise
 
     source = open_dataset(dataset, shown=talk, partial=False)
     sensor = None if lidar is None else named_lidar(lidar)

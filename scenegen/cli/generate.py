@@ -311,10 +311,10 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     from scenegen.dataset import manifest
     from scenegen.errors import RecipeError
     from scenegen.files import write_result
-    from scenegen.lidar import named_lidar
     from scenegen.recipe import preset
     from scenegen.share.regenerate import recipe_text
     from scenegen.source import DrawnWorlds
+    from scenegen.tables import named_lidar
 
     found = preset(kind, lidar=named_lidar(lidar) if lidar else None)
     if not isinstance(found.lidar, Lidar):

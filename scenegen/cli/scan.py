@@ -53,7 +53,7 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
 
     Each goes into `scenegen generate --lidar NAME`, or into a recipe as `[lidar] sensor = "NAME"`.
     """
-    from scenegen.lidar import beam_table, named_lidar
+    from scenegen.tables import beam_table, named_lidar
 
     found = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
     for name in names:
@@ -167,8 +167,8 @@ def scan(
         raise click.UsageError("--every goes with --flight")
     from scenegen.display.points import SUFFIXES
     from scenegen.files import check_ours
-    from scenegen.lidar import named_lidar, named_noise
     from scenegen.source import read_world
+    from scenegen.tables import named_lidar, named_noise
 
     if out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")

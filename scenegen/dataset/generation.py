@@ -12,10 +12,10 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.state import Plan
 from scenegen.errors import RecipeError
-from scenegen.lidar import named_lidar
 from scenegen.recipe import preset, read_recipe
 from scenegen.source import DrawnWorlds, Source, read_scenes
 from scenegen.stores import folder_of, is_remote
+from scenegen.tables import named_lidar
 from scenegen.worlds.labels import By, labels_by
 
 

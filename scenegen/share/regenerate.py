@@ -17,11 +17,11 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.rules import sensor_entry, write_rays
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
-from scenegen.lidar import named_lidar
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
 from scenegen.run import undone_if_stopped
 from scenegen.source import DrawnWorlds
+from scenegen.tables import named_lidar
 
 RECIPE, SENSOR = "recipe.toml", "sensor.toml"
 """What `command` reads: all of a dataset that was drawn, or the sensor of one that was scanned

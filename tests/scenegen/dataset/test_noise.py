@@ -21,11 +21,11 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, PublishError, RecipeError
-from scenegen.lidar import named_lidar, named_noise
 from scenegen.recipe import preset, read_recipe
 from scenegen.share.regenerate import check_source, source_file
 from scenegen.share.stage import Request, examine, stage
 from scenegen.source import DrawnWorlds
+from scenegen.tables import named_lidar, named_noise
 from scenegen.verification import verify
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS

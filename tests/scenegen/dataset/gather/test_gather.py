@@ -19,11 +19,11 @@ from scenegen.dataset.numbering import Numbering
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.errors import DatasetError
-from scenegen.lidar import named_noise
 from scenegen.recipe import make_recipe
 from scenegen.sample import SCHEMA
 from scenegen.share.stage import Request, examine
 from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.tables import named_noise
 from scenegen.verification import verify
 from tests.conftest import SMALL, Once, small_recipe
 from tests.scenegen.verification import forge
