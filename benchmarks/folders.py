@@ -70,7 +70,7 @@ FORGET = """
 import sys
 from pathlib import Path
 from scenegen.dataset import manifest
-from scenegen.dataset.noted import write_note
+from scenegen.dataset.placed import write_note
 from scenegen.dataset.trust import load
 folder = Path(sys.argv[1])
 there = load(folder)

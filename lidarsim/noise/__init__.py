@@ -39,7 +39,7 @@ STAGES = Registry(
     "noise stage",
     {
         "motion": "lidarsim.noise.losses:Motion",
-        "divergence": "lidarsim.noise.beam:Divergence",
+        "divergence": "lidarsim.noise.ranges:Divergence",
         "near": "lidarsim.noise.ranges:Near",
         "range": "lidarsim.noise.ranges:Range",
         "depth": "lidarsim.noise.ranges:Depth",

@@ -1,12 +1,14 @@
-"""Faults of a range itself: noise, steps, and a least range."""
+"""Faults of a range itself: noise, steps, a least range; and a beam that is a cone, which meets
+several surfaces."""
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.elementary import sin_cos
 from lidarsim.noise.returns import Returns, View, normal
 from lidarsim.parameters import check, number
 
@@ -127,3 +129,99 @@ def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.floa
 def _kept(ranges: NDArray[np.float64], view: View) -> NDArray[np.float64]:
     """Ranges of which those behind the sensor, or beyond its reach, are lost."""
     return np.where((ranges > 0) & (ranges <= view.sensor.max_range_m), ranges, np.inf)
+
+
+GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
+"""The angle from one seed of a sunflower to the next, radians."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Divergence:
+    """Every beam becomes `rays` rays of equal light, spread evenly over its cone, turned by chance
+    about its axis.
+
+    Ranges that lie within `resolution_m` of the nearest of them are one echo, at their mean: over
+    an edge that is a mixed pixel, which lies on neither surface. Further ones are echoes of their
+    own.
+    """
+
+    order: ClassVar[int] = 1
+    mrad: float = number(3.0, above=0, most=100)
+    """Full angle of the cone, thousandths of a radian."""
+    returns: Literal["strongest", "first", "last", "dual"] = "strongest"
+    """Which echo is told; `dual` tells the strongest and the last, where they differ. Of equally
+    strong ones the nearest is the strongest."""
+    rays: int = number(9, least=2, most=1000)
+    """Rays a beam."""
+    resolution_m: float = number(0.3, least=0, most=100)
+    """How far apart two surfaces must be to be told apart, metres: half the length of the pulse."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+        """See `Stage.apply`."""
+        along = returns.directions
+        across, upward = _beside(along)
+        sine, cosine = sin_cos(2 * math.pi * rng.random((*along.shape[:-1], 1)))
+        one, other = cosine * across + sine * upward, cosine * upward - sine * across
+        hits = np.empty((self.rays, *along.shape[:-1]))
+        for n in range(self.rays):
+            away = 5e-4 * self.mrad * math.sqrt((n + 0.5) / self.rays)
+            sine, cosine = sin_cos(n * GOLDEN)
+            ray = along + away * (cosine * one + sine * other)
+            hits[n] = view.cast(
+                returns.origins, ray / np.sqrt((ray**2).sum(axis=-1, keepdims=True))
+            )
+        means, weights = _echoes(np.sort(hits, axis=0), self.resolution_m)
+        strongest = np.argmax(weights, axis=0)
+        last = np.maximum(np.count_nonzero(weights, axis=0) - 1, 0)
+        chosen = {"strongest": strongest, "first": np.zeros_like(last), "last": last}.get(
+            self.returns, strongest
+        )
+        ranges = np.take_along_axis(means, chosen[None], axis=0)
+        if self.returns == "dual":
+            second = np.where(
+                last == strongest, np.inf, np.take_along_axis(means, last[None], axis=0)
+            )
+            ranges = np.concatenate([ranges, second])
+        return returns.but(ranges=ranges)
+
+    def bound_m(self, max_range_m: float) -> float:
+        """See `Stage.bound_m`: along the ray by the resolution, and beside it by half the cone."""
+        return self.resolution_m + max_range_m * 5e-4 * self.mrad
+
+
+def _echoes(
+    hits: NDArray[np.float64], resolution_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Means (k, *shape) and counts of the echoes of rising `hits` (k, *shape), the nearest echo
+    first; ``inf`` and 0 beyond the last."""
+    means, weights = np.full(hits.shape, np.inf), np.zeros(hits.shape, np.int64)
+    number = np.zeros(hits.shape[1:], np.int64)
+    begin, total, count = (
+        hits[0].copy(),
+        np.zeros(hits.shape[1:]),
+        np.zeros(hits.shape[1:], np.int64),
+    )
+    for hit in hits:
+        met = np.isfinite(hit)
+        new = met & (np.where(met, hit, 0.0) - np.where(met, begin, 0.0) > resolution_m)
+        number += new
+        begin = np.where(new, hit, begin)
+        total = np.where(new, 0.0, total) + np.where(met, hit, 0.0)
+        count = np.where(new, 0, count) + met
+        some = count > 0
+        np.put_along_axis(
+            means, number[None], np.where(some, total / np.maximum(count, 1), np.inf)[None], axis=0
+        )
+        np.put_along_axis(weights, number[None], count[None], axis=0)
+    return means, weights
+
+
+def _beside(along: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Two unit vectors (..., 3) at right angles to unit vectors (..., 3) and to each other."""
+    helper = np.where(np.abs(along[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    across = np.cross(helper, along)
+    across /= np.sqrt((across**2).sum(axis=-1, keepdims=True))
+    return across, np.cross(along, across)

@@ -1,12 +1,12 @@
-"""Parts of a stranger's manifest held against rules before anybody relies on them: JSON of any
-kind, noise, the sensor."""
+"""What a stranger's manifest says, held against rules before anybody relies on it: JSON of any
+kind, noise, the sensor, and how samples are numbered."""
 
 import dataclasses
 import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache
 from pathlib import Path
@@ -18,6 +18,41 @@ from lidarsim.parameters import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen.errors import BrokenError, DatasetError, NewerError, printable, short
 from scenegen.files import read_bounded, write_whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbering:
+    """The rule of docs/format.md, for one split. A place may be one number, or an array of them."""
+
+    viewpoints: int
+    """Samples of one flight."""
+    scenes: int | None
+    """Worlds from MJCF files, which flights visit in turn; None where each flight has a world of
+    its own."""
+
+    def name(self, place: Any) -> tuple[Any, Any]:
+        """(world, viewpoint) of the sample at `place`."""
+        unit, view = place // self.viewpoints, place % self.viewpoints
+        if self.scenes is None:
+            return unit, view
+        return unit % self.scenes, unit // self.scenes * self.viewpoints + view
+
+    def place(self, world: Any, viewpoint: Any) -> Any:
+        """The place of the sample that is `viewpoint` of `world`."""
+        if self.scenes is None:
+            return world * self.viewpoints + viewpoint
+        turn, view = viewpoint // self.viewpoints, viewpoint % self.viewpoints
+        return (turn * self.scenes + world) * self.viewpoints + view
+
+    def worlds(self, start: int, samples: int) -> Sequence[int]:
+        """Numbers of the worlds that so many samples are of, from the one at `start` on, rising."""
+        units = range(start // self.viewpoints, (start + samples - 1) // self.viewpoints + 1)
+        return (
+            units
+            if self.scenes is None
+            else sorted({unit % self.scenes for unit in units[: self.scenes]})
+        )
+
 
 T = TypeVar("T")
 

@@ -16,7 +16,7 @@ from typing import Any
 from lidarsim import GridSpec, Lidar, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, placed, trust
-from scenegen.dataset.noted import read_notes, remove_notes, write_note
+from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.rules import RAYS, write_rays
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError

@@ -15,12 +15,12 @@ from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
-from scenegen.dataset.numbering import Numbering
 from scenegen.dataset.rules import (
     DIGEST,
     FLAG,
     LIST,
     TABLE,
+    Numbering,
     Rule,
     check,
     check_noise,

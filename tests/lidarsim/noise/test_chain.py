@@ -13,10 +13,9 @@ import pytest
 
 from lidarsim import AnalyticEngine, Lidar, Pose, cast
 from lidarsim.noise import STAGES
-from lidarsim.noise.beam import Divergence
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Dropout
-from lidarsim.noise.ranges import Range
+from lidarsim.noise.ranges import Divergence, Range
 from lidarsim.sensors.catalogue import NAMED
 
 ENGINE = AnalyticEngine.of(

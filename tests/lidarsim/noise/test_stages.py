@@ -12,10 +12,9 @@ from scipy import stats
 
 from lidarsim import AnalyticEngine, BeamTable, MujocoEngine, Pose, Scan, cast
 from lidarsim.noise import Stage
-from lidarsim.noise.beam import Divergence
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Dropout, Faint, Far, Grazing, Motion, Spurious
-from lidarsim.noise.ranges import Depth, Near, Quantise, Range
+from lidarsim.noise.ranges import Depth, Divergence, Near, Quantise, Range
 from lidarsim.noise.returns import Intensity, Returns, View, albedo_of
 
 RAYS = 20_000

@@ -26,7 +26,7 @@ from scenegen.dataset import manifest
 from scenegen.dataset import shard as shards
 from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_dataset
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.noted import NOTES, read_notes
+from scenegen.dataset.placed import NOTES, read_notes
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError, GenerationError

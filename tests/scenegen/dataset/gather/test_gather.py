@@ -15,9 +15,9 @@ from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.choose import Choice, Condition
 from scenegen.dataset.gather import plan_merge, plan_take
-from scenegen.dataset.numbering import Numbering
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
+from scenegen.dataset.rules import Numbering
 from scenegen.errors import DatasetError
 from scenegen.recipe import make_recipe
 from scenegen.sample import SCHEMA
