@@ -37,7 +37,7 @@ class NewerError(BrokenError):
     """A file names something that this scenegen does not know: a newer one may have written it."""
 
 
-class PlaceError(ScenegenError):
+class StoreError(ScenegenError):
     """A store refuses, is full, or does not answer; nothing follows from it about what it holds."""
 
 

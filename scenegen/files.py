@@ -19,7 +19,7 @@ from typing import BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
-from scenegen.stores import PlacePath, note_file
+from scenegen.stores import StorePath, note_file
 
 STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
@@ -35,9 +35,9 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     device, whose reading might never end. An object of a place is copied first, unless it was
     before.
 
-    Raises DatasetError for anything else, FileNotFoundError where there is nothing, and PlaceError.
+    Raises DatasetError for anything else, FileNotFoundError where there is nothing, and StoreError.
     """
-    if isinstance(path, PlacePath):
+    if isinstance(path, StorePath):
         return path.open_bounded(most_bytes)
     if note_file(path.parent).is_file():
         from scenegen.stores.cache import fetch
@@ -116,8 +116,8 @@ def make_parent(path: Path) -> None:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Put `content` at `path`: complete and on disk, or not at all. Raises as `whole`, and as
-    `PlacePath.put`."""
-    if isinstance(path, PlacePath):
+    `StorePath.put`."""
+    if isinstance(path, StorePath):
         path.put(content)
         return
     with _draft(path) as (_, file):
@@ -204,7 +204,7 @@ def draft_of(path: Path) -> Path:
 
 def names_in(folder: Path) -> set[str]:
     """Names of what lies directly in a folder."""
-    if isinstance(folder, PlacePath):
+    if isinstance(folder, StorePath):
         return {item.name for item in folder.store.list()}
     with os.scandir(folder) as found:
         return {item.name for item in found}
@@ -214,7 +214,7 @@ def remove_drafts(folder: Path, target: str | None = None) -> None:
     """Delete drafts in `folder` that this user's scenegen made, of `target` alone if that is given,
     and whose writer is gone: an ended process of this machine, or one of another machine that wrote
     nothing for `STALE_S`. A place has none: its objects are complete or absent."""
-    if isinstance(folder, PlacePath):
+    if isinstance(folder, StorePath):
         return
     for draft in folder.glob(".scenegen-*.tmp"):
         said = DRAFT.fullmatch(draft.name)

@@ -34,7 +34,7 @@ from scenegen.recipe import Recipe
 from scenegen.run import Executor, undone_if_stopped
 from scenegen.run.workers import Local
 from scenegen.source import Source
-from scenegen.stores import PlacePath
+from scenegen.stores import StorePath
 
 NOTE_S = 30.0
 """Seconds after which a run writes down what is finished."""
@@ -184,7 +184,7 @@ def build(
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
-    write = write_placed if isinstance(plan.folder, PlacePath) else write_shard
+    write = write_placed if isinstance(plan.folder, StorePath) else write_shard
     written, noted, wait = 0, time.monotonic(), NOTE_S
     with undone_if_stopped(lambda: remove_drafts(plan.folder)):
         try:
@@ -217,7 +217,7 @@ def check_folder(plan: Plan, *, force: bool = False) -> None:
 def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
     """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells
     nobody beforehand."""
-    if not missing or isinstance(plan.folder, PlacePath):
+    if not missing or isinstance(plan.folder, StorePath):
         return
     needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
     there = next(

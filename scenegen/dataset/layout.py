@@ -221,7 +221,7 @@ def unpack(packed: bytes, column: Column, left_out: int) -> bytes:
 
 
 def open_file(path: Path) -> BufferedReader:
-    """A regular file, and no pipe that would never end. Raises BrokenError, and PlaceError."""
+    """A regular file, and no pipe that would never end. Raises BrokenError, and StoreError."""
     try:
         return open_bounded(path, sys.maxsize)
     except (FileNotFoundError, DatasetError):

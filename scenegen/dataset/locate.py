@@ -12,7 +12,7 @@ from pathlib import Path
 
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.read import Dataset, Split
-from scenegen.errors import DatasetError, PlaceError, needs, printable
+from scenegen.errors import DatasetError, StoreError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.stores import LOCATED, folder_of, is_remote
@@ -56,7 +56,7 @@ def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Pat
 
     ``hf://…`` is downloaded: see `download`. Of any other place the manifest is, into a folder of
     copies (see `scenegen.stores.cache`), where every other file comes to lie when it is first
-    opened, or all of them now, with `whole`. Raises DatasetError and PlaceError.
+    opened, or all of them now, with `whole`. Raises DatasetError and StoreError.
     """
     if not is_remote(name):
         return Path(name)
@@ -106,10 +106,10 @@ def load(dataset: str | Path, split: str = "train") -> Split:
 @cache
 def locate_again(name: str, folder: str) -> Path:
     """`locate` on another machine, once a process. The manifest, after which the `folder` is
-    called, must be the same; raises PlaceError where it is not, and as `locate`."""
+    called, must be the same; raises StoreError where it is not, and as `locate`."""
     found = locate(name)
     if found.name != folder:
-        raise PlaceError(
+        raise StoreError(
             f"{name}: has changed since the command was given; give the same command again"
         )
     return found

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.rules import noise_entry, sensor_entry
-from scenegen.errors import MOST_TOLD, DatasetError, PlaceError, printable, short
+from scenegen.errors import MOST_TOLD, DatasetError, StoreError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.run.software import software
@@ -199,7 +199,7 @@ def write(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Replace the manifest of `folder`; at a place, the one that was read last.
 
     If another run has put one there meanwhile, a complete one stays, and this one takes the place
-    of any other; they may list other shards, but none differently. Raises PlaceError where it is of
+    of any other; they may list other shards, but none differently. Raises StoreError where it is of
     another dataset.
     """
     content = (json.dumps(manifest, indent=1) + "\n").encode()
@@ -210,18 +210,18 @@ def write(folder: Path, manifest: Mapping[str, Any]) -> None:
         except ConflictError:
             there = read(folder)
         if parameters_of(there) != parameters_of(manifest):
-            raise PlaceError(
+            raise StoreError(
                 f"{folder}: another run has begun another dataset there; choose another --out for "
                 f"one"
             )
         if there["complete"] and manifest["complete"]:
-            raise PlaceError(
+            raise StoreError(
                 f"{folder}: another run has completed it with other bytes; give the same command "
                 f"again"
             )
         if there["complete"]:
             return
-    raise PlaceError(
+    raise StoreError(
         f"{folder}: other runs put manifests all the time; give the same command again to go on"
     )
 

@@ -17,7 +17,7 @@ from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
-from scenegen.stores import Object, PlacePath
+from scenegen.stores import Object, StorePath
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""
@@ -64,7 +64,7 @@ MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 
 
 def write_placed(spec: ShardTask) -> ShardReport:
-    """`write_shard` at a place, and the shard's report beside it. Raises PlaceError as well."""
+    """`write_shard` at a place, and the shard's report beside it. Raises StoreError as well."""
     report = write_shard(spec)
     _note(spec, report, [path.version for path in _paths(spec)])
     return report
@@ -76,9 +76,9 @@ def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[
 
     Objects that are those which a report beside them was written for are taken as they are: stores
     keep what they took. Any other shard is read, and removed where it is damaged. Raises
-    PlaceError.
+    StoreError.
     """
-    assert isinstance(folder, PlacePath)
+    assert isinstance(folder, StorePath)
     there = {item.name: item for item in folder.store.list()} if tasks else {}
 
     def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
@@ -118,7 +118,7 @@ def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) 
         "rejected": vars(report.rejected),
         "digests": report.digests.hex(),
     }
-    assert isinstance(spec.folder, PlacePath)
+    assert isinstance(spec.folder, StorePath)
     spec.folder.store.put_whole(spec.file.with_suffix(SUFFIX).name, json.dumps(said).encode())
 
 

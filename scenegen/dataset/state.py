@@ -22,7 +22,7 @@ from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report,
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, names_in, open_bounded, remove_drafts
 from scenegen.run.workers import run
-from scenegen.stores import PlacePath
+from scenegen.stores import StorePath
 
 SHARD = re.compile(rf"({'|'.join(SPLITS)})-[0-9]{{5}}(\.h5|\.worlds\.zip)", re.ASCII)
 """What the files of a shard are called."""
@@ -161,7 +161,7 @@ class State:
             shard for shard in shards if shard.file not in self.reports and shard.file.name in there
         ]
         listed = self._listed
-        if isinstance(self.plan.folder, PlacePath):
+        if isinstance(self.plan.folder, StorePath):
             tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
             self.reports |= {
                 self.plan.folder / report.file: report
@@ -219,7 +219,7 @@ class State:
         their files, and not their samples. The manifest lists them; those of a job that sees to
         `mine` alone stand in a file of its own."""
         if mine is not None and len(mine) < len(self.plan.shards):
-            if isinstance(self.plan.folder, PlacePath):
+            if isinstance(self.plan.folder, StorePath):
                 return  # a report lies beside each shard
             reports = [self.reports[shard.file] for shard in mine if shard.file in self.reports]
             parameters = manifest.fingerprint(self.plan.parameters)

@@ -2,7 +2,7 @@
 each fills `Store`.
 
 A store has no rename and no locks. What it promises instead: an object is complete or absent, and
-it can be put on the condition that nobody else put one meanwhile. `PlacePath` is how the code of
+it can be put on the condition that nobody else put one meanwhile. `StorePath` is how the code of
 datasets sees it.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from lidarsim.registry import Registry
-from scenegen.errors import DatasetError, PlaceError, printable
+from scenegen.errors import DatasetError, StoreError, printable
 
 LOCATED: dict[Path, tuple[Any, ...]] = {}
 """Folders of this machine that were found by a name with a scheme: for each, a function that finds
@@ -36,7 +36,7 @@ def note_file(folder: Path) -> Path:
     return Path(f"{folder}.place")
 
 
-class ConflictError(PlaceError):
+class ConflictError(StoreError):
     """An object is no longer, or not yet, what it was taken for: somebody else put one."""
 
 
@@ -52,7 +52,7 @@ class Store(Protocol):
     """A flat folder of objects, made of its whole name. Raises DatasetError for a name that cannot
     be.
 
-    Every method raises PlaceError, in one line that tells no credential, where the store refuses,
+    Every method raises StoreError, in one line that tells no credential, where the store refuses,
     is full, or does not answer in good time; a first failure is tried again. A store for reading
     alone raises it in the last three.
     """
@@ -99,8 +99,8 @@ STORES = Registry(
 
 def is_remote(name: object) -> bool:
     """Whether `name` stands for a store. A Path never does, whatever it looks like, unless it is a
-    `PlacePath`."""
-    return isinstance(name, PlacePath) or (isinstance(name, str) and REMOTE.match(name) is not None)
+    `StorePath`."""
+    return isinstance(name, StorePath) or (isinstance(name, str) and REMOTE.match(name) is not None)
 
 
 def folder_of(name: str) -> Path:
@@ -113,7 +113,7 @@ def folder_of(name: str) -> Path:
             )
         return Path(name)
     store_of(name)
-    return PlacePath(name)
+    return StorePath(name)
 
 
 def store_of(name: str) -> Store:
@@ -152,7 +152,7 @@ else:
     _Path = PurePosixPath  # so that what is not written below fails, and never reaches for a file
 
 
-class PlacePath(_Path):
+class StorePath(_Path):
     """A store, or an object in it, in the stead of a Path: it has those methods of Path that
     datasets are written by.
 
@@ -170,11 +170,11 @@ class PlacePath(_Path):
     def _home(self) -> Store:
         return store_of(str(self.parent))
 
-    def iterdir(self) -> Generator["PlacePath", None, None]:
+    def iterdir(self) -> Generator["StorePath", None, None]:
         """The objects in it."""
         return (self / item.name for item in self.store.list())
 
-    def glob(self, pattern: str) -> Generator["PlacePath", None, None]:
+    def glob(self, pattern: str) -> Generator["StorePath", None, None]:
         """The objects in it whose names are like `pattern`."""
         return (item for item in self.iterdir() if fnmatchcase(item.name, pattern))
 
@@ -199,7 +199,7 @@ class PlacePath(_Path):
     def mkdir(self, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
         """Nothing: there are no folders."""
 
-    def resolve(self, strict: bool = False) -> "PlacePath":
+    def resolve(self, strict: bool = False) -> "StorePath":
         """Itself."""
         return self
 
@@ -220,10 +220,10 @@ class PlacePath(_Path):
             copy.seek(0)
             return open(os.dup(copy.fileno()), "rb")
 
-    def _no_room(self, error: OSError) -> PlaceError:
+    def _no_room(self, error: OSError) -> StoreError:
         """What to say of this machine's disk, which says nothing of the object."""
         told = error.strerror or type(error).__name__
-        return PlaceError(
+        return StoreError(
             f"{self}: cannot be copied to this machine's temporary folder ({told}); free some "
             f"space there"
         )

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import IO, Any, NoReturn, TypeVar
 
-from scenegen.errors import DatasetError, PlaceError, needs, printable
+from scenegen.errors import DatasetError, StoreError, needs, printable
 from scenegen.stores import ConflictError, Object, Store, Version
 
 Result = TypeVar("Result")
@@ -183,9 +183,9 @@ class Bucket(Store):
         except (errors.BotoCoreError, errors.HTTPClientError, OSError, ValueError) as error:
             kind = type(error).__name__
             if re.search("Credential|Token|Profile|SSO|Login", kind):
-                raise PlaceError(f"{where}: no credentials are found ({kind}); {GIVE}") from None
+                raise StoreError(f"{where}: no credentials are found ({kind}); {GIVE}") from None
             if kind in SETTINGS:
-                raise PlaceError(
+                raise StoreError(
                     f"{where}: a setting of AWS cannot be used ({kind}); see to AWS_ENDPOINT_URL, "
                     f"AWS_DEFAULT_REGION "
                     "and the file of AWS_CONFIG_FILE"
@@ -194,29 +194,29 @@ class Bucket(Store):
         if code in LOST or status in (409, 412):
             raise ConflictError(f"{where}: somebody else has put it")
         if code == "NoSuchBucket":
-            raise PlaceError(
+            raise StoreError(
                 f"{where}: there is no bucket {self.bucket}; make it, or name one that is there"
             )
         if status == 404 and not name:
-            raise PlaceError(
+            raise StoreError(
                 f"{where}: nothing is there that speaks S3's protocol; see to AWS_ENDPOINT_URL"
             )
         if status == 404:
             raise FileNotFoundError(where)
         if code in FULL or status == 507:
-            raise PlaceError(
+            raise StoreError(
                 f"{where}: the store is full ({code}); free some space, or raise its quota; {AGAIN}"
             )
         if code in EXPIRED or status in (401, 403):
-            raise PlaceError(
+            raise StoreError(
                 f"{where}: the store refuses the credentials ({code}); renew them, or what they "
                 f"allow; {AGAIN}"
             )
         raise self._silent(name, f"{status} {code}")
 
-    def _silent(self, name: str, said: str) -> PlaceError:
+    def _silent(self, name: str, said: str) -> StoreError:
         where = f"{self.name}/{name}" if name else self.name
-        return PlaceError(
+        return StoreError(
             f"{where}: the store does not answer ({said}); see to the network and the server; "
             f"{AGAIN}"
         )
@@ -275,26 +275,26 @@ class Foreign(Store):
         return None
 
     def put_whole(self, name: str, content: bytes) -> Version:
-        """Raises PlaceError."""
+        """Raises StoreError."""
         self._read_only()
 
     def put_if(self, name: str, content: bytes, version: Version) -> Version:
-        """Raises PlaceError."""
+        """Raises StoreError."""
         self._read_only()
 
     def remove(self, name: str) -> None:
-        """Raises PlaceError."""
+        """Raises StoreError."""
         self._read_only()
 
     def _read_only(self) -> NoReturn:
-        raise PlaceError(
+        raise StoreError(
             f"{self.name}: is for reading alone; write to a folder, or to s3://bucket/folder"
         )
 
-    def _refused(self, name: str, error: Exception) -> PlaceError:
+    def _refused(self, name: str, error: Exception) -> StoreError:
         """Without what the file system says, which may hold anything."""
         where = f"{self.name}/{name}" if name else self.name
-        return PlaceError(
+        return StoreError(
             f"{where}: cannot be read ({type(error).__name__}); see to the name, the network and "
             f"the rights"
         )

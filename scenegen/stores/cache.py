@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO
 
 from lidarsim.jit import cache_root, folder_trouble, is_ours
-from scenegen.errors import PlaceError, printable
+from scenegen.errors import StoreError, printable
 from scenegen.stores import note_file, store_of
 
 AT_A_TIME = 8
@@ -41,7 +41,7 @@ def keep(store: str, name: str, manifest: bytes) -> Path:
     """The folder of copies of what a manifest of this name and content lists at `store`, with the
     manifest in it.
 
-    Raises PlaceError, also where others may write to the folder.
+    Raises StoreError, also where others may write to the folder.
     """
     folder = _root() / _digest(store.encode())[:16] / _digest(manifest)[:16]
     _check(folder)
@@ -59,7 +59,7 @@ def note(folder: Path, store: str, files: Mapping[str, str]) -> None:
     fetched.
 
     What another manifest of the same store lists by the same name and digest is shared. Raises
-    PlaceError.
+    StoreError.
     """
     path = note_file(folder)
     with _told(store):
@@ -74,7 +74,7 @@ def _told(store: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise PlaceError(
+        raise StoreError(
             f"{printable(error)}: copies of {store} go there; free some space, or name another "
             f"folder by SCENEGEN_CACHE"
         ) from None
@@ -84,7 +84,7 @@ def fetch(path: Path) -> bool:
     """Have `path` be there and whole, if it is in a folder of copies and a file of the store;
     whether it now is.
 
-    Raises PlaceError where the store does not give it, or other bytes than the manifest lists.
+    Raises StoreError where the store does not give it, or other bytes than the manifest lists.
     """
     about = note_of(path.parent)
     if about is None or path.name not in about.files:
@@ -102,7 +102,7 @@ def fetch(path: Path) -> bool:
                 file.flush()
                 file.seek(0)
                 if _sum(file) != about.files[path.name]:
-                    raise PlaceError(
+                    raise StoreError(
                         f"{about.store}/{path.name}: is not the file that the manifest lists; if "
                         f"a run goes on there, "
                         "wait for its end and give the same command again; else generate the "
@@ -146,13 +146,13 @@ def _sum(file: IO[bytes]) -> str:
 
 
 def fetch_all(folder: Path, names: Iterable[str]) -> None:
-    """Have all of these be in a folder of copies. Raises PlaceError, also for one that is not
+    """Have all of these be in a folder of copies. Raises StoreError, also for one that is not
     there."""
 
     def one(name: str) -> None:
         if not fetch(folder / name):
             about = note_of(folder)
-            raise PlaceError(
+            raise StoreError(
                 f"{about.store if about else folder}/{name}: is missing, though the manifest "
                 f"lists it"
             )
@@ -177,7 +177,7 @@ def note_of(folder: Path) -> Note | None:
 
 def bytes_in(folder: Path) -> int:
     """Bytes of the files in a folder, or of those that a folder of copies is of, fetched or not.
-    Raises PlaceError."""
+    Raises StoreError."""
     there = {path.name: path.stat().st_size for path in folder.iterdir() if path.is_file()}
     if (about := note_of(folder)) is not None:
         there |= {
@@ -200,7 +200,7 @@ def _noted(folder: Path) -> Note:
 
 def _check(folder: Path) -> None:
     if trouble := folder_trouble(folder):
-        raise PlaceError(
+        raise StoreError(
             f"{trouble}: copies of datasets go there; see to it, or name another folder by "
             f"SCENEGEN_CACHE"
         )

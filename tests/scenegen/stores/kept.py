@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from scenegen.errors import DatasetError, PlaceError
+from scenegen.errors import DatasetError, StoreError
 from scenegen.stores import ConflictError, Object, Store, Version
 
 HOME = "TESTS_KEPT"
@@ -71,7 +71,7 @@ class Kept(Store):
         if room := os.environ.get(ROOM):
             left = int(Path(room).read_text())
             if left == 0:
-                raise PlaceError(f"{self.name}/{name}: the store is full")
+                raise StoreError(f"{self.name}/{name}: the store is full")
             Path(room).write_text(str(left - 1))
         self.home.mkdir(parents=True, exist_ok=True)
         (self.home / name).write_bytes(content)

@@ -22,8 +22,8 @@ import pytest
 from scenegen import load
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
-from scenegen.errors import PlaceError
-from scenegen.stores import PlacePath
+from scenegen.errors import StoreError
+from scenegen.stores import StorePath
 from scenegen.verification import verify
 from tests.command_line import SMALL
 from tests.scenegen.run import everywhere
@@ -109,9 +109,9 @@ class Run:
 
 def objects(bucket: str) -> dict[str, bytes]:
     """What the bucket holds of the dataset, less what is there for resuming alone."""
-    store = PlacePath(f"s3://{bucket}/d").store
+    store = StorePath(f"s3://{bucket}/d").store
     names = [item.name for item in store.list()]
-    found = {name: (PlacePath(f"s3://{bucket}/d") / name).read_bytes() for name in names}
+    found = {name: (StorePath(f"s3://{bucket}/d") / name).read_bytes() for name in names}
     for name, content in found.items():
         assert SECRET.encode() not in content, name
         assert KEY.encode() not in content, name
@@ -126,7 +126,7 @@ def wait_for(bucket: str, shards: int) -> int:
     """Wait until so many shards are there; how many are."""
     for _ in range(600):
         there = sum(
-            item.name.endswith(".h5") for item in PlacePath(f"s3://{bucket}/d").store.list()
+            item.name.endswith(".h5") for item in StorePath(f"s3://{bucket}/d").store.list()
         )
         if there >= shards:
             return there
@@ -137,7 +137,7 @@ def wait_for(bucket: str, shards: int) -> int:
 @pytest.mark.parametrize("of_what", [None, "version"])
 def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -> None:
     """Of eight at once exactly one wins, and what it put is there."""
-    store = PlacePath(f"s3://{bucket}/d").store
+    store = StorePath(f"s3://{bucket}/d").store
     for turn in range(20):
         name = f"race-{turn}"
         version = store.put_whole(name, b"first") if of_what else None
@@ -154,7 +154,7 @@ def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -
             try:
                 store.put_if(name, mine, version)
                 won.append(mine)
-            except PlaceError:  # a conflict, or what Ceph answers to some that lose a race, 500
+            except StoreError:  # a conflict, or what Ceph answers to some that lose a race, 500
                 pass
 
         threads = [threading.Thread(target=put, args=(f"{n}".encode(),)) for n in range(8)]
@@ -163,7 +163,7 @@ def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -
         for thread in threads:
             thread.join()
         assert len(won) == 1
-        assert (PlacePath(f"s3://{bucket}/d") / name).read_bytes() == won[0]
+        assert (StorePath(f"s3://{bucket}/d") / name).read_bytes() == won[0]
 
 
 def test_the_server_is_killed_and_begun_again_in_mid_write(

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from scenegen.dataset.locate import locate
-from scenegen.errors import PlaceError
+from scenegen.errors import StoreError
 from scenegen.run import EXECUTORS
 from tests.command_line import run
 from tests.conftest import Once
@@ -61,7 +61,7 @@ def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
     def fail(self: Kept, name: str, *more: Any) -> Any:
         asked.append(name)
         if asked.count("val-00000.h5") == 2:  # the command itself copies everything, too
-            raise PlaceError(f"{self.name}/{name}: the store does not answer")
+            raise StoreError(f"{self.name}/{name}: the store does not answer")
         return read(self, name, *more)
 
     monkeypatch.setattr(Kept, "read", fail)
@@ -77,6 +77,6 @@ def test_a_dataset_that_changes_meanwhile_is_not_mixed_with_the_first(
     manifest = store / "lab" / "d" / "dataset.json"
     manifest.write_text(json.dumps(json.loads(manifest.read_text())))  # the same, written otherwise
     with pytest.raises(
-        PlaceError, match=rf"{NAME}: has changed since the command was given.* \(on "
+        StoreError, match=rf"{NAME}: has changed since the command was given.* \(on "
     ):
         list(Bare("", 1)(str, [folder], lambda: None))

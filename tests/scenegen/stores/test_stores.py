@@ -22,9 +22,9 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.state import Plan
-from scenegen.errors import DatasetError, PlaceError
+from scenegen.errors import DatasetError, StoreError
 from scenegen.source import DrawnWorlds
-from scenegen.stores import ConflictError, PlacePath, folder_of, is_remote
+from scenegen.stores import ConflictError, StorePath, folder_of, is_remote
 from scenegen.verification import verify
 from tests.command_line import run
 from tests.conftest import small_recipe
@@ -91,13 +91,13 @@ def test_credentials_in_a_name_are_refused_and_not_repeated() -> None:
 
 
 def test_a_place_is_named_as_it_was_given_and_names_what_lies_in_it() -> None:
-    folder = PlacePath("s3://lab/a/b")
+    folder = StorePath("s3://lab/a/b")
     assert (str(folder), str(folder / "x.h5"), (folder / "x.h5").name) == (
         "s3://lab/a/b",
         "s3://lab/a/b/x.h5",
         "x.h5",
     )
-    assert type((folder / "x.h5").with_suffix(".report.json").parent) is PlacePath
+    assert type((folder / "x.h5").with_suffix(".report.json").parent) is StorePath
     with pytest.raises(AttributeError):
         folder.open()  # nothing of Path's reaches for a file of that name
 
@@ -137,7 +137,7 @@ def test_a_store_that_is_full_after_any_put_loses_nothing(
             whole = write(
                 on_shard=lambda report, new, to=fresh: to.append(report.file) if new else None
             ).complete
-        except PlaceError:
+        except StoreError:
             ended += 1
         assert not before & set(fresh)
         drawn += fresh
@@ -196,7 +196,7 @@ def test_a_disk_without_room_for_a_copy_is_no_damage(
 
     monkeypatch.setattr(Kept, "read", full)
     with pytest.raises(
-        PlaceError, match=r"train-00002.h5: cannot be copied to .*\(No space left on device\)"
+        StoreError, match=r"train-00002.h5: cannot be copied to .*\(No space left on device\)"
     ):
         write()
     assert objects(store) == files(made)
@@ -236,7 +236,7 @@ def test_two_drivers_of_different_datasets_never_mix(store: Path, made: Path) ->
         return begin(name, content, version)
 
     home.put_if = another_was_faster  # type: ignore[method-assign]
-    with pytest.raises(PlaceError, match="another run has begun another dataset there"):
+    with pytest.raises(StoreError, match="another run has begun another dataset there"):
         build(mine)
     assert objects(store) == {"dataset.json": theirs}
 
@@ -309,11 +309,11 @@ def test_other_bytes_than_the_manifests_are_refused_and_not_kept(store: Path, ma
     forget()
     split = load(NAME, split="test")
     with pytest.raises(
-        PlaceError, match=f"{NAME}/test-00000.h5: is not the file that the manifest lists"
+        StoreError, match=f"{NAME}/test-00000.h5: is not the file that the manifest lists"
     ):
         split[0]
     assert {path.name for path in split.dataset.folder.iterdir()} == {"dataset.json"}
-    with pytest.raises(PlaceError, match=r"test-00000.h5"):
+    with pytest.raises(StoreError, match=r"test-00000.h5"):
         locate(NAME, whole=True)
 
 
@@ -337,7 +337,7 @@ def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
         lambda: load(folder)[0],
     ):  # by the store's name, and in another process
         with pytest.raises(
-            PlaceError, match=r"others may write to|belongs to another user"
+            StoreError, match=r"others may write to|belongs to another user"
         ) as refused:
             ask()
         assert str(at if what == "open to others" else tmp_path / "copies") in str(refused.value)
@@ -436,7 +436,7 @@ def test_other_places_are_read_by_fsspec(
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path))
     fsspec.filesystem("memory").put(f"{made}/*", "/pillar/")
     assert load("memory://pillar", split="test")[2].sha256() == load(made, split="test")[2].sha256()
-    with pytest.raises(PlaceError, match="is for reading alone"):
+    with pytest.raises(StoreError, match="is for reading alone"):
         build(plan(folder_of("memory://new")))
     with pytest.raises(
         DatasetError, match=r"nothing://there: fsspec has nothing here that reads it \(ValueError\)"
@@ -477,7 +477,7 @@ def test_an_answer_that_is_cut_off_is_asked_for_again(monkeypatch: pytest.Monkey
     assert bucket.read("y", file, 4) == "e"
     assert file.getvalue() == b"abcd"
     Cut.left = 100
-    with pytest.raises(PlaceError, match="s3://lab/x/y: the store does not answer"):
+    with pytest.raises(StoreError, match="s3://lab/x/y: the store does not answer"):
         bucket.read("y", file, 4)
     with pytest.raises(DatasetError, match="4 bytes, expected 3 at most"):
         bucket.read("y", file, 3)
@@ -535,7 +535,7 @@ def test_an_odd_servers_answer_ends_in_one_line(
             }
         for ask in asked.values():
             with pytest.raises(
-                PlaceError, match=r"s3://lab/x.*: the store does not answer"
+                StoreError, match=r"s3://lab/x.*: the store does not answer"
             ) as refused:
                 ask()
             assert str(refused.value).isprintable()
@@ -569,7 +569,7 @@ def test_a_refusal_is_told_in_one_line_without_what_the_server_repeats(
         stub.add_client_error(
             "put_object", code, "you sent\nAKIATOLD secret", http_status_code=status
         )
-        with pytest.raises(PlaceError) as refused:
+        with pytest.raises(StoreError) as refused:
             bucket.put_if("train-00000.h5", b"", None)
     assert f"s3://lab/x/train-00000.h5: {told}" in str(refused.value)
     assert "AKIATOLD" not in str(refused.value)
