@@ -14,9 +14,9 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 264_000, "benchmarks": 25_000, "tests": 295_000}
-FILES = 280
-LINES = 460
+TOKENS = {"product": 247_000, "benchmarks": 25_000, "tests": 277_000}
+FILES = 215
+LINES = 400
 """The longest file of product code."""
 WIDTH = 100
 UNCOUNTED = {
@@ -60,7 +60,7 @@ def main() -> None:
     for name, text in {key: one for files in groups.values() for key, one in files.items()}.items():
         for number, line in enumerate(text.splitlines(), start=1):
             if len(line) > WIDTH:
-                print(f"{name}:{number}: {len(line)} characters, expected {WIDTH} at most")
+                broken.append(f"{name}:{number}: {len(line)} characters, expected {WIDTH} at most")
     sys.exit("\n".join(broken) or 0)
 
 

@@ -3,6 +3,7 @@ kind, noise, the sensor, and how samples are numbered."""
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 import re
@@ -16,8 +17,11 @@ from lidarsim import BeamTable, Lidar, Sensor
 from lidarsim.noise import STAGES
 from lidarsim.parameters import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
+from scenegen import SPLITS
 from scenegen.errors import BrokenError, DatasetError, NewerError, printable, short
 from scenegen.files import read_bounded, write_whole
+from scenegen.limits import MOST_CLASSES, MOST_SEED, MOST_SOURCES
+from scenegen.sample import stored_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,3 +306,58 @@ def write_rays(sensor: Sensor, folder: Path) -> None:
 
 def _raster(entry: Mapping[str, Any]) -> Lidar:
     return made(Lidar, entry, {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar")
+
+
+FLAGS = (False, True)
+FIELDS_RULE = Rule(
+    lambda value: (
+        value
+        in [
+            list(stored_fields(*given, scans))
+            for given in itertools.product(FLAGS, FLAGS)
+            for scans in (1, 2)
+        ]
+    ),
+    "all, or all but the derived ones, with labels or without, with earlier scans or without",
+)
+LABELS_RULES = {
+    "by": Rule(lambda value: value in ("name", "material", "group"), "name, material or group"),
+    "classes": Rule(
+        lambda value: (
+            isinstance(value, list)
+            and 0 < len(value) <= MOST_CLASSES
+            and all(isinstance(name, str) and name.isprintable() for name in value)
+            and len(set(value)) == len(value)
+        ),
+        f"up to {MOST_CLASSES} different names",
+    ),
+}
+TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
+RECIPE_RULES = {
+    "version": whole(0, MOST_SEED),
+    "world": optional(TABLE),
+    "flight": TABLE,
+    "accept": TABLE,
+    "scenes": Rule(
+        lambda value: (
+            value is None
+            or (
+                isinstance(value, dict)
+                and value.keys() <= set(SPLITS)
+                and all(
+                    isinstance(worlds, list) and all(map(TEXTS.fits, worlds))
+                    for worlds in value.values()
+                )
+            )
+        ),
+        "the worlds of each split",
+    ),
+}
+FILE_RULE = text(
+    r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)",
+    "such as train-00000.h5 or train-00000.worlds.zip",
+)
+SOURCES_RULE = Rule(
+    lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES,
+    "datasets, one at least",
+)

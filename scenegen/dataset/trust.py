@@ -1,7 +1,6 @@
 """What readers rely on in a manifest, checked before they do: it may come from a stranger."""
 
 import dataclasses
-import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -17,9 +16,15 @@ from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.rules import (
     DIGEST,
+    FIELDS_RULE,
+    FILE_RULE,
     FLAG,
+    LABELS_RULES,
     LIST,
+    RECIPE_RULES,
+    SOURCES_RULE,
     TABLE,
+    TEXTS,
     Numbering,
     Rule,
     check,
@@ -39,7 +44,6 @@ from scenegen.dataset.rules import (
 )
 from scenegen.errors import BrokenError, DatasetError, NewerError, RecipeError, printable, short
 from scenegen.limits import (
-    MOST_CLASSES,
     MOST_KIND_NAME,
     MOST_RAYS_IN_SAMPLE,
     MOST_SAMPLES,
@@ -49,7 +53,7 @@ from scenegen.limits import (
     MOST_VIEWPOINTS,
     MOST_VOXELS,
 )
-from scenegen.sample import EARLIER, FIELDS, LABELS, stored_fields
+from scenegen.sample import EARLIER, FIELDS, LABELS
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:  # which imports what draws worlds
@@ -59,73 +63,20 @@ MINOR = tuple(name for names in manifest.MINOR.values() for name in names)
 """Entries by which a manifest is of a minor version."""
 _MAPPING = {item.name: item.name for item in dataclasses.fields(Mapper)}
 _COUNT = whole(0, MOST_SAMPLES)
-FLAGS = (False, True)
-_FIELDS = Rule(
-    lambda value: (
-        value
-        in [
-            list(stored_fields(*given, scans))
-            for given in itertools.product(FLAGS, FLAGS)
-            for scans in (1, 2)
-        ]
-    ),
-    "all, or all but the derived ones, with labels or without, with earlier scans or without",
-)
-_LABELS = {
-    "by": Rule(lambda value: value in ("name", "material", "group"), "name, material or group"),
-    "classes": Rule(
-        lambda value: (
-            isinstance(value, list)
-            and 0 < len(value) <= MOST_CLASSES
-            and all(isinstance(name, str) and name.isprintable() for name in value)
-            and len(set(value)) == len(value)
-        ),
-        f"up to {MOST_CLASSES} different names",
-    ),
-}
 _GIVEN = Rule(lambda value: True, "a value")
 _ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
-_LIST_OF_SOURCES = Rule(
-    lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES,
-    "datasets, one at least",
-)
 _SOURCE = {"digest": DIGEST, "parameters": TABLE, "taken": LIST}
 ALIKE = ("format", "generator", "fields", "grid", "lidar", "noise", "labels", "mapping")
 """Parameters in which all datasets agree whose samples are in one."""
-_TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
-_FILE = text(
-    r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)",
-    "such as train-00000.h5 or train-00000.worlds.zip",
-)
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
-_RECIPE_RULES = {
-    "version": whole(0, MOST_SEED),
-    "world": optional(TABLE),
-    "flight": TABLE,
-    "accept": TABLE,
-    "scenes": Rule(
-        lambda value: (
-            value is None
-            or (
-                isinstance(value, dict)
-                and value.keys() <= set(SPLITS)
-                and all(
-                    isinstance(worlds, list) and all(map(_TEXTS.fits, worlds))
-                    for worlds in value.values()
-                )
-            )
-        ),
-        "the worlds of each split",
-    ),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
     """A shard, as the manifest lists it."""
 
-    file: str = ruled(_FILE)
-    worlds: str = ruled(_FILE)
+    file: str = ruled(FILE_RULE)
+    worlds: str = ruled(FILE_RULE)
     split: str = ruled(Rule(lambda value: value in SPLITS, "train, val or test"))
     samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
     first_world: int = ruled(_COUNT)
@@ -191,7 +142,7 @@ class Manifest:
     """The datasets that its samples were made for, each without shards; none where they were made
     for this one."""
     shard_samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
-    software: Mapping[str, str] = ruled(_TEXTS)
+    software: Mapping[str, str] = ruled(TEXTS)
     complete: bool = ruled(FLAG)
     shards: tuple[Entry, ...]
     rejected: Mapping[str, Mapping[str, int]] = ruled(TABLE)
@@ -314,15 +265,15 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
         "fields",
         FIELDS,
     )
-    check(found, {"fields": _FIELDS, "sources": optional(_LIST_OF_SOURCES)}, "")
+    check(found, {"fields": FIELDS_RULE, "sources": optional(SOURCES_RULE)}, "")
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
     check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
-    check(_RECIPE | found["recipe"], _RECIPE_RULES, "recipe")
+    check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
     check(found["grid"], {name: _GIVEN for name in manifest.GRID if name != manifest.RARE}, "grid")
     files_of(found["lidar"])
     check_noise(found["noise"])
     if found["labels"] is not None:
-        check(found["labels"], _LABELS, "labels", _LABELS)
+        check(found["labels"], LABELS_RULES, "labels", LABELS_RULES)
     if (found["labels"] is not None) != (found["fields"][-1] in LABELS):
         raise BrokenError("labels: expected exactly where `fields` names labels")
     if found["rescan"] is not None:
