@@ -5,6 +5,7 @@ import functools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from lidarsim.noise.returns import Returns, albedo_of
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
 from scenegen.recipe import Recipe
-from scenegen.sample import Sample, earlier_fields, whole
+from scenegen.sample import Sample, earlier_fields
 from scenegen.source import Source
 from scenegen.truth import distance_field, rasterize
 from scenegen.worlds.flight import Viewpoints, plan, viewpoints
@@ -213,7 +214,7 @@ def samples_of(
         own, *earlier = scans
         origin = recipe.mapping.origin(recipe.grid, own.pose)
         seen = fuse(scans[::-1], recipe.grid, origin, recipe.mapping)
-        values = {
+        values: dict[str, Any] = {
             "observed": seen.observed,
             "free": seen.free,
             "occupancy": occupancy,
@@ -228,7 +229,7 @@ def samples_of(
         }
         if recipe.labels is not None:
             values |= label_fields(values, world, recipe.lidar, recipe.grid, recipe.labels)
-        found.append(whole(values))
+        found.append(Sample(**values, lidar=recipe.lidar, grid=recipe.grid))
     return tuple(found)
 
 

@@ -2,7 +2,7 @@
 rest."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
@@ -14,27 +14,37 @@ from lidarsim.pose import rotate
 from scenegen.truth import distance_field
 
 
-def _stored(dtype: str, axes: str, meaning: str, *, unit: str = "", derived: bool = False) -> Any:
-    """A field of the record: its type on disk, its axes (`grid`, `rays`, `earlier` scans, a count,
-    or none), what it means, its unit (nothing for a count, a flag or a ratio), and whether it
-    follows from the other fields."""
-    return field(
-        metadata={
-            "dtype": dtype,
-            "axes": axes,
-            "unit": unit,
-            "meaning": meaning,
-            "derived": derived,
-        }
-    )
+def _stored(
+    dtype: str, axes: str, meaning: str, *, unit: str = "", derived: bool = False, group: str = ""
+) -> Any:
+    """A field of the record.
+
+    Args:
+        dtype: Its type on disk.
+        axes: `grid`, `rays`, `earlier` scans, a count, or nothing for a single value.
+        meaning: What it means, once for readers, cards and this code alike.
+        unit: Its unit; nothing for a count, a flag or a ratio.
+        derived: Whether it follows from the other fields.
+        group: The group of fields that only some datasets have; nothing for a field of all.
+    """
+    about: dict[str, Any] = {"dtype": dtype, "axes": axes, "unit": unit, "meaning": meaning}
+    about |= {"derived": derived, "group": group}
+    if not group:
+        return field(metadata=about)
+    # a factory, since a default would be found on the class before a field is looked up
+    return field(metadata=about, default_factory=lambda: None)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Sample:
-    """What was seen and what was there. Grids are indexed x, y, z; lengths are metres; positions in
-    the world.
+    """What was seen and what was there.
 
-    What each field means stands in its metadata, once for readers, cards and this code alike.
+    Grids are indexed x, y, z; lengths are metres; positions are in the world's frame. A dataset
+    with several scans a sample has the fields `earlier_…`, the last scan made first; one with
+    labels has `return_…` and `voxel_…`, where geoms are numbered as in the compiled world and
+    classes as in the manifest's `labels`. These fields are None in other datasets. The fields of a
+    sample that comes from a dataset or a stream are read when they are first asked for; a copy of
+    it, by pickle or by `dataclasses.replace`, holds all of them.
     """
 
     observed: NDArray[np.bool_] = _stored("bool", "grid", "voxels that hold at least one return")
@@ -68,15 +78,80 @@ class Sample:
     )
     world: int = _stored("<i8", "", "the world's number within its split")
     viewpoint: int = _stored("<i8", "", "the sample's place among its world's accepted viewpoints")
+    earlier_ranges: NDArray[np.float32] | None = _stored(
+        "<f4", "earlier rays", "as `ranges`, of the scans before", unit="m", group="earlier"
+    )
+    earlier_position: NDArray[np.float64] | None = _stored(
+        "<f8", "earlier 3", "of the sensor at each: x, y, z", unit="m", group="earlier"
+    )
+    earlier_quaternion: NDArray[np.float64] | None = _stored(
+        "<f8", "earlier 4", "the body's attitude at each: w, x, y, z", group="earlier"
+    )
+    return_geom: NDArray[np.int32] | None = _stored(
+        "<i4", "rays", "the geom that each ray met; -1 where nothing returned", group="labels"
+    )
+    return_class: NDArray[np.uint16] | None = _stored(
+        "<u2", "rays", "its class; 0 where nothing returned", group="labels"
+    )
+    voxel_geom: NDArray[np.int32] | None = _stored(
+        "<i4",
+        "grid",
+        "truth: the geom that holds the voxel's centre, or is nearest to it; -1 where not occupied",
+        group="labels",
+    )
+    voxel_class: NDArray[np.uint16] | None = _stored(
+        "<u2", "grid", "truth: its class; 0 where not occupied", group="labels"
+    )
+    lidar: Sensor | None = None
+    """The sensor that made the sample, where it is known."""
+    grid: GridSpec | None = None
+    """The map's grid, where it is known."""
+
+    @classmethod
+    def lazy(
+        cls,
+        names: Iterable[str],
+        find: "Callable[[Sample, str], Any]",
+        *,
+        lidar: Sensor,
+        grid: GridSpec,
+    ) -> "Sample":
+        """The sample with the fields `names`, each of which `find` is asked for once."""
+        sample = cls.__new__(cls)
+        sample.__dict__.update(_names=tuple(names), _find=find, lidar=lidar, grid=grid)
+        return sample
+
+    def __getattr__(self, name: str) -> Any:
+        known = self.__dict__
+        if name not in FIELDS or "_find" not in known:
+            raise AttributeError(f"a sample has no field {name!r}; it has {', '.join(FIELDS)}")
+        value = known["_find"](self, name) if name in known["_names"] else None
+        return known.setdefault(name, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its fields, in the order of the schema."""
+        known: tuple[str, ...] | None = self.__dict__.get("_names")
+        return known or tuple(name for name in FIELDS if getattr(self, name) is not None)
 
     def points(
         self, lidar: Sensor | None = None, *, frame: Literal["world", "body"] = "world"
     ) -> NDArray[np.float64]:
-        """The returns (M, 3) of all its scans, in their order and in ray order, metres, in the
-        world or in the body's frame, which is that of the sample's own scan.
+        """The returns of all its scans.
 
-        A sample of a dataset knows its sensor; another needs `lidar`, and raises TypeError without
-        it.
+        Args:
+            lidar: The sensor, for a sample that does not know its own.
+            frame: "world", or "body" for the frame of the body that holds the sensor at the
+                sample's own scan.
+
+        Returns:
+            Points (M, 3) in metres, scan by scan as in `scans`, each in ray order.
+
+        Raises:
+            TypeError: The sensor is not known.
         """
         own, *earlier = self.scans(lidar)
         if frame == "world":
@@ -89,24 +164,17 @@ class Sample:
 
     def scans(self, lidar: Sensor | None = None) -> list[Scan]:
         """The scans that its map is made of: its own, and then those before it, the last made
-        first. See `points`."""
-        lidar = lidar if lidar is not None else self._sensor()
+        first. Raises TypeError where the sensor is not known."""
+        lidar = lidar if lidar is not None else self.lidar
         if lidar is None:
             raise TypeError(
                 "points() and scans() need the sensor that made this sample, such as recipe.lidar"
             )
-        earlier = zip(*(getattr(self, name) for name in EARLIER if name in self.names), strict=True)
-        views = [(self.ranges, self.position, self.quaternion), *earlier]
+        views = [(self.ranges, self.position, self.quaternion)]
+        if self.earlier_ranges is not None:
+            earlier = (getattr(self, name) for name in GROUPS["earlier"])
+            views += zip(*earlier, strict=True)
         return [Scan(ranges, Pose(*pose), lidar) for ranges, *pose in views]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Its fields."""
-        return tuple(item.name for item in fields(self))
-
-    def _sensor(self) -> Sensor | None:
-        """The sensor that made the sample, where it is known."""
-        return None
 
     def __repr__(self) -> str:
         shares = ", ".join(
@@ -119,120 +187,90 @@ class Sample:
         """For notebooks: each field with its shape, its share or value, and its meaning."""
         rows = []
         for name in self.names:
-            about, value = FIELDS[name], np.asarray(getattr(self, name))
-            said = (
-                f"{100 * value.mean():.2f} %"
-                if value.dtype == bool
-                else str(value)
-                if value.size <= 4
-                else ""
-            )
+            value, said = np.asarray(getattr(self, name)), ""
+            if value.dtype == bool:
+                said = f"{100 * value.mean():.2f} %"
+            elif value.size <= 4:
+                said = str(value)
             rows.append(
                 f"<tr><td>{name}</td><td>{value.shape}</td><td>{said}</td>"
-                f"<td>{about['meaning']}</td></tr>"
+                f"<td>{FIELDS[name]['meaning']}</td></tr>"
             )
         return f"<table>{''.join(rows)}</table>"
 
     def sha256(self) -> bytes:
-        """The sample's own digest (32 bytes), over what does not follow from the rest: see
-        docs/format.md."""
+        """The sample's own digest (32 bytes) over what does not follow from the rest, as
+        docs/format.md defines it."""
         digest = hashlib.sha256()
         digest.update(np.packbits(self.observed).tobytes())
         digest.update(np.packbits(self.occupancy).tobytes())
         for name in ("ranges", "position", "quaternion", "origin", "world", "viewpoint"):
-            digest.update(np.asarray(getattr(self, name), dtype=SCHEMA[name]["dtype"]).tobytes())
+            digest.update(np.asarray(getattr(self, name), dtype=FIELDS[name]["dtype"]).tobytes())
+        for names in (names for group, names in GROUPS.items() if group):
+            if getattr(self, names[0]) is not None:
+                digest = hashlib.sha256(digest.digest())
+                for name in names:
+                    values = np.asarray(getattr(self, name), dtype=FIELDS[name]["dtype"])
+                    digest.update(values.tobytes())
         return digest.digest()
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class EarlierScans(Sample):
-    """A sample whose map is made of several scans: its own, and others before it, the last made
-    first."""
-
-    earlier_ranges: NDArray[np.float32] = _stored(
-        "<f4", "earlier rays", "as `ranges`, of the scans before", unit="m"
-    )
-    earlier_position: NDArray[np.float64] = _stored(
-        "<f8", "earlier 3", "of the sensor at each: x, y, z", unit="m"
-    )
-    earlier_quaternion: NDArray[np.float64] = _stored(
-        "<f8", "earlier 4", "the body's attitude at each: w, x, y, z"
-    )
-
-    def sha256(self) -> bytes:
-        """The sample's own digest (32 bytes): that without earlier scans, and these."""
-        return _digest_with(super().sha256(), self, EARLIER)
+FIELDS = {item.name: item.metadata for item in fields(Sample) if "dtype" in item.metadata}
+"""Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning`, `group`, and
+whether it is `derived`."""
+GROUPS = {
+    group: tuple(name for name, about in FIELDS.items() if about["group"] == group)
+    for group in dict.fromkeys(about["group"] for about in FIELDS.values())
+}
+"""The fields of every group; under "" those that every sample has."""
+DERIVED = tuple(name for name, about in FIELDS.items() if about["derived"])
+"""Fields that follow from others."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LabelledSample(Sample):
-    """A sample of a dataset with labels: which geom of its world each return and each voxel is of,
-    and of which class.
+@dataclass(frozen=True, kw_only=True)
+class Schema:
+    """Which fields the samples of a dataset have, and of which shapes."""
 
-    Geoms are numbered as in the compiled world; classes as the manifest's `labels` lists them.
-    """
+    grid: GridSpec
+    lidar: Sensor
+    groups: tuple[str, ...] = ()
+    """The groups of fields that they have besides those of every sample."""
+    scans: int = 1
+    """Scans of a sample."""
 
-    return_geom: NDArray[np.int32] = _stored(
-        "<i4", "rays", "the geom that each ray met; -1 where nothing returned"
-    )
-    return_class: NDArray[np.uint16] = _stored("<u2", "rays", "its class; 0 where nothing returned")
-    voxel_geom: NDArray[np.int32] = _stored(
-        "<i4",
-        "grid",
-        "truth: the geom that holds the voxel's centre, or is nearest to it; -1 where not occupied",
-    )
-    voxel_class: NDArray[np.uint16] = _stored(
-        "<u2", "grid", "truth: its class; 0 where not occupied"
-    )
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all fields, in order."""
+        return tuple(name for name, about in FIELDS.items() if about["group"] in ("", *self.groups))
 
-    def sha256(self) -> bytes:
-        """The sample's own digest (32 bytes): that without labels, and the labels."""
-        return _digest_with(super().sha256(), self, LABELS)
+    def stored(self, *, compact: bool) -> tuple[str, ...]:
+        """Names of the fields that a dataset stores: all, or, if `compact`, those that do not
+        follow from others."""
+        return tuple(name for name in self.names if not (compact and name in DERIVED))
 
+    def shape(self, name: str) -> tuple[int, ...]:
+        """The shape of a field of one sample."""
+        named: dict[str, tuple[int, ...]] = {
+            "grid": self.grid.shape,
+            "rays": self.lidar.shape,
+            "earlier": (self.scans - 1,),
+        }
+        axes = FIELDS[name]["axes"].split()
+        return tuple(
+            count for axis in axes for count in (named[axis] if axis in named else (int(axis),))
+        )
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class LabelledEarlierScans(LabelledSample, EarlierScans):
-    """A sample with labels, of its own scan and its map, and with earlier scans."""
-
-
-def _digest_with(digest: bytes, sample: Sample, names: Mapping[str, Any]) -> bytes:
-    """A digest over another one and the fields `names` of a sample."""
-    found = hashlib.sha256(digest)
-    for name, meta in names.items():
-        found.update(np.asarray(getattr(sample, name), dtype=meta["dtype"]).tobytes())
-    return found.digest()
-
-
-class LazySample(Sample):
-    """A sample each field of which is found when it is first asked for, and then kept.
-
-    A copy, pickled or not, is a plain `Sample` with all its fields.
-    """
-
-    def find(self, name: str) -> Any:
-        """The value of a field of the schema."""
-        raise NotImplementedError
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in FIELDS or name not in self.names:
-            raise AttributeError(f"a sample has no field {name!r}; it has {', '.join(SCHEMA)}")
-        return self.__dict__.setdefault(name, self.find(name))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return whole, ({name: getattr(self, name) for name in self.names},)
-
-
-def whole(values: Mapping[str, Any]) -> Sample:
-    """The sample that has these values of its fields, with labels and earlier scans where they are
-    among them."""
-    labelled, earlier = values.keys() >= LABELS.keys(), values.keys() >= EARLIER.keys()
-    kinds = {
-        (False, False): Sample,
-        (False, True): EarlierScans,
-        (True, False): LabelledSample,
-        (True, True): LabelledEarlierScans,
-    }
-    return kinds[labelled, earlier](**values)
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """Every field: name to its numpy `dtype`, `shape`, `unit` ("" for none), and `meaning`."""
+        return {
+            name: {
+                "dtype": np.dtype(FIELDS[name]["dtype"]).name,
+                "shape": self.shape(name),
+                "unit": FIELDS[name]["unit"],
+                "meaning": FIELDS[name]["meaning"],
+            }
+            for name in self.names
+        }
 
 
 def earlier_fields(scans: Sequence[Scan]) -> dict[str, NDArray[Any]]:
@@ -243,62 +281,7 @@ def earlier_fields(scans: Sequence[Scan]) -> dict[str, NDArray[Any]]:
     values = zip(
         *((scan.ranges, scan.pose.position, scan.pose.quaternion) for scan in scans), strict=True
     )
-    return {name: np.array(value) for name, value in zip(EARLIER, values, strict=True)}
-
-
-SCHEMA = {item.name: item.metadata for item in fields(Sample)}
-"""Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning` and whether it
-is `derived`."""
-
-
-EARLIER = {item.name: item.metadata for item in fields(EarlierScans) if item.name not in SCHEMA}
-"""The same of what a dataset with several scans a sample stores besides."""
-LABELS = {item.name: item.metadata for item in fields(LabelledSample) if item.name not in SCHEMA}
-"""The same of what a dataset with labels stores besides."""
-FIELDS = SCHEMA | EARLIER | LABELS
-
-
-def fields_of(scans: int, *, labels: bool) -> tuple[str, ...]:
-    """Names of all fields of a sample of so many scans."""
-    return (*SCHEMA, *(EARLIER if scans > 1 else ()), *(LABELS if labels else ()))
-
-
-def stored_fields(compact: bool, labels: bool = False, scans: int = 1) -> tuple[str, ...]:
-    """Names of the fields that a dataset stores."""
-    return tuple(
-        name
-        for name in fields_of(scans, labels=labels)
-        if not (compact and FIELDS[name]["derived"])
-    )
-
-
-def shape_of(name: str, grid: GridSpec, lidar: Sensor, scans: int = 1) -> tuple[int, ...]:
-    """Shape of the field `name` of one sample of so many scans."""
-    named: dict[str, tuple[int, ...]] = {
-        "grid": grid.shape,
-        "rays": lidar.shape,
-        "earlier": (scans - 1,),
-    }
-    axes = FIELDS[name]["axes"].split()
-    return tuple(
-        count for axis in axes for count in (named[axis] if axis in named else (int(axis),))
-    )
-
-
-def describe_fields(
-    grid: GridSpec, lidar: Sensor, *, labels: bool = False, scans: int = 1
-) -> dict[str, dict[str, Any]]:
-    """Every field of a sample of so many scans, with or without `labels`: name to its numpy
-    `dtype`, `shape`, `unit` ("" for none), and `meaning`."""
-    return {
-        name: {
-            "dtype": np.dtype(FIELDS[name]["dtype"]).name,
-            "shape": shape_of(name, grid, lidar, scans),
-            "unit": FIELDS[name]["unit"],
-            "meaning": FIELDS[name]["meaning"],
-        }
-        for name in fields_of(scans, labels=labels)
-    }
+    return {name: np.array(value) for name, value in zip(GROUPS["earlier"], values, strict=True)}
 
 
 def derive_free(

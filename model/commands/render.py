@@ -171,7 +171,6 @@ def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:
     """The world that a sample is of, with the map's box, and all viewpoints in it."""
     import numpy as np
 
-    from scenegen.dataset.extract import compile_archived
     from scenegen.display.pictures import draw_world
 
     samples = found.split(split)
@@ -180,4 +179,4 @@ def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:
     same = [n for n, (_, world, _) in enumerate(samples.names) if world == number][:MOST_SHOWN]
     places = np.stack([samples[n].position for n in same])
     box = sample.origin, sample.origin + found.grid.extent_m
-    return draw_world(compile_archived(found, split, number), title=title, places=places, box=box)
+    return draw_world(found.compile(split, number), title=title, places=places, box=box)

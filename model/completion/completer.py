@@ -19,8 +19,8 @@ from torch import Tensor
 
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.locate import client_output, without_tokens
-from scenegen.dataset.manifest import described, differences
-from scenegen.dataset.rules import sensor_entry
+from scenegen.dataset.manifest import differences
+from scenegen.dataset.parts import described, sensor_entry
 from scenegen.errors import needs, printable
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
@@ -245,12 +245,12 @@ def unlike(
 
     Networks of earlier commits name none: they learned from the paper's, without noise.
     """
-    plain = described(Mapper())
+    plain = {"mapping": described(Mapper())}
     learned = (
         about.get("lidar") or sensor_entry(Lidar()),
         {"mapping": about.get("mapping") or plain["mapping"]},
     )
-    met = (sensor_entry(lidar), plain if mapping is None else described(mapping))
+    met = (sensor_entry(lidar), plain if mapping is None else {"mapping": described(mapping)})
     sensor, maps = (differences(*both) for both in zip(learned, met, strict=True))
     if sensor and any(
         "sensor" in one for one in (learned[0], met[0])

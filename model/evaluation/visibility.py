@@ -13,7 +13,6 @@ from scipy import ndimage
 
 from lidarsim import AnalyticEngine, GridSpec, Sensor
 from lidarsim.solids.shapes import Solids
-from scenegen.dataset.extract import compile_archived
 from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.evaluation.config import PlanConfig
@@ -127,7 +126,7 @@ def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
 @lru_cache(maxsize=2)  # the samples of a world come one after the other
 def _world(folder: Path, split: str, number: int) -> tuple[Solids, AnalyticEngine]:
     """The solids of an archived world, and what casts rays in it."""
-    solids = compile_archived(Dataset(folder), split, number).solids
+    solids = Dataset(folder).compile(split, number).solids
     return solids, AnalyticEngine(solids, threads=1)
 
 

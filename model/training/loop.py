@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
-from scenegen.dataset.manifest import differences, mapping_entry
-from scenegen.dataset.rules import sensor_entry
+from scenegen.dataset.manifest import differences
+from scenegen.dataset.parts import mapping_entry, sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import locate, open_network
@@ -294,7 +294,8 @@ def origin(maps: Maps, command: str, device: torch.device) -> dict[str, Any]:
     about |= {"device": device_name(device), "lidar": sensor_entry(source.lidar)}
     noises = {noise for one in maps.sources for noise in getattr(one, "noises", ("",))}
     about |= {"noise": sorted(noises)} if any(noises) else {}
-    return about | mapping_entry(getattr(source, "mapping", Mapper()))
+    mapping = mapping_entry(getattr(source, "mapping", Mapper()))
+    return about | ({} if mapping is None else {"mapping": mapping})
 
 
 def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device) -> None:

@@ -117,7 +117,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
         _write_surfaces(dataset, split, number, out)
         say(f"written: {out}")
         return
-    from scenegen.dataset.extract import DOCUMENT, write_extracted
+    from scenegen.dataset.archive import DOCUMENT, write_extracted
 
     assert number is not None
     files = open_dataset(dataset, shown=True).world(split, number)
@@ -133,7 +133,6 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
 
 
 def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Path) -> None:
-    from scenegen.dataset.extract import compile_archived
     from scenegen.display.exchange.glb import encode_world
     from scenegen.files import write_result
     from scenegen.source import read_world
@@ -141,5 +140,5 @@ def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Pa
     if number is None:
         content = encode_world(read_world(Path(dataset)))
     else:
-        content = encode_world(compile_archived(open_dataset(dataset, shown=True), split, number))
+        content = encode_world(open_dataset(dataset, shown=True).compile(split, number))
     write_result(out, content)

@@ -1,16 +1,26 @@
 """A shard's archive of worlds: a zip from anywhere, of which no more is unpacked than its directory
-may say."""
+may say; and a world out of it as files that MuJoCo opens."""
 
 import os
 import re
 import struct
 import zipfile
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BufferedReader
+from pathlib import Path
+from xml.etree import ElementTree
 
-from scenegen.errors import BrokenError, printable, short
+from scenegen.errors import BrokenError, DatasetError, printable, short
+from scenegen.files import (
+    check_ours,
+    disk_error,
+    make_parent,
+    read_bounded,
+    write_result,
+    write_whole,
+)
 from scenegen.limits import (
     MOST_ARCHIVE_BYTES,
     MOST_ASSET_BYTES,
@@ -19,8 +29,10 @@ from scenegen.limits import (
     MOST_MEMBERS,
 )
 
-DOCUMENT = re.compile(r"([0-9]{6}|[1-9][0-9]{6,8})\.xml")
-"""What a world's document is called."""
+MEMBER = re.compile(r"([0-9]{6}|[1-9][0-9]{6,8})\.xml")
+"""What a world's document is called in an archive."""
+DOCUMENT = "world.xml"
+"""What `Dataset.world` calls it."""
 
 
 class Members:
@@ -124,7 +136,7 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
             raise BrokenError(
                 f"member {short(name)}: expected a plain file name, of a file beside the others"
             )
-        if name.endswith(".xml") and not DOCUMENT.fullmatch(name):
+        if name.endswith(".xml") and not MEMBER.fullmatch(name):
             raise BrokenError(
                 f"member {short(name)}: expected a world's number, six digits or more, before .xml"
             )
@@ -146,3 +158,59 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
     ]
     if twice:
         raise BrokenError(f"member {twice[0]}: is there twice")
+
+
+FOLDERS = ("assetdir", "meshdir", "texturedir")
+
+
+def write_extracted(files: Mapping[str, bytes], output: Path) -> None:
+    """Write a world, as `Dataset.world` gives it, to `output`.
+
+    The document goes there as it is archived. If it refers to other files, these go into a folder
+    of their own, `output`'s name with ``.files`` for its ending, and the document says so. In that
+    folder nothing is replaced. Raises DatasetError.
+    """
+    document = files[DOCUMENT]
+    others = {name: content for name, content in files.items() if name != DOCUMENT}
+    check_ours(output)
+    make_parent(output)
+    if others:
+        folder = output.with_suffix(".files")
+        document = _referring(document, folder.name, output)
+        _add(others, folder)
+    write_result(output, document)
+
+
+def _referring(document: bytes, folder: str, output: Path) -> bytes:
+    """`document` with its files in `folder`."""
+    try:
+        root = ElementTree.fromstring(document)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise DatasetError(
+            f"{output}: the archived world is no XML ({error}); verify the dataset"
+        ) from None
+    for compiler in root.iter("compiler"):
+        for name in FOLDERS:
+            compiler.attrib.pop(name, None)
+    root.insert(0, ElementTree.Element("compiler", {"assetdir": folder}))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root) + b"\n"
+
+
+def _add(files: Mapping[str, bytes], folder: Path) -> None:
+    """Put `files` into `folder`, where they may be already."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise disk_error(folder, error) from None
+    absent = {}
+    for name, content in files.items():
+        try:
+            there = read_bounded(folder / name, MOST_ASSET_BYTES)
+        except FileNotFoundError:
+            absent[name] = content
+            continue
+        if there != content:
+            raise DatasetError(f"{folder / name}: is there and another file; give another -o")
+    for name, content in absent.items():
+        write_whole(folder / name, content)

@@ -23,7 +23,8 @@ from scenegen.sample import Sample
 
 def _ranges(sample: Sample) -> NDArray[np.float32]:
     """Those of all its scans."""
-    return np.array([sample.ranges, *getattr(sample, "earlier_ranges", ())])
+    earlier = sample.earlier_ranges
+    return np.array([sample.ranges, *(() if earlier is None else earlier)])
 
 
 def _range_m(sample: Sample) -> float:

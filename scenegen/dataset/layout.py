@@ -19,12 +19,11 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
 from scenegen.dataset.foreign import read_index
 from scenegen.dataset.hdf5 import Hdf5Error, Stored
 from scenegen.errors import BrokenError, DatasetError, printable, short
 from scenegen.files import open_bounded
-from scenegen.sample import FIELDS, shape_of, whole
+from scenegen.sample import DERIVED, FIELDS, Sample, Schema
 
 DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
@@ -34,19 +33,13 @@ SMALL_BYTES = 4096
 """Fields that take no more a sample, and that no filter has changed, are read for all samples at
 once."""
 
-DERIVED = tuple(name for name, meta in FIELDS.items() if meta["derived"])
-"""Fields that follow from others."""
-
 Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 """Every dataset that a shard has to hold: its type, and the shape of one sample."""
 
 
-def layout_of(fields: Iterable[str], grid: GridSpec, lidar: Sensor, scans: int = 1) -> Layout:
-    """The layout of a shard that stores `fields` of samples of so many `scans`."""
-    found = {
-        name: (np.dtype(FIELDS[name]["dtype"]), shape_of(name, grid, lidar, scans))
-        for name in fields
-    }
+def layout_of(fields: Iterable[str], schema: Schema) -> Layout:
+    """The layout of a shard that stores `fields` of samples of that schema."""
+    found = {name: (np.dtype(FIELDS[name]["dtype"]), schema.shape(name)) for name in fields}
     return {**found, DIGEST: (np.dtype(np.uint8), (32,))}
 
 
@@ -137,9 +130,10 @@ class ShardFile:
     def check(self, row: int) -> None:
         """Raise BrokenError unless a sample has the digest that stands beside it; fields that
         follow from others have no part in it."""
-        nothing = {name: np.empty(0, FIELDS[name]["dtype"]) for name in DERIVED}
+        nothing: dict[str, Any] = {name: np.empty(0, FIELDS[name]["dtype"]) for name in DERIVED}
         stored = [name for name in self.columns if name not in (DIGEST, *DERIVED)]
-        sample = whole(nothing | {name: self.value(name, row, read_only=True) for name in stored})
+        values = {name: self.value(name, row, read_only=True) for name in stored}
+        sample = Sample(**nothing, **values)
         if sample.sha256() != self.value(DIGEST, row).tobytes():
             raise BrokenError(
                 f"{self.name}: sample {row}: its content does not have the digest stored beside it"

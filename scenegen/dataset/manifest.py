@@ -1,7 +1,6 @@
 """The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust`
 checks its values."""
 
-import dataclasses
 import hashlib
 import json
 import re
@@ -12,14 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
-from scenegen.dataset.rules import noise_entry, sensor_entry
+from scenegen.dataset.parts import PARTS, entries, schema_of
 from scenegen.errors import MOST_TOLD, DatasetError, StoreError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.run.software import software
-from scenegen.sample import stored_fields
 from scenegen.stores import TRIES, ConflictError
-from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:  # these draw worlds, and import what that takes
     from scenegen.dataset.shard import ShardReport
@@ -29,25 +26,20 @@ if TYPE_CHECKING:  # these draw worlds, and import what that takes
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
-"""What a manifest says that has none of the entries of `MINOR`."""
-MINOR: Mapping[str, tuple[str, ...]] = {
-    "1.2": ("noise", "labels", "rescan"),
-    "1.3": ("mapping",),
-    "1.4": ("sources",),
+"""The major version of the format."""
+SINCE: Mapping[str, str] = {
+    **{part.name: part.since for part in PARTS},
+    **{"rescan": "1.2", "sources": "1.4"},
 }
-"""Versions, rising, that one says with any of these entries, the last of them: readers of earlier
-versions refuse it. Whatever they would refuse is to raise the version."""
+"""Entries, and the first version of the format that has them: a manifest is of the latest one that
+any of its entries asks for, and readers of earlier versions refuse it. Whatever they would refuse
+is to raise the version."""
 LAST_NUMBER = (1, 4)
 """Versions up to this one stand in the file as numbers, later ones as text: 1.10 is no 1.1."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters."""
 SEVERAL = "several"
 """What a manifest says for a text in which the datasets differ that its samples were made for."""
-GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m", "hollow": "hollow"}
-"""A grid's parameters: their names in the file, and in `GridSpec`."""
-RARE = "hollow"
-"""The one of them that the file names only where it is true: manifests of earlier commits do not
-name it."""
 
 
 def parameters(
@@ -62,10 +54,7 @@ def parameters(
 ) -> dict[str, Any]:
     """The part of the manifest that is known before anything is drawn, and decides everything
     after."""
-    more = noise_entry(recipe.noise, recipe.lidar.max_range_m)
-    if recipe.labels is not None:
-        more["labels"] = _plain(dataclasses.asdict(recipe.labels))
-    more |= mapping_entry(recipe.mapping)
+    more = entries(recipe)
     return {
         "format": FORMAT,
         "version": version_of(more),
@@ -76,17 +65,7 @@ def parameters(
         "recipe": _plain(
             recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})
         ),
-        "fields": list(
-            stored_fields(compact, labels=recipe.labels is not None, scans=recipe.mapping.scans)
-        ),
-        "grid": _plain(
-            {
-                name: getattr(recipe.grid, ours)
-                for name, ours in GRID.items()
-                if name != RARE or recipe.grid.hollow
-            }
-        ),
-        "lidar": sensor_entry(recipe.lidar),
+        "fields": list(schema_of(recipe).stored(compact=compact)),
         **more,
         "shard_samples": shard_samples,
         **({} if engine == MUJOCO else {"engine": engine}),
@@ -94,18 +73,18 @@ def parameters(
     }
 
 
-def version_of(given: Mapping[str, Any]) -> float | str:
+def version_of(given: Mapping[str, Any]) -> int | float | str:
     """The version of a manifest that has the entries `given`, as it stands in the file."""
-    found: list[float | str] = [VERSION]
-    for version, names in MINOR.items():
-        if any(given.get(name) is not None for name in names):
-            found.append(_written(version))
-    return found[-1]
+    asked = [since for name, since in SINCE.items() if given.get(name) is not None]
+    return _written(max((str(VERSION), *asked), key=_pair))
 
 
-def _written(version: str) -> float | str:
-    """A minor version as it stands in the file."""
-    return float(version) if _pair(version) <= LAST_NUMBER else version
+def _written(version: str) -> int | float | str:
+    """A version as it stands in the file."""
+    major, minor = _pair(version)
+    if not minor:
+        return major
+    return float(version) if (major, minor) <= LAST_NUMBER else version
 
 
 def is_later(document: Mapping[str, Any]) -> bool:
@@ -122,18 +101,6 @@ def _pair(version: Any) -> tuple[int, ...]:
     """A version as whole numbers, major first; (0, 0) for what is none."""
     numbers = re.fullmatch(r"([0-9]{1,9})(?:\.([0-9]{1,9}))?", short(version).strip("'"))
     return (int(numbers[1]), int(numbers[2] or 0)) if numbers else (0, 0)
-
-
-def mapping_entry(mapping: Mapper) -> dict[str, Any]:
-    """What the manifest says of how maps are made; nothing where each is one scan around a level
-    sensor."""
-    return {} if mapping.plain else described(mapping)
-
-
-def described(mapping: Mapper) -> dict[str, Any]:
-    """Every parameter of how maps are made, as plain JSON values; those of the default for what is
-    the same."""
-    return {"mapping": _plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))}
 
 
 def parameters_of(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -252,8 +219,8 @@ def read(folder: Path) -> dict[str, Any]:
         or "shards" not in manifest
     ):
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
-    there, last = manifest.get("version"), [*MINOR][-1]
-    if there not in (VERSION, *map(_written, MINOR)):
+    there, last = manifest.get("version"), max(SINCE.values(), key=_pair)
+    if there not in [_written(since) for since in SINCE.values()]:
         newer = _pair(there) > _pair(last)
         more = (
             "a newer scenegen wrote it; read it with that one"

@@ -5,21 +5,23 @@ import html
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import trust
-from scenegen.dataset.archive import open_archive
+from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
-from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.sample import LazySample, Sample, derive_free, derive_tudf, describe_fields, fields_of
+from scenegen.errors import BrokenError, DatasetError, SceneError, short
+from scenegen.sample import Sample, derive_free, derive_tudf
+
+if TYPE_CHECKING:  # which imports MuJoCo
+    from scenegen.worlds.world import World
 
 MOST_OPEN = 64
 """Shards that a reader keeps open in one process; a large dataset has more than a process may
@@ -81,8 +83,24 @@ class Dataset:
             ):
                 if member in members:
                     document, others = members.world(member)
-                    return {"world.xml": document} | others
+                    return {DOCUMENT: document} | others
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
+
+    def compile(self, split: str, number: int) -> "World":
+        """World `number` of `split`, screened and compiled by MuJoCo. Raises DatasetError where
+        there is none, or it cannot be compiled."""
+        from scenegen.worlds.screen import screen
+        from scenegen.worlds.world import compile_world
+
+        files = self.world(split, number)
+        document, name = files.pop(DOCUMENT), f"{split} world {number}"
+        try:
+            screen(document, files, name)
+            return compile_world(document, files, name=name)
+        except (BrokenError, SceneError) as error:
+            raise DatasetError(
+                f"{self.folder}: {error}; copy the dataset again, or generate it"
+            ) from None
 
     def _shards_before(self, split: str, number: int) -> list[tuple[trust.Entry, int]]:
         """The shards of a split that may hold its world `number`, the likeliest first, and the
@@ -177,7 +195,9 @@ class Split(Sequence[Sample]):
         self._shard(number)  # which says at once if the file is missing or not this dataset's
         if self.dataset.checked:
             self.check(index)
-        return _Stored.at(self, number, row)
+        it = self.dataset
+        find = partial(self._find, number, row)
+        return Sample.lazy(it.manifest.schema.names, find, lidar=it.lidar, grid=it.grid)
 
     def check(self, index: int) -> None:
         """Raise DatasetError unless sample `index` has the digest that stands beside it; `free` and
@@ -206,10 +226,7 @@ class Split(Sequence[Sample]):
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
-        it = self.dataset.manifest
-        return describe_fields(
-            it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans
-        )
+        return self.dataset.manifest.schema.describe()
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
@@ -232,12 +249,24 @@ class Split(Sequence[Sample]):
             self._open.pop(old, None)  # closed once no other thread reads from it
         return shard
 
-    def _value(self, number: int, row: int, name: str) -> Any:
-        """A stored field of a sample, by shard and row. Raises DatasetError."""
-        shard = self._shard(number)
-        with self.dataset._advice():
-            value = shard.value(name, row)
-        return value + self.first_worlds[number] if name == "world" else value
+    def _find(self, number: int, row: int, sample: Sample, name: str) -> Any:
+        """A field of the sample in a row of a shard: as it is stored, or derived from the other
+        fields. Raises DatasetError."""
+        it, shard = self.dataset, self._shard(number)
+        with it._advice():
+            if name in it.manifest.fields:
+                value = shard.value(name, row)
+                return value + self.first_worlds[number] if name == "world" else value
+            if name == "tudf":
+                return derive_tudf(sample.occupancy, grid=it.grid)
+            ranges = [getattr(sample, one) for one in sample.names if one.endswith("ranges")]
+            if not np.isfinite(sample.origin).all() or not all((it >= 0).all() for it in ranges):
+                raise BrokenError(f"{shard.name}: sample {row}: origin or ranges are no lengths")
+            try:
+                scans, fusion = sample.scans(), it.manifest.mapping
+                return derive_free(scans, sample.origin, grid=it.grid, fusion=fusion)
+            except ValueError as error:
+                raise BrokenError(f"{shard.name}: sample {row}: {error}") from None
 
     @cached_property
     def first_worlds(self) -> list[int]:
@@ -295,54 +324,3 @@ class Split(Sequence[Sample]):
                 for world, viewpoint in zip(worlds, viewpoints, strict=True)
             ]
         return found
-
-
-class _Stored(LazySample):
-    """A sample of a split, each field of which is read, or derived, when it is first asked for.
-
-    Files stay open by the split's own rule, however many samples there are.
-    """
-
-    @classmethod
-    def at(cls, split: Split, number: int, row: int) -> Sample:
-        """The sample in a row of a split's shard."""
-        sample = cls.__new__(cls)  # whose fields come later
-        sample.__dict__.update(_split=split, _number=number, _row=row)
-        return sample
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """See `LazySample.names`."""
-        it = self._split.dataset.manifest
-        return fields_of(it.mapping.scans, labels=it.labels is not None)
-
-    def find(self, name: str) -> Any:
-        """See `LazySample.find`. Raises DatasetError."""
-        stored = name in self._split.dataset.manifest.fields
-        return self._split._value(self._number, self._row, name) if stored else self._derived(name)
-
-    @property
-    def grid(self) -> GridSpec:
-        """Its map's."""
-        return self._split.dataset.grid
-
-    def _sensor(self) -> Sensor:
-        return self._split.dataset.lidar
-
-    def _derived(self, name: str) -> Any:
-        """`free` or `tudf`, from the fields that it follows from. Raises DatasetError."""
-        dataset = self._split.dataset
-        if name == "tudf":
-            return derive_tudf(self.occupancy, grid=dataset.grid)
-        try:
-            ranges = [getattr(self, name) for name in self.names if name.endswith("ranges")]
-            if not np.isfinite(self.origin).all() or not all((each >= 0).all() for each in ranges):
-                raise ValueError("origin or ranges are no lengths")
-            return derive_free(
-                self.scans(), self.origin, grid=dataset.grid, fusion=dataset.manifest.mapping
-            )
-        except ValueError as error:
-            with dataset._advice():
-                raise BrokenError(
-                    f"{self._split.shards[self._number].file}: sample {self._row}: {error}"
-                ) from None

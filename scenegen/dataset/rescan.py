@@ -14,20 +14,17 @@ from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.build import divide
-from scenegen.dataset.extract import DOCUMENT
+from scenegen.dataset.parts import NAMES, entries, schema_of
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rules import noise_entry, sensor_entry
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw import Rejections, Unit, engine_of, flight_rng, samples_of, scans_from
 from scenegen.errors import DatasetError, GenerationError, printable, short
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
-from scenegen.sample import stored_fields
 from scenegen.truth import rasterize
 from scenegen.worlds.flight import plan, viewpoints
-from scenegen.worlds.screen import screen
-from scenegen.worlds.world import World, compile_world
+from scenegen.worlds.world import World
 
 
 def fly_again(
@@ -126,11 +123,7 @@ class Archived:
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
         """See `Source.world`; nothing is drawn."""
         if (split, number) not in self._worlds:
-            files = dict(self.dataset.world(split, number))
-            document, name = files.pop(DOCUMENT), f"{self.folder}: {split} world {number}"
-            screen(document, files, name)  # it may come from a stranger
-            world = compile_world(document, files, name=name)
-            self._worlds[split, number] = world
+            self._worlds[split, number] = self.dataset.compile(split, number)
             for old in list(self._worlds)[:-MOST_WORLDS]:
                 del self._worlds[old]
         return self._worlds[split, number]
@@ -221,18 +214,12 @@ def plan_rescan(
         raise DatasetError(printable(error)) from None
     if folder.resolve() == dataset.folder.resolve():
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
-    given = {
-        name: value
-        for name, value in found.parameters.items()
-        if name not in ("noise", "engine", "mapping")
-    }
-    compact, labels = "tudf" not in found.fields, found.labels is not None
-    given |= {
+    left = {name: it for name, it in found.parameters.items() if name not in (*NAMES, "engine")}
+    compact = "tudf" not in found.fields
+    given = left | {
         "generator": GENERATOR,
-        "fields": list(stored_fields(compact, labels=labels, scans=mapper.scans)),
-        "lidar": sensor_entry(recipe.lidar),
-        **noise_entry(recipe.noise, recipe.lidar.max_range_m),
-        **manifest.mapping_entry(mapper),
+        "fields": list(schema_of(recipe).stored(compact=compact)),
+        **entries(recipe),
         "rescan": {"digest": found.digest},
         "engine": engine,
         "software": software(),

@@ -1,27 +1,15 @@
-"""What a stranger's manifest says, held against rules before anybody relies on it: JSON of any
-kind, noise, the sensor, and how samples are numbered."""
+"""Rules for what a stranger's manifest says, held against it before anybody relies on it, and how
+samples are numbered."""
 
-import dataclasses
-import hashlib
-import itertools
-import json
-import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
-from lidarsim import BeamTable, Lidar, Sensor
-from lidarsim.noise import STAGES
-from lidarsim.parameters import MOST_RAYS
-from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen import SPLITS
-from scenegen.errors import BrokenError, DatasetError, NewerError, printable, short
-from scenegen.files import read_bounded, write_whole
-from scenegen.limits import MOST_CLASSES, MOST_SEED, MOST_SOURCES
-from scenegen.sample import stored_fields
+from scenegen.errors import BrokenError, NewerError, short
+from scenegen.limits import MOST_SEED, MOST_SOURCES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,183 +143,6 @@ def made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:
         raise BrokenError(f"{at}.{said}") from None
 
 
-if TYPE_CHECKING:  # which imports MuJoCo, and reading takes none
-    from lidarsim.noise.chain import Noise
-
-MOST_STAGES_TEXT = 4000
-"""Characters of the text of a dataset's stages."""
-_NOISE_ENTRY = {
-    "stages": text(
-        rf"[ -~]{{1,{MOST_STAGES_TEXT}}}", "stages of noise, as lidarsim.noise writes them"
-    ),
-    "bound_m": Rule(
-        lambda value: value is None or (type(value) in (int, float) and 0 <= value < math.inf),
-        "metres, or null",
-    ),
-}
-
-
-def noise_entry(noise: "Noise", max_range_m: float) -> dict[str, Any]:
-    """What the manifest says of a chain with a sensor of that range; nothing of one without stages.
-    Raises BrokenError for one that no manifest can hold."""
-    if not noise.stages:
-        return {}
-    bound = noise.bound_m(max_range_m)
-    entry = {"stages": noise.spelled(), "bound_m": bound if bound < math.inf else None}
-    check_noise(entry)
-    return {"noise": entry}
-
-
-def check_noise(entry: Any) -> None:
-    """Raise BrokenError unless a manifest's `noise` is a table as the format has it, or null."""
-    if entry is not None:
-        check(entry, _NOISE_ENTRY, "noise", _NOISE_ENTRY)
-
-
-def is_ours(entry: Mapping[str, Any] | None) -> bool:
-    """Whether all stages are scenegen's own, so that reading them imports nothing that a manifest
-    names."""
-    stages = entry["stages"].split(",") if entry else []
-    return all(stage.partition(":")[0] in STAGES.known for stage in stages)
-
-
-def noise_of(entry: Mapping[str, Any] | None, max_range_m: float) -> "Noise":
-    """The chain of a manifest's entry whose stages `is_ours`. Raises BrokenError for one that
-    cannot be, or whose bound is another."""
-    from lidarsim.noise.chain import Noise
-
-    try:
-        found = Noise.parse(entry["stages"]) if entry else Noise()
-    except ValueError as error:
-        raise BrokenError(
-            f"noise.stages = {short(entry['stages'] if entry else '')}: {printable(error)}"
-        ) from None
-    if entry and (bound := noise_entry(found, max_range_m)["noise"]["bound_m"]) != entry["bound_m"]:
-        raise BrokenError(
-            f"noise.bound_m = {entry['bound_m']}: its stages have {bound} with this sensor"
-        )
-    return found
-
-
-RAYS = "rays.npy"
-"""The table's file in a dataset's folder."""
-
-
-_SENSOR_ENTRY = {
-    "sensor": Rule(lambda value: value == "table", "table, or no entry for a raster"),
-    "rays": Rule(lambda value: value == RAYS, RAYS),
-    "sha256": DIGEST,
-    "shape": Rule(
-        lambda value: (
-            isinstance(value, list)
-            and 1 <= len(value) <= MOST_AXES
-            and all(type(count) is int and 1 <= count <= MOST_RAYS for count in value)
-            and math.prod(value) <= MOST_RAYS
-        ),
-        f"up to {MOST_AXES} counts, {MOST_RAYS} rays at most",
-    ),
-    "max_range_m": Rule(lambda value: type(value) in (int, float), "metres"),
-    "made_by": Rule(
-        lambda value: isinstance(value, str) and len(value) <= MOST_MADE_BY, "what made the rays"
-    ),
-}
-"""What a manifest says of a table of rays; a recipe's [lidar] takes the same, but for the shape."""
-
-
-def sensor_entry(sensor: Sensor) -> dict[str, Any]:
-    """What the manifest says of a sensor, as plain JSON values."""
-    if isinstance(sensor, Lidar):
-        return json.loads(json.dumps(dataclasses.asdict(sensor)))
-    table = BeamTable.of(sensor)
-    return {
-        "sensor": "table",
-        "rays": RAYS,
-        "sha256": table.sha256,
-        "shape": list(table.shape),
-        "max_range_m": table.max_range_m,
-        "made_by": table.made_by,
-    }
-
-
-def files_of(entry: Mapping[str, Any]) -> dict[str, str]:
-    """Files that the sensor takes in the dataset's folder, with their SHA-256. Raises
-    BrokenError."""
-    if "sensor" not in entry:
-        _raster(entry)
-        return {}
-    check(entry, _SENSOR_ENTRY, "lidar", _SENSOR_ENTRY)
-    return {RAYS: entry["sha256"]}
-
-
-def reach_of(entry: Mapping[str, Any]) -> tuple[float, int]:
-    """How far the sensor of an entry that `files_of` takes reaches, metres, and how many rays it
-    has."""
-    if "sensor" in entry:
-        return float(entry["max_range_m"]), math.prod(entry["shape"])
-    lidar = _raster(entry)
-    return lidar.max_range_m, math.prod(lidar.shape)
-
-
-def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
-    """The sensor of a manifest's `entry`. Raises BrokenError where it, or the table in `folder`, is
-    damaged."""
-    files = files_of(entry)
-    if not files:
-        return _raster(entry)
-    expected = (*entry["shape"], 4)
-    try:
-        content = read_bounded(folder / RAYS, most_bytes(math.prod(entry["shape"])))
-        if hashlib.sha256(content).hexdigest() != files[RAYS]:
-            raise ValueError("is not the file whose sha256 the manifest's lidar names")
-        rays = read_npy(content)
-        if rays.shape != expected:
-            raise ValueError(f"has shape {rays.shape}, the manifest's lidar names {expected}")
-        return BeamTable(rays=rays, max_range_m=entry["max_range_m"], made_by=entry["made_by"])
-    except FileNotFoundError:
-        raise BrokenError(
-            f"{RAYS}: is missing, though the manifest's lidar is a table of rays"
-        ) from None
-    except (ValueError, OSError, DatasetError) as error:
-        raise BrokenError(f"{RAYS}: {printable(error)[:200]}") from None
-
-
-def write_rays(sensor: Sensor, folder: Path) -> None:
-    """Put the sensor's table into the dataset's folder, unless it is there."""
-    if isinstance(sensor, Lidar):
-        return
-    path, table = folder / RAYS, BeamTable.of(sensor)
-    if not path.is_file() or path.read_bytes() != table.npy:
-        write_whole(path, table.npy)
-
-
-def _raster(entry: Mapping[str, Any]) -> Lidar:
-    return made(Lidar, entry, {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar")
-
-
-FLAGS = (False, True)
-FIELDS_RULE = Rule(
-    lambda value: (
-        value
-        in [
-            list(stored_fields(*given, scans))
-            for given in itertools.product(FLAGS, FLAGS)
-            for scans in (1, 2)
-        ]
-    ),
-    "all, or all but the derived ones, with labels or without, with earlier scans or without",
-)
-LABELS_RULES = {
-    "by": Rule(lambda value: value in ("name", "material", "group"), "name, material or group"),
-    "classes": Rule(
-        lambda value: (
-            isinstance(value, list)
-            and 0 < len(value) <= MOST_CLASSES
-            and all(isinstance(name, str) and name.isprintable() for name in value)
-            and len(set(value)) == len(value)
-        ),
-        f"up to {MOST_CLASSES} different names",
-    ),
-}
 TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
 RECIPE_RULES = {
     "version": whole(0, MOST_SEED),

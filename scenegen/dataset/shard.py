@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
-from scenegen.dataset.layout import DERIVED, DIGEST, Layout, layout_of, open_file, open_shard
+from scenegen.dataset.layout import DIGEST, Layout, layout_of, open_file, open_shard
+from scenegen.dataset.parts import schema_of
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
 from scenegen.errors import BrokenError, DatasetError, printable
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
-from scenegen.sample import FIELDS, stored_fields
+from scenegen.sample import DERIVED, FIELDS
 from scenegen.source import Source
 
 _LEVEL = 1
@@ -125,13 +126,8 @@ class ShardSpec(ShardTask):
     @property
     def layout(self) -> Layout:
         """See `ShardTask`."""
-        it, scans = self.recipe, self.recipe.mapping.scans
-        return layout_of(
-            stored_fields(self.compact, labels=it.labels is not None, scans=scans),
-            it.grid,
-            it.lidar,
-            scans,
-        )
+        schema = schema_of(self.recipe)
+        return layout_of(schema.stored(compact=self.compact), schema)
 
     @property
     def numbers(self) -> Sequence[int]:

@@ -16,8 +16,8 @@ from typing import Any
 from lidarsim import GridSpec, Lidar, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, placed, trust
+from scenegen.dataset.parts import RAYS, write_rays
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
-from scenegen.dataset.rules import RAYS, write_rays
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_error, names_in, open_bounded, remove_drafts

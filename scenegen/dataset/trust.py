@@ -1,7 +1,6 @@
 """What readers rely on in a manifest, checked before they do: it may come from a stranger."""
 
 import dataclasses
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,12 +13,19 @@ from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
+from scenegen.dataset.parts import (
+    NAMES,
+    PARTS,
+    is_ours,
+    noise_of,
+    schema_of,
+    sensor_files,
+    sensor_of,
+)
 from scenegen.dataset.rules import (
     DIGEST,
-    FIELDS_RULE,
     FILE_RULE,
     FLAG,
-    LABELS_RULES,
     LIST,
     RECIPE_RULES,
     SOURCES_RULE,
@@ -28,16 +34,9 @@ from scenegen.dataset.rules import (
     Numbering,
     Rule,
     check,
-    check_noise,
     checked,
-    files_of,
-    is_ours,
-    made,
-    noise_of,
     optional,
-    reach_of,
     ruled,
-    sensor_of,
     table_of,
     text,
     whole,
@@ -45,28 +44,24 @@ from scenegen.dataset.rules import (
 from scenegen.errors import BrokenError, DatasetError, NewerError, RecipeError, printable, short
 from scenegen.limits import (
     MOST_KIND_NAME,
-    MOST_RAYS_IN_SAMPLE,
     MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
     MOST_SEED,
     MOST_SOURCES,
     MOST_VIEWPOINTS,
-    MOST_VOXELS,
 )
-from scenegen.sample import EARLIER, FIELDS, LABELS
+from scenegen.sample import DERIVED, FIELDS, GROUPS, Schema
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
 
-MINOR = tuple(name for names in manifest.MINOR.values() for name in names)
-"""Entries by which a manifest is of a minor version."""
-_MAPPING = {item.name: item.name for item in dataclasses.fields(Mapper)}
+MINOR = tuple(name for name, since in manifest.SINCE.items() if since != "1")
+"""Entries that raise a manifest's version."""
 _COUNT = whole(0, MOST_SAMPLES)
-_GIVEN = Rule(lambda value: True, "a value")
 _ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
 _SOURCE = {"digest": DIGEST, "parameters": TABLE, "taken": LIST}
-ALIKE = ("format", "generator", "fields", "grid", "lidar", "noise", "labels", "mapping")
+ALIKE = ("format", "generator", "fields", *NAMES)
 """Parameters in which all datasets agree whose samples are in one."""
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
 
@@ -127,10 +122,10 @@ class Manifest:
     """Where the file lies."""
     engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
     """What cast the rays; never imported unless it is one of ours."""
-    noise: Mapping[str, Any] | None = ruled(optional(TABLE))
+    noise: Mapping[str, Any] | None
     """`stages` as text, and `bound_m`; None for clean ranges. Never imported unless
     `noise_is_ours`."""
-    labels: Mapping[str, Any] | None = ruled(optional(TABLE))
+    labels: Mapping[str, Any] | None
     """What the samples' labels mean: `by` what geoms are of a class, and the `classes`; None
     without labels."""
     rescan: Mapping[str, Any] | None = ruled(optional(TABLE))
@@ -155,7 +150,7 @@ class Manifest:
     @property
     def files(self) -> dict[str, str]:
         """Every file that the manifest lists, with its SHA-256."""
-        found = files_of(self.parameters["lidar"])
+        found = sensor_files(self.parameters["lidar"])
         for entry in self.shards:
             found |= {entry.file: entry.sha256, entry.worlds: entry.worlds_sha256}
         return found
@@ -166,9 +161,14 @@ class Manifest:
         return sensor_of(self.parameters["lidar"], self.folder)
 
     @cached_property
+    def schema(self) -> Schema:
+        """Which fields its samples have."""
+        return schema_of(self)
+
+    @cached_property
     def layout(self) -> Layout:
         """What every shard has to hold."""
-        return layout_of(self.fields, self.grid, self.lidar, self.mapping.scans)
+        return layout_of(self.fields, self.schema)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -229,9 +229,8 @@ class Manifest:
         tables["grid"] = dataclasses.asdict(self.grid)
         if not self.drawn:
             tables.pop("world", None)
-        for name in ("noise", "mapping"):
-            if name in tables:
-                raise BrokenError(f"recipe.{name}: is there, expected {name} beside recipe")
+        for name in (name for name in NAMES if name in self.tables):
+            raise BrokenError(f"recipe.{name}: is there, expected {name} beside recipe")
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
         try:
             found = make_recipe(
@@ -256,26 +255,16 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
         document
     )
     plain = checked(Manifest, found, "")
-    check(
-        found, {"shards": LIST, "fields": LIST, "recipe": TABLE, "grid": TABLE, "lidar": TABLE}, ""
-    )
-    check(
-        dict.fromkeys(name for name in found["fields"] if isinstance(name, str)),
-        {},
-        "fields",
-        FIELDS,
-    )
-    check(found, {"fields": FIELDS_RULE, "sources": optional(SOURCES_RULE)}, "")
+    check(found, {"shards": LIST, "fields": LIST, "recipe": TABLE}, "")
+    check(found, {"sources": optional(SOURCES_RULE)}, "")
     check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
     check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
     check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
-    check(found["grid"], {name: _GIVEN for name in manifest.GRID if name != manifest.RARE}, "grid")
-    files_of(found["lidar"])
-    check_noise(found["noise"])
-    if found["labels"] is not None:
-        check(found["labels"], LABELS_RULES, "labels", LABELS_RULES)
-    if (found["labels"] is not None) != (found["fields"][-1] in LABELS):
-        raise BrokenError("labels: expected exactly where `fields` names labels")
+    parts: dict[str, Any] = {}
+    for part in PARTS:
+        if part.since == "1":
+            check(found, {part.name: TABLE}, "")
+        parts[part.name] = part.read(found[part.name], parts)
     if found["rescan"] is not None:
         check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
     if found["version"] != (expected := manifest.version_of(found)):
@@ -284,6 +273,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
             or "nothing of a minor version"
         )
         raise BrokenError(f"version = {short(found['version'])}: expected {expected} with {named}")
+    _check_fields(found["fields"], parts)
     sources = _sources(found, folder)
     kind = GatheredEntry if sources else Entry
     shards = tuple(
@@ -296,42 +286,35 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     ).most_common(1):
         if count > 1:
             raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
-    grid = made(GridSpec, found["grid"], manifest.GRID, "grid")
-    if math.prod(grid.shape) > MOST_VOXELS:
-        raise BrokenError(
-            f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most"
-        )
-    mapping = _mapping(found["mapping"], grid, found["lidar"])
-    if (mapping.scans > 1) != (not EARLIER.keys().isdisjoint(found["fields"])):
-        raise BrokenError(
-            "mapping.scans: expected above 1 exactly where `fields` names earlier scans"
-        )
     return Manifest(
         **plain,
-        mapping=mapping,
+        **{name: value for name, value in parts.items() if name != "lidar"},
         sources=sources,
         parameters=manifest.parameters_of(document),
         tables=found["recipe"],
         fields=tuple(found["fields"]),
-        grid=grid,
         folder=folder,
         shards=shards,
         named=named,
     )
 
 
-def _mapping(entry: Any, grid: GridSpec, lidar: Mapping[str, Any]) -> Mapper:
-    """How a manifest's `entry` says that maps are made, with the sensor that it describes. Raises
-    BrokenError."""
-    if entry is None:
-        return Mapper()
-    check(entry, dict.fromkeys(_MAPPING, _GIVEN), "mapping", _MAPPING)
-    mapping = made(Mapper, entry, _MAPPING, "mapping")
-    try:
-        mapping.check_reach(grid, *reach_of(lidar), MOST_RAYS_IN_SAMPLE)
-    except ValueError as error:
-        raise BrokenError(str(error)) from None
-    return mapping
+def _check_fields(names: Sequence[Any], parts: Mapping[str, Any]) -> None:
+    """Raise BrokenError unless the fields `names` are what samples of these `parts` have, with the
+    derived ones or without them."""
+    check(dict.fromkeys(name for name in names if isinstance(name, str)), {}, "fields", FIELDS)
+    groups = [group for group, own in GROUPS.items() if any(name in names for name in own)]
+    every = [name for name, about in FIELDS.items() if about["group"] in groups]
+    if list(names) not in (every, [name for name in every if name not in DERIVED]):
+        raise BrokenError(
+            f"fields = {short(names)}: expected all fields of whole groups, or all but the "
+            f"derived ones"
+        )
+    for part in PARTS:
+        if part.group and part.brings(parts[part.name]) != (part.group in groups):
+            raise BrokenError(
+                f"{part.name}: expected exactly where `fields` names those of {part.group}"
+            )
 
 
 def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:

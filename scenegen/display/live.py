@@ -134,11 +134,10 @@ class Live(ThreadingHTTPServer):
 def _world(samples: Split, index: int) -> dict[str, Any]:
     """The surfaces of the world of a sample."""
     # MuJoCo and trimesh are needed for worlds alone
-    from scenegen.dataset.extract import compile_archived
     from scenegen.display.exchange.glb import surfaces
 
     sample = samples[index]
-    world = compile_archived(samples.dataset, samples.name, int(sample.world))
+    world = samples.dataset.compile(samples.name, int(sample.world))
     return packed_world(surfaces(world), sample.origin)
 
 

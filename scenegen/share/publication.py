@@ -11,7 +11,6 @@ from typing import Any
 from scenegen import SPLITS, __version__
 from scenegen.dataset.layout import DIGEST
 from scenegen.dataset.trust import Manifest
-from scenegen.sample import describe_fields
 from scenegen.share.licence import Licence
 
 LOCK = "requirements.lock.txt"
@@ -135,10 +134,7 @@ class Publication:
     @property
     def fields(self) -> dict[str, dict[str, Any]]:
         """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
-        it = self.manifest
-        known = describe_fields(
-            it.grid, it.lidar, labels=it.labels is not None, scans=it.mapping.scans
-        )
+        known = self.manifest.schema.describe()
         stored = {name: known[name] for name in self.manifest.fields}
         return stored | {
             DIGEST: {

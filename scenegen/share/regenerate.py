@@ -13,8 +13,8 @@ from typing import Any
 from lidarsim.engines import DEFAULT
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.parts import GRID, sensor_entry, write_rays
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rules import sensor_entry, write_rays
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
 from scenegen.recipe import read_recipe
@@ -81,7 +81,7 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     }
     tables["noise"] = {"stages": parameters["noise"]["stages"]} if parameters.get("noise") else None
     tables["mapping"] = parameters.get("mapping")
-    tables["grid"] = {manifest.GRID[name]: value for name, value in parameters["grid"].items()}
+    tables["grid"] = {GRID[name]: value for name, value in parameters["grid"].items()}
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
     for name, table in tables.items():
         if table is not None:

@@ -18,30 +18,27 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.files import make_parent, read_bounded, remove_drafts, write_whole
 from scenegen.run.workers import MOST_REPLACED, Result, Task, Worker
-from scenegen.sample import FIELDS, LazySample, Sample, derive_tudf, fields_of, shape_of
+from scenegen.sample import FIELDS, Sample, Schema, derive_tudf
 
 LEVEL = 1
 """The level of compression, as in shards."""
 
 
-def record_type(grid: GridSpec, lidar: Sensor, scans: int = 1) -> np.dtype:
-    """The record of one sample of so many scans: grids as bits, everything else as it is stored on
-    disk. Distances follow from occupancy, and are ten times as large as all the rest: they are not
-    in it."""
+def record_type(schema: Schema) -> np.dtype:
+    """The record of one sample: grids as bits, everything else as it is stored on disk. Distances
+    follow from occupancy, and are ten times as large as all the rest: they are not in it."""
     columns: list[tuple[Any, ...]] = []
-    for name in fields_of(scans, labels=False):
-        if name != "tudf":
-            shape = shape_of(name, grid, lidar, scans)
-            bits = FIELDS[name]["axes"] == "grid"
-            columns.append(
-                (name, "u1", -(-int(np.prod(shape)) // 8))
-                if bits
-                else (name, FIELDS[name]["dtype"], shape)
-            )
+    for name in schema.names:
+        if name == "tudf":
+            continue
+        shape, about = schema.shape(name), FIELDS[name]
+        if about["axes"] == "grid":
+            columns.append((name, "u1", -(-int(np.prod(shape)) // 8)))
+        else:
+            columns.append((name, about["dtype"], shape))
     return np.dtype(columns)
 
 
@@ -54,7 +51,7 @@ def pack(sample: Sample, kind: np.dtype) -> bytes:
     return isal.isal_zlib.compress(record.tobytes(), LEVEL)
 
 
-def unpack(packed: bytes, kind: np.dtype, grid: GridSpec, lidar: Sensor) -> Sample:
+def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
     """The sample of a record; arrays of its own, which may be written to. Raises ValueError for
     bytes that are none."""
     try:
@@ -63,41 +60,18 @@ def unpack(packed: bytes, kind: np.dtype, grid: GridSpec, lidar: Sensor) -> Samp
         raise ValueError(f"cannot be unpacked: {error}") from None
     if len(content) != kind.itemsize:
         raise ValueError(f"{len(content)} bytes, expected {kind.itemsize}")
-    return _Drawn.of(np.frombuffer(content, kind)[0], grid, lidar)
+    record, grid = np.frombuffer(content, kind)[0], schema.grid
 
-
-class _Drawn(LazySample):
-    """A sample whose fields are unpacked, and whose distances derived, when first asked for."""
-
-    @classmethod
-    def of(cls, record: Any, grid: GridSpec, lidar: Sensor) -> Sample:
-        """The sample of a record."""
-        sample = cls.__new__(cls)
-        sample.__dict__.update(_record=record, _grid=grid, _lidar=lidar)
-        return sample
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """See `Sample.names`."""
-        return fields_of(2 if "earlier_ranges" in self._record.dtype.names else 1, labels=False)
-
-    @property
-    def grid(self) -> GridSpec:
-        """Its map's."""
-        return self._grid
-
-    def _sensor(self) -> Sensor:
-        return self._lidar
-
-    def find(self, name: str) -> Any:
-        """See `LazySample.find`."""
+    def find(sample: Sample, name: str) -> Any:
         if name == "tudf":
-            return derive_tudf(self.occupancy, grid=self._grid)
-        value: NDArray[Any] = self._record[name]
+            return derive_tudf(sample.occupancy, grid=grid)
+        value: NDArray[Any] = record[name]
         if FIELDS[name]["axes"] == "grid":
-            count = int(np.prod(self._grid.shape))
-            return np.unpackbits(value, count=count).view(np.bool_).reshape(self._grid.shape)
+            count = int(np.prod(grid.shape))
+            return np.unpackbits(value, count=count).view(np.bool_).reshape(grid.shape)
         return int(value) if FIELDS[name]["axes"] == "" else value.copy()
+
+    return Sample.lazy(schema.names, find, lidar=schema.lidar, grid=grid)
 
 
 HEAD = b"scenegen unit 1\n"

@@ -13,9 +13,10 @@ from typing import Any, overload
 
 import numpy as np
 
+from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
-from scenegen.sample import Sample, describe_fields
+from scenegen.sample import Sample
 from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
 from scenegen.streams.batches import Batches, Place
 from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
@@ -73,7 +74,8 @@ class Stream(Sequence[Sample]):
             dict.fromkeys(part.recipe.noise.spelled() for part in mixture.components)
         )
         """That of every part, as manifests spell it."""
-        self._record = record_type(self.grid, self.lidar, self.mapping.scans)
+        self._schema = schema_of(mixture.components[0].recipe)
+        self._record = record_type(self._schema)
         caches = (
             ()
             if cache is None
@@ -102,10 +104,7 @@ class Stream(Sequence[Sample]):
         once."""
         places = [self.mixture.place(self._checked(index)) for index in indices]
         self._prepare(dict.fromkeys(slot for slot, _ in places))
-        return [
-            unpack(self._unit(slot)[view], self._record, self.grid, self.lidar)
-            for slot, view in places
-        ]
+        return [unpack(self._unit(slot)[view], self._record, self._schema) for slot, view in places]
 
     def __iter__(self) -> "Reader":
         return Reader(self)
@@ -123,7 +122,7 @@ class Stream(Sequence[Sample]):
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
-        return describe_fields(self.grid, self.lidar, scans=self.mapping.scans)
+        return self._schema.describe()
 
     def expect(self, indices: Iterable[int]) -> None:
         """Say which samples will be asked for next, in this order: workers then make these ahead of

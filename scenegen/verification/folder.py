@@ -15,7 +15,7 @@ import numpy as np
 from lidarsim import AnalyticEngine, GridSpec, Lidar
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
-from scenegen.dataset.rules import files_of
+from scenegen.dataset.parts import sensor_files
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, told
 from scenegen.recipe import make_recipe
@@ -238,7 +238,8 @@ class _Examination(Limited[Task, Findings]):
         contract, entry = task.contract, task.entry
         if note_of(contract.folder) is not None:
             fetch_all(
-                contract.folder, [entry.file, entry.worlds, *files_of(contract.parameters["lidar"])]
+                contract.folder,
+                [entry.file, entry.worlds, *sensor_files(contract.parameters["lidar"])],
             )
         return super().__call__(task)
 

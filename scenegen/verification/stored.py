@@ -12,7 +12,7 @@ from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import Manifest
-from scenegen.sample import LABELS, derive_tudf
+from scenegen.sample import GROUPS, derive_tudf
 from scenegen.truth import rasterize
 from scenegen.verification.contract import Contract
 from scenegen.verification.rays import count_strays
@@ -254,7 +254,7 @@ def _owners(sample: Sample, page: Page) -> None:
     labels = contract.recipe.labels
     assert labels is not None
     again = label_fields(sample.fields, world, contract.lidar, contract.grid, labels)
-    for name in LABELS:
+    for name in GROUPS["labels"]:
         _same(sample, name, again[name], f"world {sample.world}", page)
 
 

@@ -11,7 +11,7 @@ from lidarsim.solids.model import solids_of
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import GenerationError
 from scenegen.recipe import Recipe, preset
-from scenegen.sample import SCHEMA, derive_free, derive_tudf
+from scenegen.sample import GROUPS, derive_free, derive_tudf
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
 from scenegen.worlds.world import compile_world
@@ -29,7 +29,7 @@ def same(a: Unit, b: Unit) -> bool:
     return a.world.mjcf == b.world.mjcf and all(
         np.array_equal(getattr(x, name), getattr(y, name))
         for x, y in zip(a.samples, b.samples, strict=True)
-        for name in SCHEMA
+        for name in GROUPS[""]
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scenegen.dataset.read import Dataset
-from scenegen.sample import SCHEMA, Sample
+from scenegen.sample import GROUPS, Sample
 from tests.command_line import run
 
 
@@ -29,7 +29,7 @@ def test_points_lie_along_the_rays_and_in_observed_voxels(made: Path) -> None:
 def test_a_sample_without_a_dataset_needs_its_sensor(made: Path) -> None:
     dataset = Dataset(made)
     stored = dataset.split("train")[0]
-    plain = Sample(**{name: getattr(stored, name) for name in SCHEMA})
+    plain = Sample(**{name: getattr(stored, name) for name in GROUPS[""]})
     with pytest.raises(TypeError, match="sensor"):
         plain.points()
     np.testing.assert_array_equal(plain.points(dataset.lidar), stored.points())
@@ -43,7 +43,7 @@ def test_samples_and_splits_say_what_they_are(dataset: Path) -> None:
     assert all(
         f"<td>{name}</td>" in text
         for text in (split._repr_html_(), split[0]._repr_html_())
-        for name in SCHEMA
+        for name in GROUPS[""]
     )
     share = 100 * split[1].occupancy.mean()
     assert repr(split[1]).startswith(

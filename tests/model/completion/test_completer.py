@@ -9,7 +9,7 @@ import torch
 
 from lidarsim import GridSpec, Lidar
 from lidarsim.sensors import SENSORS
-from scenegen.dataset.rules import sensor_entry
+from scenegen.dataset.parts import sensor_entry
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, unlike
 from scenegen.model.completion.protocol import PredictionError

@@ -32,7 +32,7 @@ from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Local
-from scenegen.sample import SCHEMA
+from scenegen.sample import GROUPS
 from scenegen.source import DrawnWorlds
 from tests.conftest import Once, picky_recipe, small_recipe
 
@@ -366,7 +366,7 @@ def test_a_compact_dataset_reads_like_a_full_one(tmp_path: Path, whole: Path) ->
         for a, b in zip(
             Dataset(whole).split(split), Dataset(tmp_path / "compact").split(split), strict=True
         ):
-            for name in SCHEMA:
+            for name in GROUPS[""]:
                 np.testing.assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
 
 

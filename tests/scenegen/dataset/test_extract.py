@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenegen.dataset.extract import DOCUMENT, write_extracted
+from scenegen.dataset.archive import DOCUMENT, write_extracted
 from scenegen.errors import DatasetError
 from scenegen.worlds.scene import load_scene
 

@@ -18,7 +18,7 @@ from scenegen.dataset.foreign import read_index
 from scenegen.dataset.hdf5 import ForeignError, Hdf5Error, Stored, walk
 from scenegen.dataset.layout import Layout, layout_of, open_shard
 from scenegen.errors import BrokenError
-from scenegen.sample import SCHEMA
+from scenegen.sample import GROUPS, Schema
 from tests.conftest import small_recipe
 
 
@@ -96,7 +96,7 @@ def shard_arrays(path: Path) -> dict[str, np.ndarray]:
 @functools.cache
 def layout() -> Layout:
     recipe = small_recipe()
-    return layout_of(SCHEMA, recipe.grid, recipe.lidar)
+    return layout_of(GROUPS[""], Schema(grid=recipe.grid, lidar=recipe.lidar))
 
 
 def read_all(path: Path) -> dict[str, np.ndarray]:

@@ -195,7 +195,7 @@ def test_what_the_noise_cannot_have_done_is_found(noisy: Path, tmp_path: Path) -
         ({"rescan": {"digest": "x"}}, "rescan.digest"),
         (
             {"labels": {"by": "name", "classes": ["nothing"]}},
-            "labels: expected exactly where `fields` names labels",
+            "labels: expected exactly where `fields` names those of labels",
         ),
         ({"version": 1.3}, "version = 1.3: expected 1.2 with noise"),
         ({"version": 1.5}, "format version 1.5, this scenegen reads up to 1.4"),

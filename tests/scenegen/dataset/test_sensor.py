@@ -15,8 +15,8 @@ import pytest
 from lidarsim import BeamTable, Lidar
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
+from scenegen.dataset.parts import RAYS, read_sensor, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rules import RAYS, sensor_entry, sensor_of, write_rays
 from scenegen.draw import draw_unit
 from scenegen.errors import BrokenError, DatasetError, PublishError
 from scenegen.share.regenerate import check_source, source_file
@@ -168,7 +168,7 @@ def test_a_strangers_word_on_a_table_is_not_trusted(
     write_rays(table, tmp_path)
     assert sensor_of(sensor_entry(table), tmp_path) == table
     with pytest.raises(BrokenError) as caught:
-        sensor_of(sensor_entry(table) | change, tmp_path)
+        sensor_of(read_sensor(sensor_entry(table) | change, {}), tmp_path)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -26,7 +26,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
 from scenegen.errors import DatasetError
-from scenegen.sample import SCHEMA, Sample, stored_fields
+from scenegen.sample import GROUPS, Sample
 from scenegen.source import DrawnWorlds
 from scenegen.verification import verify
 from tests.conftest import small_recipe
@@ -44,7 +44,7 @@ def refused(action: Callable[[], Any]) -> str:
 
 def whole(sample: Sample) -> tuple[Any, ...]:
     """All its fields, each of which is read when asked for."""
-    return tuple(getattr(sample, name) for name in SCHEMA)
+    return tuple(getattr(sample, name) for name in GROUPS[""])
 
 
 def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
@@ -107,7 +107,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
         (
             ("fields",),
             ["observed"],
-            "fields = ['observed']: expected all, or all but the derived ones",
+            "fields = ['observed']: expected all",
         ),
         (("recipe", "world"), 3, "recipe.world = 3: expected a table, or null"),
         (("rejected", "worlds"), {"x": "y"}, "expected a table, each value a whole number from 0"),
@@ -134,7 +134,7 @@ def test_what_is_wrong_in_a_manifest_is_said_in_our_words(
         (("version",), 1.5, "1.5"),
         (("version",), "1.10", "1.10"),
         (("version",), 2, "2"),
-        (("fields",), [*stored_fields(False), "intensity"], "intensity"),
+        (("fields",), [*GROUPS[""], "intensity"], "intensity"),
         (("grid", "colour"), 1, "colour"),
         (("lidar", "colour"), 1, "lidar: unknown parameter 'colour': expected rows, columns, "),
         (("software", "scenegen"), "99.1.0", "counts = 7"),
@@ -173,8 +173,8 @@ def test_a_version_that_nobody_wrote_is_not_called_newer(dataset: Path, version:
 
 
 def test_versions_are_pairs_of_whole_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    later = {**manifest.MINOR, "1.9": ("a",), "1.10": ("b",)}
-    monkeypatch.setattr(manifest, "MINOR", later)
+    later = {**manifest.SINCE, "a": "1.9", "b": "1.10"}
+    monkeypatch.setattr(manifest, "SINCE", later)
     assert [manifest.version_of({name: 1}) for name in ("", "noise", "sources", "a", "b")] == [
         1,
         1.2,

@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 
 from scenegen import SPLITS
-from scenegen.dataset.extract import compile_archived
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange.glb import surfaces
 from scenegen.display.live import Live
@@ -93,7 +92,7 @@ def test_the_world_of_a_sample_is_served_in_its_maps_frame(made: Path) -> None:
         assert status == 200
         packed = gzip.decompress(base64.b64decode(json.loads(text)["triangles"]))
         corners = np.frombuffer(packed, "<f4").reshape(-1, 3)
-        world = compile_archived(dataset, "test", int(sample.world))
+        world = dataset.compile("test", int(sample.world))
         for low, high, solid in zip(
             world.solids.lower, world.solids.upper, surfaces(world), strict=True
         ):

@@ -20,7 +20,7 @@ from scenegen.dataset.rescan import plan_rescan
 from scenegen.dataset.rules import Numbering
 from scenegen.errors import DatasetError
 from scenegen.recipe import make_recipe
-from scenegen.sample import SCHEMA
+from scenegen.sample import GROUPS
 from scenegen.share.stage import Request, examine
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.tables import named_noise
@@ -108,7 +108,7 @@ def test_a_merged_dataset_holds_all_samples_as_they_were(
         samples = found.split(split)
         assert len(samples) == len(before)
         for n, (sample, was) in enumerate(zip(samples, before, strict=True)):
-            for name in SCHEMA.keys() - {"world"}:
+            for name in set(GROUPS[""]) - {"world"}:
                 assert np.array_equal(getattr(sample, name), getattr(was, name)), name
             assert samples.home(n).seed == (1 if n < COUNTS[split] else 2)
         assert len(set(samples.names)) == len(samples)

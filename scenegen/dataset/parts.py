@@ -1,0 +1,315 @@
+"""The parts of a recipe that have entries of their own in a manifest: one table that writers,
+readers and checks walk."""
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lidarsim import BeamTable, GridSpec, Lidar, Sensor
+from lidarsim.noise import STAGES
+from lidarsim.parameters import MOST_RAYS
+from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
+from scenegen.dataset.rules import DIGEST, Rule, check, made, text
+from scenegen.errors import BrokenError, DatasetError, printable, short
+from scenegen.files import read_bounded, write_whole
+from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_VOXELS
+from scenegen.sample import Schema
+from scenegen.worlds.mapping import Mapper
+
+if TYPE_CHECKING:  # these import MuJoCo, which reading does not take
+    from lidarsim.noise.chain import Noise
+    from scenegen.dataset.trust import Manifest
+    from scenegen.recipe import Recipe
+
+GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m", "hollow": "hollow"}
+"""A grid's parameters: their names in the file, and in `GridSpec`."""
+NEEDED = ("shape", "voxel", "truncation")
+"""Those of them that every file names; the others only where they are not the default."""
+RAYS = "rays.npy"
+"""The file of a table of rays, in a dataset's folder."""
+MOST_STAGES_TEXT = 4000
+"""Characters of the text of a dataset's stages."""
+_GIVEN = Rule(lambda value: True, "a value")
+_MAPPING = {item.name: item.name for item in dataclasses.fields(Mapper)}
+_NOISE = {
+    "stages": text(
+        rf"[ -~]{{1,{MOST_STAGES_TEXT}}}", "stages of noise, as lidarsim.noise writes them"
+    ),
+    "bound_m": Rule(
+        lambda value: value is None or (type(value) in (int, float) and 0 <= value < math.inf),
+        "metres, or null",
+    ),
+}
+_TABLE_OF_RAYS = {
+    "sensor": Rule(lambda value: value == "table", "table, or no entry for a raster"),
+    "rays": Rule(lambda value: value == RAYS, RAYS),
+    "sha256": DIGEST,
+    "shape": Rule(
+        lambda value: (
+            isinstance(value, list)
+            and 1 <= len(value) <= MOST_AXES
+            and all(type(count) is int and 1 <= count <= MOST_RAYS for count in value)
+            and math.prod(value) <= MOST_RAYS
+        ),
+        f"up to {MOST_AXES} counts, {MOST_RAYS} rays at most",
+    ),
+    "max_range_m": Rule(lambda value: type(value) in (int, float), "metres"),
+    "made_by": Rule(
+        lambda value: isinstance(value, str) and len(value) <= MOST_MADE_BY, "what made the rays"
+    ),
+}
+"""What a manifest says of a table of rays; a recipe's [lidar] takes the same, but for the shape."""
+_LABELS = {
+    "by": Rule(lambda value: value in ("name", "material", "group"), "name, material or group"),
+    "classes": Rule(
+        lambda value: (
+            isinstance(value, list)
+            and 0 < len(value) <= MOST_CLASSES
+            and all(isinstance(name, str) and name.isprintable() for name in value)
+            and len(set(value)) == len(value)
+        ),
+        f"up to {MOST_CLASSES} different names",
+    ),
+}
+
+
+def grid_entry(grid: GridSpec) -> dict[str, Any]:
+    """What the manifest says of a grid."""
+    plain = GridSpec()
+    return {
+        name: getattr(grid, ours)
+        for name, ours in GRID.items()
+        if name in NEEDED or getattr(grid, ours) != getattr(plain, ours)
+    }
+
+
+def _read_grid(entry: Any, before: Mapping[str, Any]) -> GridSpec:
+    check(entry, dict.fromkeys(NEEDED, _GIVEN), "grid")
+    grid = made(GridSpec, entry, GRID, "grid")
+    if math.prod(grid.shape) > MOST_VOXELS:
+        raise BrokenError(
+            f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most"
+        )
+    return grid
+
+
+def sensor_entry(sensor: Sensor) -> dict[str, Any]:
+    """What the manifest says of a sensor, as plain JSON values."""
+    if isinstance(sensor, Lidar):
+        return _plain(dataclasses.asdict(sensor))
+    table = BeamTable.of(sensor)
+    return {
+        "sensor": "table",
+        "rays": RAYS,
+        "sha256": table.sha256,
+        "shape": list(table.shape),
+        "max_range_m": table.max_range_m,
+        "made_by": table.made_by,
+    }
+
+
+def read_sensor(entry: Any, before: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A sensor's entry, checked. Raises BrokenError."""
+    if isinstance(entry, Mapping) and "sensor" in entry:
+        check(entry, _TABLE_OF_RAYS, "lidar", _TABLE_OF_RAYS)
+    else:
+        _raster(entry)
+    return entry
+
+
+def _raster(entry: Any) -> Lidar:
+    return made(Lidar, entry, {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar")
+
+
+def sensor_files(entry: Mapping[str, Any]) -> dict[str, str]:
+    """Files that the sensor of a checked entry takes in the dataset's folder, with their
+    SHA-256."""
+    return {RAYS: entry["sha256"]} if "sensor" in entry else {}
+
+
+def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
+    """The sensor of a checked entry. Raises BrokenError where the table in `folder` is damaged."""
+    if "sensor" not in entry:
+        return _raster(entry)
+    expected = (*entry["shape"], 4)
+    try:
+        content = read_bounded(folder / RAYS, most_bytes(math.prod(entry["shape"])))
+        if hashlib.sha256(content).hexdigest() != entry["sha256"]:
+            raise ValueError("is not the file whose sha256 the manifest's lidar names")
+        rays = read_npy(content)
+        if rays.shape != expected:
+            raise ValueError(f"has shape {rays.shape}, the manifest's lidar names {expected}")
+        return BeamTable(rays=rays, max_range_m=entry["max_range_m"], made_by=entry["made_by"])
+    except FileNotFoundError:
+        raise BrokenError(
+            f"{RAYS}: is missing, though the manifest's lidar is a table of rays"
+        ) from None
+    except (ValueError, OSError, DatasetError) as error:
+        raise BrokenError(f"{RAYS}: {printable(error)[:200]}") from None
+
+
+def write_rays(sensor: Sensor, folder: Path) -> None:
+    """Put the sensor's table into the dataset's folder, unless it is there."""
+    if isinstance(sensor, Lidar):
+        return
+    path, table = folder / RAYS, BeamTable.of(sensor)
+    if not path.is_file() or path.read_bytes() != table.npy:
+        write_whole(path, table.npy)
+
+
+def noise_entry(noise: "Noise", max_range_m: float) -> dict[str, Any] | None:
+    """What the manifest says of a chain with a sensor of that range; None without stages. Raises
+    BrokenError for one that no manifest can hold."""
+    if not noise.stages:
+        return None
+    bound = noise.bound_m(max_range_m)
+    entry = {"stages": noise.spelled(), "bound_m": bound if bound < math.inf else None}
+    check(entry, _NOISE, "noise", _NOISE)
+    return entry
+
+
+def _read_noise_entry(entry: Any, before: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    if entry is not None:
+        check(entry, _NOISE, "noise", _NOISE)
+    return entry
+
+
+def is_ours(entry: Mapping[str, Any] | None) -> bool:
+    """Whether all stages are scenegen's own, so that reading them imports nothing that a manifest
+    names."""
+    stages = entry["stages"].split(",") if entry else []
+    return all(stage.partition(":")[0] in STAGES.known for stage in stages)
+
+
+def noise_of(entry: Mapping[str, Any] | None, max_range_m: float) -> "Noise":
+    """The chain of a manifest's entry whose stages `is_ours`. Raises BrokenError for one that
+    cannot be, or whose bound is another."""
+    from lidarsim.noise.chain import Noise
+
+    if entry is None:
+        return Noise()
+    try:
+        found = Noise.parse(entry["stages"])
+    except ValueError as error:
+        raise BrokenError(f"noise.stages = {short(entry['stages'])}: {printable(error)}") from None
+    again = noise_entry(found, max_range_m)
+    if again and again["bound_m"] != entry["bound_m"]:
+        raise BrokenError(
+            f"noise.bound_m = {entry['bound_m']}: its stages have {again['bound_m']} with this "
+            f"sensor"
+        )
+    return found
+
+
+def _read_labels_entry(entry: Any, before: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    if entry is not None:
+        check(entry, _LABELS, "labels", _LABELS)
+    return entry
+
+
+def mapping_entry(mapping: Mapper) -> dict[str, Any] | None:
+    """What the manifest says of how maps are made; None where each is one scan around a level
+    sensor."""
+    return None if mapping.plain else described(mapping)
+
+
+def described(mapping: Mapper) -> dict[str, Any]:
+    """Every parameter of how maps are made, as plain JSON values; those of the default for what is
+    the same."""
+    return _plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))
+
+
+def _read_mapping(entry: Any, before: Mapping[str, Any]) -> Mapper:
+    if entry is None:
+        return Mapper()
+    check(entry, dict.fromkeys(_MAPPING, _GIVEN), "mapping", _MAPPING)
+    mapping, sensor = made(Mapper, entry, _MAPPING, "mapping"), before["lidar"]
+    shape, reach = sensor.get("shape"), sensor.get("max_range_m")
+    if "sensor" not in sensor:
+        shape, reach = (raster := _raster(sensor)).shape, raster.max_range_m
+    try:
+        mapping.check_reach(before["grid"], reach, math.prod(shape), MOST_RAYS_IN_SAMPLE)
+    except ValueError as error:
+        raise BrokenError(str(error)) from None
+    return mapping
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON would give it back."""
+    return json.loads(json.dumps(value))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of a recipe that has an entry of its own in a manifest."""
+
+    name: str
+    """Its name, in manifests, recipes and `Manifest`."""
+    since: str
+    """The first version of the format in which manifests may have the entry."""
+    entry: Callable[["Recipe"], Any]
+    """The entry that a recipe has in the manifest; None for none."""
+    read: Callable[[Any, Mapping[str, Any]], Any]
+    """What `Manifest` holds, from the entry (None where it is not there) and the parts before it.
+    Raises BrokenError."""
+    group: str = ""
+    """The group of fields that it may bring; see `scenegen.sample.GROUPS`."""
+    brings: Callable[[Any], bool] = bool
+    """Whether samples have that group, by the part's value in a recipe or a `Manifest`."""
+
+
+PARTS = (
+    Part(
+        name="grid",
+        since="1",
+        entry=lambda recipe: _plain(grid_entry(recipe.grid)),
+        read=_read_grid,
+    ),
+    Part(
+        name="lidar",
+        since="1",
+        entry=lambda recipe: sensor_entry(recipe.lidar),
+        read=read_sensor,
+    ),
+    Part(
+        name="noise",
+        since="1.2",
+        entry=lambda recipe: noise_entry(recipe.noise, recipe.lidar.max_range_m),
+        read=_read_noise_entry,
+    ),
+    Part(
+        name="labels",
+        since="1.2",
+        entry=lambda recipe: recipe.labels and _plain(dataclasses.asdict(recipe.labels)),
+        read=_read_labels_entry,
+        group="labels",
+        brings=lambda labels: labels is not None,
+    ),
+    Part(
+        name="mapping",
+        since="1.3",
+        entry=lambda recipe: mapping_entry(recipe.mapping),
+        read=_read_mapping,
+        group="earlier",
+        brings=lambda mapping: mapping.scans > 1,
+    ),
+)
+"""In the order in which they stand in the file and are read."""
+NAMES = tuple(part.name for part in PARTS)
+
+
+def entries(recipe: "Recipe") -> dict[str, Any]:
+    """What the manifest says of the parts of a recipe."""
+    found = {part.name: part.entry(recipe) for part in PARTS}
+    return {name: entry for name, entry in found.items() if entry is not None}
+
+
+def schema_of(it: "Recipe | Manifest") -> Schema:
+    """Which fields the samples have. Raises BrokenError where a table of rays is damaged."""
+    groups = (part.group for part in PARTS if part.group and part.brings(getattr(it, part.name)))
+    return Schema(grid=it.grid, lidar=it.lidar, groups=tuple(groups), scans=it.mapping.scans)
