@@ -159,14 +159,14 @@ def time_runs(kind: str, count: int) -> None:
 def main() -> None:
     """Parse and measure."""
     parser = measuring.options(__doc__)
-    parser.add_argument("--kind", choices=kind_names(), help="one kind instead of all")
+    parser.add_argument("--kind", choices=kind_names(), help="one kind instead of two")
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each kind")
     parser.add_argument("--worlds", type=int, default=8, help="on whose maps the baselines are run")
     parser.add_argument("--runs", action="store_true", help="also time whole commands")
     parser.add_argument("--n", type=int, default=2500, help="training samples of a whole command")
     parser.add_argument("--plot", type=Path, help="a picture of the stages, PNG")
     given = measuring.parse(parser, kind="pillar", seconds=0, worlds=1, runs=True, n=5)
-    kinds = [given.kind] if given.kind else kind_names()
+    kinds = [given.kind] if given.kind else ["geometric", "pillar"]
     rows = {}
     for kind in kinds:
         rows[kind] = measure(kind, given.seconds)

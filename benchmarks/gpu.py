@@ -151,7 +151,7 @@ def main() -> None:
         "--worlds", type=int, default=1024, help="different worlds at once, of each preset"
     )
     parser.add_argument("--sensors", type=int, default=64, help="poses among three solids")
-    parser.add_argument("--kind", nargs="+", choices=kind_names(), default=kind_names())
+    parser.add_argument("--kind", nargs="+", choices=kind_names(), default=["geometric", "pillar"])
     parser.add_argument("--seconds", type=float, default=3.0, help="for each figure")
     parser.add_argument(
         "--json", action="store_true", help="one line, in rays and samples a second"

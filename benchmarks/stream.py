@@ -106,7 +106,7 @@ def waits(kind: str, workers: int, steps: int, dataset: Path | None) -> tuple[fl
 def main() -> None:
     """Parse, measure in turn, and print."""
     parser = measuring.options(__doc__)
-    parser.add_argument("--kind", choices=kind_names(), help="one kind instead of all")
+    parser.add_argument("--kind", choices=kind_names(), help="one kind instead of two")
     parser.add_argument("--samples", type=int, default=100, help="samples of a round")
     parser.add_argument("--rounds", type=int, default=7, help="how often each is measured, in turn")
     parser.add_argument("--workers", type=int, default=2)
@@ -121,7 +121,7 @@ def main() -> None:
     )
     options = measuring.parse(parser, kind="pillar", samples=8, rounds=1, workers=1)
     if options.train:
-        for kind in [options.kind] if options.kind else kind_names():
+        for kind in [options.kind] if options.kind else ["geometric", "pillar"]:
             for workers in (0, 1, 2):
                 waited, stepped = waits(kind, workers, options.train, None)
                 print(
@@ -137,7 +137,7 @@ def main() -> None:
                 flush=True,
             )
         return
-    for kind in [options.kind] if options.kind else kind_names():
+    for kind in [options.kind] if options.kind else ["geometric", "pillar"]:
         generate(kind, 10, 0)  # kernels compile
         with ways(kind, options.workers) as compared:
             found: dict[str, list[measuring.Time]] = {name: [] for name in compared}

@@ -3,6 +3,7 @@
 python docs/pictures.py          needs the extra `view`; writes docs/pictures/*.png
 """
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pyvista as pv
 
 from lidarsim import Pose, Scan
-from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE, Solids
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, Solids
 from scenegen.draw import Unit, draw_unit
 from scenegen.recipe import Recipe, preset
 from scenegen.recipes import kind_names
@@ -34,10 +35,16 @@ def main() -> None:
 
 def draw_world(unit: Unit, recipe: Recipe, path: Path) -> None:
     """The solids of a world, the viewpoints of its flight, and the map's box around one of them."""
-    plotter = pv.Plotter(off_screen=True, window_size=[1000, 640])
-    colours = unit.world.model.geom_rgba
-    for n, mesh in enumerate(solid_meshes(unit.world.solids)):
-        plotter.add_mesh(mesh, color=colours[n, :3], smooth_shading=False)
+    plotter = pv.Plotter(off_screen=True, window_size=[900, 580])
+    model, solids = unit.world.model, unit.world.solids
+    worn = model.geom_matid >= 0
+    colours = model.geom_rgba.copy()
+    colours[worn] = model.mat_rgba[model.geom_matid[worn]]
+    for geom, mesh in zip(solids.geom, solid_meshes(solids), strict=True):
+        above = model.geom_matid[geom] >= 0 and model.mat(model.geom_matid[geom]).name == "ceiling"
+        roof = unit.world.data.geom_xmat[geom, 8] < 0 and model.geom_type[geom] == HFIELD
+        if not (above or roof):  # which would hide what is below
+            plotter.add_mesh(mesh, color=np.sqrt(colours[geom, :3]), smooth_shading=False)
     for sample in unit.samples:
         plotter.add_mesh(pv.Sphere(radius=0.35, center=sample.position), color="crimson")
     sample = unit.samples[2]
@@ -51,22 +58,32 @@ def draw_world(unit: Unit, recipe: Recipe, path: Path) -> None:
 
 
 def solid_meshes(solids: Solids) -> list[Any]:
-    """A surface for every primitive that the bundled kinds use."""
+    """A surface for every solid, primitives first."""
     meshes = []
     for shape, size, position, rotation in zip(
         solids.shape, solids.size, solids.position, solids.rotation, strict=True
     ):
-        mesh = {
-            SPHERE: lambda size=size: pv.Sphere(radius=size[0]),
-            BOX: lambda size=size: pv.Box(np.stack([-size, size], 1).ravel()),
-            CYLINDER: lambda size=size: pv.Cylinder(
-                direction=(0, 0, 1), radius=size[0], height=2 * size[1]
-            ),
-        }[int(shape)]()
+        mesh = surface(int(shape), size)
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = rotation, position
         meshes.append(mesh.transform(frame, inplace=False))
+    for begin, end in pairwise(solids.mesh_start.tolist()):
+        corners = solids.triangles[begin:end].reshape(-1, 3)
+        faces = np.insert(np.arange(len(corners)).reshape(-1, 3), 0, 3, axis=1)
+        meshes.append(pv.PolyData(corners, faces))
     return meshes
+
+
+def surface(shape: int, size: np.ndarray) -> Any:
+    """The surface of a primitive in its own frame."""
+    if shape == BOX:
+        return pv.Box(np.stack([-size, size], 1).ravel())
+    if shape == CYLINDER:
+        return pv.Cylinder(direction=(0, 0, 1), radius=size[0], height=2 * size[1])
+    if shape == CAPSULE:
+        return pv.Capsule(direction=(0, 0, 1), radius=size[0], cylinder_length=2 * size[1])
+    radii = size if shape == ELLIPSOID else np.full(3, size[0])
+    return pv.Sphere(radius=1.0).scale(radii, inplace=False)
 
 
 def draw_sample(unit: Unit, recipe: Recipe, path: Path) -> None:

@@ -19,6 +19,7 @@ from lidarsim import Lidar
 from lidarsim.solids.model import solids_of
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
+from scenegen.recipes import kind_names
 from scenegen.recipes.kind import attitudes, log_uniform, normal
 from scenegen.source import DrawnWorlds, Source, read_scenes
 from scenegen.worlds.flight import viewpoints
@@ -69,8 +70,9 @@ def of_datasets() -> dict[str, str]:
         "poses": digest(views.pose(n).quaternion for n in range(len(views))),
         "mesh": digest([_mesh(rng)]),
     }
-    for kind in ("pillar", "geometric"):
-        found[kind] = _flights(DrawnWorlds(preset(kind)), kind, UNITS)
+    for kind in kind_names():
+        units = UNITS if kind in ("pillar", "geometric") else 1
+        found[kind] = _flights(DrawnWorlds(preset(kind)), kind, units)
     scenes = read_scenes(SCENES, {"train": 1, "val": 0, "test": 0}, seed=0)
     found["scenes"] = _flights(scenes, "scene", len(scenes.scenes["train"]))
     return found

@@ -87,10 +87,10 @@ MAPPING = {field.name for field in dataclasses.fields(Mapper)}
 )
 @click.option(
     "--labels",
-    type=click.Choice(["name", "material", "group"]),
+    type=click.Choice(["class", "name", "material", "group"]),
     panel=WORLDS,
-    help="Say of every return and voxel which geom it is of, and which class: by names or "
-    "materials of geoms, or by their group.",
+    help="Say of every return and voxel which geom it is of, and which class: the kinds' "
+    "own classes, or by names, materials or groups of geoms.",
 )
 @lidar_option("the recipe's")
 @noise_option

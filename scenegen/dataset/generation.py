@@ -83,7 +83,7 @@ def plan_generation(
         lidar: The sensor, or its name; the recipe's by default.
         noise: Stages of noise, such as "range:0.02,dropout:0.05".
         mapping: Parameters of how maps are made.
-        labels: What decides the classes of geoms: "name", "material" or "group".
+        labels: What decides the classes of geoms: "class", "name", "material" or "group".
         seed: The same seed gives the same dataset.
         allow_unseen: Whether scenes may have geoms that rays cannot see.
         tell: Called with a sentence for whatever of the scenes is left out.
@@ -112,7 +112,11 @@ def plan_generation(
     source: Source
     if path is not None:
         source = read_scenes(
-            path, counts, seed=seed, allow_unseen=allow_unseen, materials=labels == "material"
+            path,
+            counts,
+            seed=seed,
+            allow_unseen=allow_unseen,
+            materials=labels in ("class", "material"),
         )
         for line in source.notes:
             tell(line)

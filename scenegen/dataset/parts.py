@@ -65,7 +65,10 @@ _TABLE_OF_RAYS = {
 }
 """What a manifest says of a table of rays; a recipe's [lidar] takes the same, but for the shape."""
 _LABELS = {
-    "by": Rule(lambda value: value in ("name", "material", "group"), "name, material or group"),
+    "by": Rule(
+        lambda value: value in ("class", "name", "material", "group"),
+        "class, name, material or group",
+    ),
     "classes": Rule(
         lambda value: (
             isinstance(value, list)

@@ -14,7 +14,9 @@ from scenegen.limits import MOST_KIND_NAME
 if TYPE_CHECKING:  # the command line asks for the kinds' names, and must not load MuJoCo for that
     from scenegen.recipes.kind import WorldKind
 
-_NAMES = sorted(info.name for info in pkgutil.iter_modules(__path__) if info.name != "kind")
+_NAMES = sorted(
+    info.name for info in pkgutil.iter_modules(__path__) if info.name not in ("kind", "parts")
+)
 KINDS = Registry(
     "kind",
     {name: f"{__name__}.{name}:{name.capitalize()}" for name in _NAMES},

@@ -73,6 +73,14 @@ PAPER = (
 KINDS = {
     "pillar": "random forests of round, square and oblong pillars",
     "geometric": "random spheres, boxes, cylinders and walls, standing and floating",
+    "rooms": "storeys of buildings with rooms, doors, windows, ceilings and furniture",
+    "street": "streets with houses, cars, poles, wires and trees",
+    "forest": "forests on uneven ground",
+    "cave": "caves with tunnels and chambers",
+    "warehouse": "warehouses with racks, aisles, conveyors and trusses",
+    "industrial": "machine halls with pipes, tanks, catwalks and scaffolds",
+    "maze": "mazes in three dimensions with windows to fly through",
+    "clutter": "clouds of shapes of all sizes",
     "scene": "worlds from MJCF files",
 }
 

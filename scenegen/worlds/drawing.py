@@ -3,7 +3,8 @@
 import functools
 import hashlib
 import re
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import mujoco
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE
+from scenegen.worlds.classes import COLOURS
 from scenegen.worlds.screen import screen
 
 FLIGHT_BOUNDS = "flight_bounds"
@@ -24,6 +26,7 @@ NUMBERS: dict[int, tuple[str, int]] = {
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): (' type="ellipsoid"', 3),
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): (' type="cylinder"', 2),
     int(mujoco.mjtGeom.mjGEOM_BOX): (' type="box"', 3),
+    HFIELD: (' type="hfield"', 0),
 }
 """Shapes that are written here, with their attribute and how many sizes they have."""
 MOST_WRITTEN = 4096
@@ -36,6 +39,29 @@ _PLACE = "    <light "
 """Where MuJoCo's writer puts the geoms: before this."""
 
 
+class Solid(NamedTuple):
+    """One solid."""
+
+    shape: int
+    row: NDArray[np.float64]
+    """Its numbers (14,), as `COLUMNS` says."""
+    material: str = ""
+    """Its class; nothing for none."""
+    field: str = ""
+    """The name of its height field, where it is one."""
+
+
+class HeightField(NamedTuple):
+    """The shape of uneven ground, shared by the solids that name it."""
+
+    name: str
+    size: tuple[float, float, float, float]
+    """Half its extents along x and y, the span of its heights, and how deep it is filled below the
+    least of them, metres."""
+    heights: NDArray[np.float64]
+    """(along y, along x)."""
+
+
 class Drawing:
     """Solids under the world body, which MuJoCo's own writer, twenty times slower, would write to
     the same bytes.
@@ -46,7 +72,9 @@ class Drawing:
 
     def __init__(self, flight_bounds: NDArray[np.float64]):
         self._bounds = tuple(np.asarray(flight_bounds, dtype=np.float64).reshape(-1).tolist())
-        self._solids: list[tuple[int, NDArray[np.float64]]] = []
+        self._solids: list[Solid] = []
+        self._classes: dict[str, None] = {}
+        self._fields: list[HeightField] = []
         self._spec: mujoco.MjSpec | None = None
 
     def add_geom(
@@ -70,6 +98,7 @@ class Drawing:
         positions: ArrayLike,
         quats: ArrayLike = UPRIGHT,
         rgba: ArrayLike = COLOUR,
+        classes: Sequence[str] | None = None,
     ) -> None:
         """Add n solids at once, which is quicker than one by one. What is the same for all may lack
         the first axis.
@@ -80,24 +109,68 @@ class Drawing:
             positions: Positions, (n, 3), metres.
             quats: Attitudes, (n, 4), w x y z.
             rgba: Colours, (n, 4).
+            classes: Names of their classes in `scenegen.worlds.classes`, (n,), which become their
+                materials; none by default.
         """
         codes = np.asarray(shapes, dtype=np.int64).tolist()
         rows = np.empty((len(codes), 14))
         for columns, values in zip(COLUMNS, (sizes, positions, quats, rgba), strict=True):
             rows[:, columns] = values
-        for code, row in zip(codes, rows, strict=True):
-            if self._spec is None:
-                self._solids.append((code, row))
-            else:
-                _add(self._spec, code, row)
+        for code, row, named in zip(codes, rows, classes or [""] * len(codes), strict=True):
+            self._append(Solid(code, row, named))
+
+    def add_height_field(
+        self,
+        heights: NDArray[np.float64],
+        size_m: tuple[float, float],
+        position: ArrayLike,
+        *,
+        depth_m: float,
+        hanging: bool = False,
+        of_class: str = "terrain",
+    ) -> None:
+        """Add uneven ground, filled below; or, `hanging`, an uneven ceiling, filled above.
+
+        Args:
+            heights: Heights (along y, along x) over `position`, metres; of a ceiling, how far it
+                hangs below `position`.
+            size_m: Its extents along x and y, metres.
+            position: Of its middle (3,), metres.
+            depth_m: How far it is filled beyond its least height, metres.
+            hanging: Whether it is a ceiling.
+            of_class: Its class.
+        """
+        x, y, z = np.asarray(position, dtype=np.float64).tolist()
+        least, most = float(heights.min()), float(heights.max())
+        span = max(most - least, 1e-3)
+        name, size = f"field{len(self._fields)}", (size_m[0] / 2, size_m[1] / 2, span, depth_m)
+        # a ceiling is turned about the x axis, which mirrors y
+        self._fields.append(HeightField(name, size, heights[::-1] if hanging else heights))
+        row, turn = np.zeros(14), (0.0, 1.0, 0.0, 0.0) if hanging else UPRIGHT
+        place = (x, y, z - least if hanging else z + least)
+        for columns, values in zip(COLUMNS, ((0.0, 0.0, 0.0), place, turn, COLOUR), strict=True):
+            row[columns] = values
+        if self._spec is not None:
+            _add_field(self._spec, self._fields[-1])
+        self._append(Solid(HFIELD, row, of_class, name))
+
+    def _append(self, solid: Solid) -> None:
+        if self._spec is None:
+            self._solids.append(solid)
+            self._classes[solid.material] = None
+            return
+        if solid.material and solid.material not in self._classes:
+            self._classes[solid.material] = None
+            _add_class(self._spec, solid.material)
+        _add(self._spec, solid)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         if self._spec is None:
-            self._spec = _empty(self._bounds)
-            for code, row in self._solids:
-                _add(self._spec, code, row)
+            self._spec = _empty(self._bounds, tuple(self._classes), tuple(self._fields))
+            for solid in self._solids:
+                _add(self._spec, solid)
         return getattr(self._spec, name)
 
     def mjcf(self) -> bytes:
@@ -106,7 +179,11 @@ class Drawing:
         if self._spec is None and len(self._solids) <= MOST_WRITTEN:
             lines = _lines(self._solids)
             if lines is not None:
-                before, after = _around(self._bounds)
+                classes = tuple(self._classes)
+                if self._fields:
+                    before, after = _written(_empty(self._bounds, classes, tuple(self._fields)))
+                else:
+                    before, after = _around(self._bounds, classes)
                 return f"{before}{lines}{after}".encode()
         self.worldbody  # noqa: B018 (from here on, there is a spec)
         assert self._spec is not None
@@ -122,42 +199,65 @@ def least_memory(geoms: int) -> int:
     return max(1 << 20, 256 * geoms)
 
 
-def _empty(bounds: tuple[float, ...]) -> mujoco.MjSpec:
-    """A world with nothing but light."""
+def _empty(
+    bounds: tuple[float, ...], classes: tuple[str, ...] = (), fields: tuple[HeightField, ...] = ()
+) -> mujoco.MjSpec:
+    """A world with nothing but light, and the materials and height fields of solids to come."""
     spec = mujoco.MjSpec()
     spec.modelname = "scenegen"
     spec.default.geom.rgba = COLOUR
     spec.add_numeric(name=FLIGHT_BOUNDS, data=bounds, size=6)
+    for name in filter(None, classes):
+        _add_class(spec, name)
+    for field in fields:
+        _add_field(spec, field)
     spec.worldbody.add_light(
         pos=[0, 0, 30], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     )
     return spec
 
 
-@functools.lru_cache(maxsize=8)
-def _around(bounds: tuple[float, ...]) -> tuple[str, str]:
+def _add_class(spec: mujoco.MjSpec, name: str) -> None:
+    spec.add_material(name=name, rgba=COLOURS[name])
+
+
+def _add_field(spec: mujoco.MjSpec, field: HeightField) -> None:
+    rows, columns = field.heights.shape
+    heights = field.heights.reshape(-1).tolist()
+    spec.add_hfield(name=field.name, nrow=rows, ncol=columns, size=field.size, userdata=heights)
+
+
+@functools.lru_cache(maxsize=64)
+def _around(bounds: tuple[float, ...], classes: tuple[str, ...]) -> tuple[str, str]:
     """What MuJoCo writes before and after the geoms of a world."""
-    spec = _empty(bounds)
+    return _written(_empty(bounds, classes))
+
+
+def _written(spec: mujoco.MjSpec) -> tuple[str, str]:
     spec.memory = least_memory(0)
+    if spec.hfields:
+        spec.compile()  # which gives heights their scale
     before, light, after = spec.to_xml().partition(_PLACE)
     return before, light + after
 
 
-def _add(spec: mujoco.MjSpec, shape: int, row: NDArray[np.float64]) -> None:
-    """Add a solid, its numbers (14,) as `COLUMNS` says."""
-    size, position, quat, rgba = (row[columns] for columns in COLUMNS)
-    kind = mujoco.mjtGeom(shape)
-    spec.worldbody.add_geom(type=kind, size=size, pos=position, quat=quat, rgba=rgba)
+def _add(spec: mujoco.MjSpec, solid: Solid) -> None:
+    """Add a solid."""
+    size, position, quat, rgba = (solid.row[columns] for columns in COLUMNS)
+    more = {"material": solid.material} if solid.material else {}
+    more |= {"hfieldname": solid.field} if solid.field else {}
+    kind = mujoco.mjtGeom(solid.shape)
+    spec.worldbody.add_geom(type=kind, size=size, pos=position, quat=quat, rgba=rgba, **more)
 
 
-def _lines(solids: list[tuple[int, NDArray[np.float64]]]) -> str | None:
+def _lines(solids: list[Solid]) -> str | None:
     """Geoms as MuJoCo writes them; None where one is left to MuJoCo."""
-    if any(shape not in NUMBERS for shape, _ in solids):
+    if any(solid.shape not in NUMBERS for solid in solids):
         return None
-    rows = np.array([row for _, row in solids]).reshape(-1, 14)
+    rows = np.array([solid.row for solid in solids]).reshape(-1, 14)
     square = rows[:, 6:10] * rows[:, 6:10]
     length = np.sqrt(((square[:, 0] + square[:, 1]) + square[:, 2]) + square[:, 3])
-    counts = np.array([NUMBERS[shape][1] for shape, _ in solids], dtype=np.int64)
+    counts = np.array([NUMBERS[solid.shape][1] for solid in solids], dtype=np.int64)
     lengths = np.abs(rows[:, :10])
     lengths[:, :3][np.arange(3) >= counts[:, None]] = 0.0
     # MuJoCo writes most numbers like this, but not what it rounds to 0 itself, or large whole ones
@@ -166,17 +266,19 @@ def _lines(solids: list[tuple[int, NDArray[np.float64]]]) -> str | None:
         return None
     rows[:, 6:10] /= length[:, None]
     written = (rows + 0.0).tolist()  # a zero has no sign
-    return "".join(_line(shape, row) for (shape, _), row in zip(solids, written, strict=True))
+    return "".join(_line(solid, row) for solid, row in zip(solids, written, strict=True))
 
 
-def _line(shape: int, row: list[float]) -> str:
+def _line(solid: Solid, row: list[float]) -> str:
     """A geom's line, with six digits for every number that is written, as C++ writes them."""
-    attribute, count = NUMBERS[shape]
+    attribute, count = NUMBERS[solid.shape]
     place, turn, colour = row[3:6], row[6:10], row[10:]
-    line = "    <geom" + _said("size", row[:count])
+    line = "    <geom" + (_said("size", row[:count]) if count else "")
     line += _said("pos", place) if any(place) else ""
     line += _said("quat", turn) if tuple(turn) != UPRIGHT else ""
-    return line + attribute + (_said("rgba", colour) if tuple(colour) != COLOUR else "") + "/>\n"
+    line += attribute + (_said("rgba", colour) if tuple(colour) != COLOUR else "")
+    line += f' material="{solid.material}"' if solid.material else ""
+    return line + (f' hfield="{solid.field}"' if solid.field else "") + "/>\n"
 
 
 def _said(name: str, numbers: list[float]) -> str:

@@ -15,9 +15,10 @@ from lidarsim.pose import rotate
 from scenegen.errors import GenerationError, short
 from scenegen.limits import MOST_CLASSES
 from scenegen.truth.labels import owners
+from scenegen.worlds.classes import CLASSES, OTHER
 from scenegen.worlds.world import World
 
-By: TypeAlias = Literal["name", "material", "group"]
+By: TypeAlias = Literal["class", "name", "material", "group"]
 """What decides the class of a geom."""
 NOTHING = "nothing"
 """Class 0: of a ray without a return, and of a voxel that is not occupied."""
@@ -33,7 +34,9 @@ class Labels:
     By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is
     a ``crate``, and ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its
     material in the same way. A geom without such a name is of the class of its shape. By `group`,
-    it is MuJoCo's group.
+    it is MuJoCo's group; by `class`, it is one of `scenegen.worlds.classes.CLASSES`, the same
+    for all kinds of worlds: the material's, and "other" for a geom whose material has another
+    name.
     """
 
     by: By
@@ -58,6 +61,9 @@ def class_names(model: mujoco.MjModel, by: By) -> list[str]:
     """The name of every geom's class; see `Labels`."""
     if by == "group":
         return [GROUPS[int(group)] for group in model.geom_group]
+    if by == "class":
+        worn = (model.mat(int(n)).name if n >= 0 else "" for n in model.geom_matid)
+        return [name if name in CLASSES else OTHER for name in worn]
     if by == "material":
         names = [model.mat(int(number)).name if number >= 0 else "" for number in model.geom_matid]
     else:
@@ -70,7 +76,8 @@ def class_names(model: mujoco.MjModel, by: By) -> list[str]:
 def labels_by(by: By, named: Iterable[str]) -> Labels:
     """The labels of worlds whose geoms' classes `named` are known besides shapes. Raises
     GenerationError."""
-    known = GROUPS if by == "group" else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
+    fixed = {"group": GROUPS, "class": CLASSES}
+    known = fixed[by] if by in fixed else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
     if len(known) >= MOST_CLASSES:
         raise GenerationError(
             f"{len(known)} classes by name, expected {MOST_CLASSES} at most; give --labels group"

@@ -49,6 +49,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "gpu": ((), (r"pillar +N M rays/s +N samples/s", r" (0) values differ")),
     "inference": ((), (r"occ +stem 2:  eager +N ms", r"openvino +N ms")),
     "intervals": ((), (r"success, geometric +N +N +N",)),
+    "kinds": ((), (r"`geometric` \| N \| N% · N% \| N% · N \|", r"`maze`")),
     "mutants": ((), (r"N of 1 killed",)),
     "points": ((DATA,), (r"sample +iou N recall N", r"voxels alone +iou N recall N near_rmse N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),

@@ -1,0 +1,141 @@
+"""A cave: chambers and tunnels between an uneven floor and an uneven roof, with stalactites and
+rocks."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.elementary import sin_cos
+from lidarsim.parameters import number
+from lidarsim.solids.shapes import BOX
+from scenegen.recipes.kind import Range, WorldKind, attitudes
+from scenegen.recipes.parts import Parts, count, height_at, hilly
+from scenegen.worlds.classes import CLASSES
+from scenegen.worlds.drawing import Drawing
+
+RAMP_M = 1.8
+"""Over this width the walls of a tunnel rise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cave(WorldKind):
+    """Two height fields that meet where there is rock. Chambers are joined in the order in which
+    they are drawn, each to the nearest before it, and a few more tunnels close loops or end dead,
+    as in the worlds of the DARPA Subterranean Challenge, whose tunnels are 2 to 6 m wide."""
+
+    version: ClassVar[int] = 1
+    crowded_by: ClassVar[tuple[str, ...]] = ("dripstone_density", "rock_density")
+    classes: ClassVar[tuple[str, ...]] = CLASSES
+    flight_defaults: ClassVar[dict[str, object]] = {
+        "altitude_m": (0.9, 2.4),
+        "min_distance_m": 6.0,
+        "flights_per_world": 6,
+    }
+
+    size_m: tuple[float, float, float] = (40.0, 40.0, 6.0)
+    """Extent of the world along x, y and z, metres."""
+    ground: bool = True
+    """Whether there are a floor and a roof."""
+    height_m: Range = (3.2, 5.5)
+    """From floor to roof, metres; one value a world."""
+    rough_m: Range = (0.2, 0.8)
+    """Height of the floor's and depth of the roof's unevenness, metres; one value a world."""
+    chambers: tuple[int, int] = number((6, 10), least=1, most=200, rising=True)
+    """Chambers of a world."""
+    chamber_m: Range = (2.5, 6.0)
+    """Radius of a chamber, metres."""
+    tunnel_m: Range = (1.1, 2.8)
+    """Half the width of a tunnel, metres."""
+    loop_share: float = 0.4
+    """More tunnels, as a share of the chambers; they close loops."""
+    dead_share: float = 0.4
+    """Tunnels that end in the rock, as a share of the chambers."""
+    dripstone_density: Range = (0.0, 0.06)
+    """Stalactites and stalagmites per square metre; one value a world."""
+    rock_density: Range = (0.0, 0.06)
+    """Rocks per square metre; one value a world."""
+
+    def most_solids(self) -> float:
+        """Two solids a dripstone, one a rock."""
+        area = self.size_m[0] * self.size_m[1]
+        return (2 * self.dripstone_density[1] + self.rock_density[1]) * area + 2
+
+    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+        """Dig, and put stones where there is room."""
+        parts, (x_m, y_m, _) = Parts(), self.size_m
+        height, rough = rng.uniform(*self.height_m), rng.uniform(*self.rough_m)
+        hills, dents = (hilly(self.size_m, 1.2, (7.0, 3.0), rng=rng) for _ in range(2))
+        rock = np.clip(self._outside(hills.shape, rng=rng) / RAMP_M, 0.0, 1.0)
+        rock = rock * rock * (3.0 - 2.0 * rock) * (height / 2 + 0.3)
+        floor, roof = rough * hills + rock, rough * dents + rock
+        middle, size = (x_m / 2, y_m / 2), (x_m, y_m)
+        if self.ground:
+            spec.add_height_field(floor, size, (*middle, 0.0), depth_m=0.5, of_class="rock")
+            spec.add_height_field(
+                roof, size, (*middle, height), depth_m=0.5, hanging=True, of_class="rock"
+            )
+        area = x_m * y_m
+        for x, y in self._places(self.dripstone_density, area, rng=rng):
+            low = height_at(floor, self.size_m, x, y)
+            high = height - height_at(roof, self.size_m, x, y)
+            long, wide, side = rng.random(3).tolist()
+            reach = (high - low) * (0.25 + 0.6 * long)
+            if high - low > 1.0:
+                foot, up = (high + 0.1, -1.0) if side < 0.7 else (low - 0.1, 1.0)
+                radius = 0.08 + 0.25 * wide
+                knee = foot + up * reach / 2
+                parts.limb("rock", (x, y, foot), (x, y, knee), radius)
+                parts.limb("rock", (x, y, knee), (x, y, foot + up * reach), radius / 2)
+        places = self._places(self.rock_density, area, rng=rng)
+        turns = attitudes(len(places), 1.0, rng=rng).tolist()
+        for (x, y), turn in zip(places, turns, strict=True):
+            low, (a, b, c, flat) = height_at(floor, self.size_m, x, y), rng.random(4).tolist()
+            size3 = (0.15 + 0.6 * a, 0.15 + 0.5 * b, 0.1 + 0.4 * c)
+            if flat < 0.5:
+                parts.solid("rock", BOX, size3, (x, y, low + 0.1), turn)
+            else:
+                parts.ball("rock", (x, y, low + 0.1), size3, turn)
+        parts.add_to(spec)
+
+    def _places(
+        self, density: Range, area: float, *, rng: np.random.Generator
+    ) -> list[list[float]]:
+        n = count(density, area, rng=rng)
+        found: list[list[float]] = rng.uniform((0.0, 0.0), self.size_m[:2], (n, 2)).tolist()
+        return found
+
+    def _outside(self, shape: tuple[int, ...], *, rng: np.random.Generator) -> NDArray[np.float64]:
+        """How far points of a lattice (along y, along x) lie outside of chambers and tunnels,
+        metres; less than 0 inside."""
+        x_m, y_m, _ = self.size_m
+        y, x = np.meshgrid(
+            np.linspace(0.0, y_m, shape[0]), np.linspace(0.0, x_m, shape[1]), indexing="ij"
+        )
+        n = int(rng.integers(self.chambers[0], self.chambers[1] + 1))
+        rooms = rng.uniform((4.0, 4.0), (x_m - 4.0, y_m - 4.0), (n, 2))
+        radii = rng.uniform(*self.chamber_m, n)
+        found = np.full(shape, np.inf)
+        for (a, b), radius in zip(rooms.tolist(), radii.tolist(), strict=True):
+            found = np.minimum(found, np.sqrt((x - a) ** 2 + (y - b) ** 2) - radius)
+        ends = []
+        for one in range(1, n):
+            apart = ((rooms[:one] - rooms[one]) ** 2).sum(axis=1)
+            ends.append((rooms[one], rooms[int(apart.argmin())]))
+        for _ in range(round(self.loop_share * n)):
+            one, other = rng.integers(0, n, 2).tolist()
+            ends.append((rooms[one], rooms[other]))
+        for _ in range(round(self.dead_share * n)):
+            one, (angle, far) = int(rng.integers(0, n)), rng.random(2).tolist()
+            sine, cosine = sin_cos(np.array(2 * np.pi * angle))
+            away = (8.0 + 8.0 * far) * np.array([float(cosine), float(sine)])
+            ends.append((rooms[one], rooms[one] + away))
+        for start, end in ends:
+            along = end - start
+            length = max(float(along[0] * along[0] + along[1] * along[1]), 1e-9)
+            t = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / length
+            t = np.clip(t, 0.0, 1.0)
+            dx, dy = x - start[0] - t * along[0], y - start[1] - t * along[1]
+            found = np.minimum(found, np.sqrt(dx * dx + dy * dy) - rng.uniform(*self.tunnel_m))
+        return found

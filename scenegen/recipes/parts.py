@@ -1,0 +1,157 @@
+"""What kinds of worlds build from: boxes, rods and balls in frames of their own, by class; uneven
+ground; and counts by density."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarsim.elementary import sin_cos
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID
+from scenegen.worlds.drawing import UPRIGHT, Drawing
+
+Point = Sequence[float]
+"""Three numbers, metres."""
+
+
+class Parts:
+    """Solids of one world, gathered and then added at once.
+
+    Coordinates are metres in this frame: that of the world, or one that stands upright in it.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[str, int, Point, Point, Point]] = []
+        self._x, self._y, self._z, self._cos, self._sin = 0.0, 0.0, 0.0, 1.0, 0.0
+        self._turn: tuple[float, float] = (1.0, 0.0)
+
+    def at(self, x: float, y: float, z: float = 0.0, yaw_rad: float = 0.0) -> "Parts":
+        """The same solids in a frame whose origin lies here, turned about the vertical."""
+        frame = Parts()
+        frame._rows = self._rows
+        frame._x, frame._y, frame._z = self._moved((x, y, z))
+        (half_sine, sine), (half_cosine, cosine) = (
+            part.tolist() for part in sin_cos(np.array([yaw_rad / 2, yaw_rad]))
+        )
+        frame._cos = self._cos * cosine - self._sin * sine
+        frame._sin = self._sin * cosine + self._cos * sine
+        w, z = self._turn
+        frame._turn = (w * half_cosine - z * half_sine, w * half_sine + z * half_cosine)
+        return frame
+
+    def box(self, of_class: str, low: Point, high: Point) -> None:
+        """A box with edges along the axes, from its least to its greatest corner."""
+        middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
+        half = [(b - a) / 2 for a, b in zip(low, high, strict=True)]
+        self.solid(of_class, BOX, half, middle)
+
+    def rod(
+        self, of_class: str, start: Point, end: Point, radius: float, shape: int = CYLINDER
+    ) -> None:
+        """A cylinder, or another shape with an axis, from one point to another."""
+        along = [b - a for a, b in zip(start, end, strict=True)]
+        length = float(np.sqrt(sum(part * part for part in along)))
+        x, y, z = (part / length for part in along)
+        if z < 0:  # either end may be the upper one
+            x, y, z = -x, -y, -z
+        norm = float(np.sqrt(2.0 * (1.0 + z)))
+        quat = (norm / 2, -y / norm, x / norm, 0.0)
+        middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
+        size = (radius, radius, length / 2) if shape == BOX else (radius, length / 2, 0.0)
+        self.solid(of_class, shape, size, middle, quat)
+
+    def limb(self, of_class: str, start: Point, end: Point, radius: float) -> None:
+        """A capsule from one point to another."""
+        self.rod(of_class, start, end, radius, CAPSULE)
+
+    def ball(
+        self, of_class: str, centre: Point, radii: Point, quat: Sequence[float] = UPRIGHT
+    ) -> None:
+        """An ellipsoid."""
+        self.solid(of_class, ELLIPSOID, radii, centre, quat)
+
+    def solid(
+        self,
+        of_class: str,
+        shape: int,
+        size: Point,
+        centre: Point,
+        quat: Sequence[float] = UPRIGHT,
+    ) -> None:
+        """Any solid, with sizes as MuJoCo has them, and an attitude w x y z."""
+        c, s = self._turn
+        w, x, y, z = quat
+        turned = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
+        self._rows.append((of_class, shape, size, self._moved(centre), turned))
+
+    def _moved(self, point: Point) -> tuple[float, float, float]:
+        x, y, z = point
+        return (
+            self._x + self._cos * x - self._sin * y,
+            self._y + self._sin * x + self._cos * y,
+            self._z + z,
+        )
+
+    def add_to(self, spec: Drawing) -> None:
+        """Add all to a world."""
+        if self._rows:
+            classes, shapes, *numbers = zip(*self._rows, strict=True)
+            # what rounding left of a zero, MuJoCo would write in another way
+            sizes, centres, quats = (
+                np.where(np.abs(values) < 1e-9, 0.0, values) for values in map(np.array, numbers)
+            )
+            spec.add_geoms(shapes, sizes, centres, quats, classes=classes)
+
+
+def noise_field(
+    points: NDArray[np.float64], cell_m: float, *, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Smooth noise from 0 to 1 at points (n, d), d at most 3, whose hills are some `cell_m` wide:
+    random values at the corners of a lattice, interpolated (value noise)."""
+    scaled = (points - points.min(axis=0)) / cell_m
+    whole = np.floor(scaled).astype(np.int64)
+    part = scaled - whole
+    part = part * part * (3.0 - 2.0 * part)
+    lattice = rng.random(tuple(whole.max(axis=0) + 2))
+    found = np.zeros(len(points))
+    for corner in itertools.product((0, 1), repeat=points.shape[1]):
+        weight = np.ones(len(points))
+        for axis, far in enumerate(corner):
+            weight = weight * (part[:, axis] if far else 1.0 - part[:, axis])
+        found += weight * lattice[tuple((whole + np.array(corner)).T)]
+    return found
+
+
+def hilly(
+    size_m: Sequence[float], step_m: float, cells_m: Sequence[float], *, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Heights from 0 to 1 on a lattice of about `step_m` over a plan, (along y, along x): noise
+    with hills of several widths, each of half the height of the one before."""
+    counts = [round(edge / step_m) + 1 for edge in size_m[:2]]
+    axes = [
+        np.arange(count) * (edge / (count - 1))
+        for count, edge in zip(counts, size_m[:2], strict=True)
+    ]
+    y, x = np.meshgrid(axes[1], axes[0], indexing="ij")
+    points = np.stack([x.reshape(-1), y.reshape(-1)], axis=1)
+    total, weight = np.zeros(len(points)), 0.0
+    for n, cell in enumerate(cells_m):
+        total += noise_field(points, cell, rng=rng) / 2**n
+        weight += 1.0 / 2**n
+    return (total / weight).reshape(y.shape)
+
+
+def height_at(heights: NDArray[np.float64], size_m: Sequence[float], x: float, y: float) -> float:
+    """The least height at the four points of a lattice (along y, along x) around a place of a
+    plan."""
+    rows, columns = heights.shape
+    i = min(max(int(y / size_m[1] * (rows - 1)), 0), rows - 2)
+    j = min(max(int(x / size_m[0] * (columns - 1)), 0), columns - 2)
+    return float(heights[i : i + 2, j : j + 2].min())
+
+
+def count(density: ArrayLike, area_m2: float, *, rng: np.random.Generator) -> int:
+    """How many there are on an area, by a density a square metre drawn between two bounds."""
+    low, high = np.asarray(density).tolist()
+    return round(rng.uniform(low, high) * area_m2)

@@ -1,0 +1,197 @@
+"""A street: two rows of houses with relief, and what stands, hangs and parks between them."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar
+
+import numpy as np
+
+from lidarsim.solids.shapes import BOX
+from scenegen.recipes.kind import Range, WorldKind
+from scenegen.recipes.parts import Parts
+from scenegen.worlds.classes import CLASSES
+from scenegen.worlds.drawing import Drawing
+
+STOREY_M = 3.2
+SIDES = ((1, 0.0), (-1, np.pi))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Street(WorldKind):
+    """A street along x. Houses have bays between piers, sills, balconies, arcades, eaves and
+    gables; widths of lanes and pavements are those of road design manuals (lanes 3.0 to 3.5 m,
+    parking 2 m, pavements 2 to 4 m), lamp posts stand 10 to 15 m apart."""
+
+    version: ClassVar[int] = 1
+    crowded_by: ClassVar[tuple[str, ...]] = ("tree_density", "bush_density")
+    classes: ClassVar[tuple[str, ...]] = CLASSES
+    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (0.8, 8.0)}
+
+    size_m: tuple[float, float, float] = (40.0, 40.0, 12.0)
+    """Extent of the world along x, y and z, metres."""
+    ground: bool = True
+    """Whether there are a road and pavements."""
+    road_m: Range = (6.0, 11.0)
+    """Width of the road, metres; one value a world."""
+    pavement_m: Range = (2.0, 4.5)
+    """Width of each pavement, metres; one value a world."""
+    house_m: Range = (6.0, 13.0)
+    """Width of a house along the street, metres."""
+    storeys: Range = (2.0, 5.0)
+    """Storeys of a house."""
+    bay_m: Range = (2.2, 3.6)
+    """Width of a bay of windows, metres; one value a house."""
+    relief_m: Range = (0.15, 0.4)
+    """How far piers and sills stand out, metres; one value a house."""
+    balcony_share: float = 0.3
+    """Share of bays with a balcony."""
+    arcade_share: float = 0.25
+    """Share of houses whose ground floor is an arcade."""
+    gable_share: float = 0.4
+    """Share of houses with a gabled roof; the others are flat, with eaves."""
+    gap_share: float = 0.2
+    """Share of houses that are left out: a yard behind a fence."""
+    car_share: float = 0.5
+    """Share of parking spaces that are taken."""
+    tree_density: Range = (0.0, 0.03)
+    """Trees per square metre of pavement; one value a world."""
+    bush_density: Range = (0.0, 0.05)
+    """Hedges per square metre of pavement; one value a world."""
+    wire_share: float = 0.5
+    """Share of streets with wires between lamp posts."""
+
+    def most_solids(self) -> float:
+        """Relief of two rows of houses, and what stands on the pavements."""
+        x, storeys = self.size_m[0], self.storeys[1] + 1
+        bays = 2 * x / self.bay_m[0] + 2 * x / self.house_m[0]
+        plants = (self.tree_density[1] * 8 + self.bush_density[1]) * 2 * x * self.pavement_m[1]
+        return bays * (4 + 8 * storeys) + plants + 8 * x
+
+    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+        """Draw the ground, then each side of the street in a frame of its own."""
+        parts, (x_m, y_m, _) = Parts(), self.size_m
+        road, pavement = rng.uniform(*self.road_m), rng.uniform(*self.pavement_m)
+        if self.ground:
+            parts.box("road", (0, 0, -self.ground_m), (x_m, y_m, 0))
+        for side, yaw in SIDES:
+            # x along the street, y from its middle outwards
+            here = parts.at(0.0 if side > 0 else x_m, y_m / 2, 0.0, yaw)
+            if self.ground:
+                here.box("sidewalk", (0, road / 2, 0), (x_m, y_m / 2, 0.14))
+            self._houses(here, road / 2 + pavement, rng=rng)
+            self._pavement(here, road / 2, pavement, rng=rng)
+            for x in np.arange(0.5, x_m - 5.0, 6.2).tolist():
+                if rng.random() < self.car_share:
+                    _car(here.at(x + 2.5, road / 2 - 1.1), rng=rng)
+        parts.add_to(spec)
+
+    def _houses(self, parts: Parts, front: float, *, rng: np.random.Generator) -> None:
+        x, (x_m, y_m, _) = 0.0, self.size_m
+        while x < x_m - 1.0:
+            width = min(rng.uniform(*self.house_m), x_m - x)
+            if rng.random() < self.gap_share:
+                parts.box("fence", (x, front, 0), (x + width, front + 0.1, rng.uniform(0.8, 1.8)))
+            else:
+                back = max(y_m / 2, front + 3.0)
+                self._house(parts.at(x, front), width, back - front, rng=rng)
+            x += width
+
+    def _house(self, parts: Parts, width: float, deep: float, *, rng: np.random.Generator) -> None:
+        """A house whose front runs along x at y = 0, and which lies behind it."""
+        storeys = int(rng.integers(int(self.storeys[0]), int(self.storeys[1]) + 1))
+        top, relief = storeys * STOREY_M, rng.uniform(*self.relief_m)
+        bays = max(int(width / rng.uniform(*self.bay_m)), 1)
+        each, pier = width / bays, rng.uniform(0.25, 0.45)
+        arcade, gable = rng.random(2).tolist()
+        first = 0
+        if arcade < self.arcade_share:
+            first, recess = 1, rng.uniform(1.8, 2.8)
+            parts.box("building", (0, recess, 0), (width, deep, STOREY_M))
+            for n in range(bays + 1):
+                x = min(max(n * each, pier / 2), width - pier / 2)
+                parts.rod("column", (x, pier / 2, 0), (x, pier / 2, STOREY_M), pier / 2)
+        parts.box("building", (0, relief, first * STOREY_M), (width, deep, top))
+        for n in range(bays + 1):
+            low = min(max(n * each - pier / 2, 0.0), width - pier)
+            parts.box("building", (low, 0, first * STOREY_M), (low + pier, relief, top))
+        for storey in range(first, storeys):
+            z = storey * STOREY_M
+            parts.box("building", (0, relief / 2, z + 0.7), (width, relief, z + 0.95))
+            parts.box("building", (0, -0.1, z + STOREY_M - 0.25), (width, relief, z + STOREY_M))
+            for n in np.flatnonzero(rng.random(bays) < self.balcony_share * (storey > 0)).tolist():
+                _balcony(parts.at(n * each + pier / 2, 0, z), each - pier, rng=rng)
+        over = rng.uniform(0.2, 0.8)
+        if gable < self.gable_share:
+            rise = rng.uniform(0.5, 0.9)
+            half = float(np.sqrt(1 + rise * rise)) * (deep + 2 * over) / 4
+            cosine = float(np.sqrt((1 + 1 / np.sqrt(1 + rise * rise)) / 2))
+            sine = float(np.sqrt(1 - cosine * cosine))
+            for side, turn in ((0.25, sine), (0.75, -sine)):
+                y = (deep + 2 * over) * side - over
+                size, up = (width / 2 + 0.2, half, 0.1), rise * (deep + 2 * over) / 4
+                parts.solid("roof", BOX, size, (width / 2, y, top + up), (cosine, turn, 0.0, 0.0))
+        else:
+            parts.box("roof", (0, -over, top), (width, deep, top + 0.3))
+
+    def _pavement(
+        self, parts: Parts, kerb: float, wide: float, *, rng: np.random.Generator
+    ) -> None:
+        x_m = self.size_m[0]
+        area, gap = x_m * wide, rng.uniform(10.0, 15.0)
+        posts = np.arange(rng.uniform(0.5, gap), x_m, gap).tolist()
+        height, wired = rng.uniform(5.0, 8.0), rng.random() < self.wire_share
+        for x in posts:
+            parts.rod("pole", (x, kerb + 0.4, 0), (x, kerb + 0.4, height), 0.09)
+            parts.limb("pole", (x, kerb + 0.4, height), (x, kerb - 1.2, height + 0.2), 0.05)
+        if wired:
+            for one, other in pairwise(posts):
+                for z in (height - 0.1, height - 0.6):
+                    middle = ((one + other) / 2, kerb + 0.4, z - 0.3)
+                    parts.limb("cable", (one, kerb + 0.4, z), middle, 0.025)
+                    parts.limb("cable", middle, (other, kerb + 0.4, z), 0.025)
+        for x, out in rng.uniform((0.0, 0.5), (x_m, wide), (int(rng.integers(0, 5)), 2)).tolist():
+            parts.rod("pole", (x, kerb + out, 0), (x, kerb + out, 2.4), 0.04)
+            parts.box("sign", (x - 0.35, kerb + out - 0.05, 1.9), (x + 0.35, kerb + out, 2.6))
+        trees = round(area * rng.uniform(*self.tree_density))
+        for x in rng.uniform(1.0, x_m - 1.0, trees).tolist():
+            tree(parts.at(x, kerb + 1.0), rng.uniform(4.0, 8.0), rng=rng)
+        bushes = round(area * rng.uniform(*self.bush_density))
+        for x, long in rng.uniform((0.0, 1.0), (x_m, 5.0), (bushes, 2)).tolist():
+            high = rng.uniform(0.5, 1.6)
+            low = (x, kerb + wide - 0.8, 0.0)
+            parts.box("vegetation", low, (min(x + long, x_m), kerb + wide - 0.1, high))
+
+
+def tree(parts: Parts, height: float, *, rng: np.random.Generator) -> None:
+    """A tree of this height at the origin of a frame: a trunk under a crown of ellipsoids."""
+    bole = height * rng.uniform(0.3, 0.5)
+    parts.limb("trunk", (0, 0, 0), (0.02 * height, 0, bole + 0.2 * height), 0.025 * height)
+    spread = 0.22 * height
+    for _ in range(int(rng.integers(3, 7))):
+        x, y, z, size, flat = rng.uniform(-1.0, 1.0, 5).tolist()
+        radius = spread * (0.8 + 0.3 * size)
+        middle = (spread * x, spread * y, (bole + height) / 2 + (height - bole) * 0.3 * z)
+        parts.ball("vegetation", middle, (radius, radius, radius * (0.8 + 0.2 * flat)))
+
+
+def _balcony(parts: Parts, width: float, *, rng: np.random.Generator) -> None:
+    out = rng.uniform(0.8, 1.4)
+    parts.box("building", (0, -out, -0.15), (width, 0, 0.0))
+    if rng.random() < 0.5:
+        parts.box("fence", (0, -out, 0), (width, -out + 0.08, 1.0))
+    else:
+        parts.limb("fence", (0, -out, 1.0), (width, -out, 1.0), 0.03)
+        for x in np.linspace(0.0, width, 5).tolist():
+            parts.limb("fence", (x, -out, 0), (x, -out, 1.0), 0.02)
+
+
+def _car(parts: Parts, *, rng: np.random.Generator) -> None:
+    """A car along x: body, cabin and wheels."""
+    long, wide, high = rng.uniform((3.8, 1.65, 1.4), (4.8, 1.9, 1.9)).tolist()
+    body, shift = 0.55 * high, rng.uniform(-0.3, 0.3)
+    parts.box("vehicle", (-long / 2, -wide / 2, 0.22), (long / 2, wide / 2, body))
+    cabin = (shift - 0.27 * long, -0.45 * wide, body), (shift + 0.27 * long, 0.45 * wide, high)
+    parts.box("vehicle", *cabin)
+    for x in (-0.32 * long, 0.32 * long):
+        for y in (-wide / 2, wide / 2 - 0.2):
+            parts.rod("tyre", (x, y, 0.31), (x, y + 0.2, 0.31), 0.31)
