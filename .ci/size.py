@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 263_000, "benchmarks": 25_000, "tests": 277_000}
-FILES = 226
+TOKENS = {"product": 265_000, "benchmarks": 25_000, "tests": 279_000}
+FILES = 227
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

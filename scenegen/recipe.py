@@ -179,7 +179,7 @@ def preset(
     """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`, or
     with these parameters of `mapping`. Raises RecipeError for an unknown kind, suggesting the
     nearest."""
-    return make_recipe(kind, _given(noise, mapping), sensor=lidar)
+    return make_recipe(kind, beside_file("", {}, lidar, noise, mapping), sensor=lidar)
 
 
 def read_recipe(
@@ -212,27 +212,27 @@ def read_recipe(
         )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
-    if lidar is not None and "lidar" in tables:
-        raise RecipeError(
-            f"{where}: has a table [lidar], and --lidar names a sensor, too; leave one of the two "
-            f"out"
-        )
-    if noise is not None and "noise" in tables:
-        raise RecipeError(
-            f"{where}: has a table [noise], and --noise names stages, too; leave one of the two out"
-        )
-    if mapping and "mapping" in tables:
-        raise RecipeError(
-            f"{where}: has a table [mapping], and {', '.join(mapping)} are given beside it; leave "
-            f"one of the two out"
-        )
-    return make_recipe(
-        named, tables | _given(noise, mapping), where=where, folder=path.parent, sensor=lidar
-    )
+    given = beside_file(where, tables, lidar, noise, mapping)
+    return make_recipe(named, tables | given, where=where, folder=path.parent, sensor=lidar)
 
 
-def _given(noise: str | None, mapping: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Tables of what stands beside a file."""
+def beside_file(
+    where: str,
+    tables: Mapping[str, Any],
+    lidar: Sensor | None,
+    noise: str | None,
+    mapping: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """Tables of what is given beside those of a file. Raises RecipeError where the file has one of
+    them, too."""
+    options = {"lidar": lidar, "noise": noise, "mapping": mapping or None}
+    for name, value in options.items():
+        if value is not None and name in tables:
+            named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
+            raise RecipeError(
+                f"{where}: has a table [{name}], and {named} is given beside it; leave one of the "
+                f"two out"
+            )
     return ({} if noise is None else {"noise": {"stages": noise}}) | (
         {"mapping": dict(mapping)} if mapping else {}
     )

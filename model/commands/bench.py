@@ -152,6 +152,7 @@ def run_bench(
     from scenegen.model.evaluation.page import to_html
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
+    from scenegen.model.evaluation.run import kinds_of
     from scenegen.run.software import commit
 
     for name in REPORTS:
@@ -161,15 +162,21 @@ def run_bench(
     predicted = None if predictions is None else Predicted(predictions)
     one_name_each((*methods, *filter(None, (predicted,))))
     datasets = [Dataset(folder) for folder in folders]
-    kinds = [dataset.manifest.kind for dataset in datasets]
+    config = BenchConfig(
+        **given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {})
+    )
+    tables = [
+        (dataset, kind)
+        for dataset in datasets
+        # one without samples is refused when it is measured
+        for kind in kinds_of(dataset, config.split) or (dataset.manifest.kind,)
+    ]
+    kinds = [kind for _, kind in tables]
     if len(set(kinds)) < len(kinds):
         raise DatasetError(
             f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one "
             f"of each"
         )
-    config = BenchConfig(
-        **given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {})
-    )
     if predicted is not None:
         for dataset in datasets:
             predicted.check(dataset, config.split)
@@ -182,13 +189,14 @@ def run_bench(
             ):
                 warn(f"note: {dataset.folder}: {warning}")
     results = []
-    for dataset in datasets:
-        with progress(dataset.manifest.kind) as shown:
+    for dataset, kind in tables:
+        with progress(kind) as shown:
             results.append(
                 measure(
                     dataset,
                     methods,
                     config,
+                    kind=kind,
                     execute=execute,
                     on_start=shown.start,
                     on_done=shown.count,
@@ -203,8 +211,8 @@ def run_bench(
         out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
     )
     write_result(out / "report.md", to_markdown(report).encode())
-    pairs = zip(results, datasets, strict=True)
-    pictures = {result.kind: _failures(result, dataset, methods) for result, dataset in pairs}
+    pairs = zip(results, tables, strict=True)
+    pictures = {result.kind: _failures(result, dataset, methods) for result, (dataset, _) in pairs}
     write_result(out / "report.html", to_html(report, pictures).encode())
     return report
 

@@ -164,4 +164,6 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
 def _source(source: dict[str, Any]) -> str:
     """A dataset that samples were taken from, in words."""
     how = f", {' or '.join(ways)}" if (ways := [way for way in source["taken"] if way]) else ""
-    return f"{source['kind']}, seed {source['seed']}, digest {source['digest'][:8]}{how}"
+    digest = f", digest {source['digest'][:8]}" if source["digest"] else ""
+    counted = per_split(source["samples"])
+    return f"{source['kind']}, seed {source['seed']}{digest}, {counted}{how}"

@@ -3,7 +3,7 @@ cores."""
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -116,12 +116,14 @@ def bench(
     methods: Sequence[Method],
     config: BenchConfig,
     *,
+    kind: str | None = None,
     workers: int = 1,
     execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> DatasetResult:
-    """Measure `methods` on `dataset`, with the same goals for every method.
+    """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
+    goals for every method.
 
     `workers` processes of this machine measure a few samples each, or whatever `execute` has do it.
     `on_start` is told how many samples there are, `on_done` of every few that are finished. Raises
@@ -135,7 +137,11 @@ def bench(
             f"{dataset.folder}: {empty_split(config.split)}, or give another --split"
         )
     check_middle(dataset)
-    indices = spread(len(split), config.samples or len(split))
+    kind = kind or dataset.manifest.kind
+    ours = [n for one, n in _by_shard(split) if one == kind]
+    if not ours:
+        raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
+    indices = [ours[n] for n in spread(len(ours), config.samples or len(ours))]
     tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
     if len(execute.mine((0, 1))) < 2:  # whatever the number of tasks
         raise DatasetError(
@@ -158,7 +164,7 @@ def bench(
         : config.trials
     ]
     return DatasetResult(
-        kind=dataset.manifest.kind,
+        kind=kind,
         digest=str(dataset.manifest.digest),
         grid=dataset.grid,
         config=config,
@@ -180,6 +186,19 @@ def bench(
             for m, method in enumerate(methods)
         },
     )
+
+
+def kinds_of(dataset: Dataset, split: str) -> tuple[str, ...]:
+    """The kinds of worlds that samples of a split are of."""
+    return tuple(dict.fromkeys(kind for kind, _ in _by_shard(dataset.split(split))))
+
+
+def _by_shard(split: Split) -> Iterator[tuple[str, int]]:
+    """The kind and the number of every sample."""
+    for number, entry in enumerate(split.shards):
+        kind = split.dataset.manifest.home(entry).kind
+        for n in range(split.first(number), split.first(number) + entry.samples):
+            yield kind, n
 
 
 def _work(

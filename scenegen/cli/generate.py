@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from scenegen.dataset.state import Plan
     from scenegen.run import Executor
 
-KIND = Named(KINDS, others={".xml": "--scene", ".toml": "--recipe"})
+KIND = Named(KINDS, others={".xml": "--scene", ".toml": "--recipe"}, more=("mixed",))
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 WORLDS, SIZE = "Worlds", "Size and files"
@@ -65,7 +65,7 @@ MAPPING = {field.name for field in dataclasses.fields(Mapper)}
     "--kind",
     type=KIND,
     panel=WORLDS,
-    help=f"Kind of random worlds: {', '.join(KINDS.known)}, or MODULE:CLASS.",
+    help=f"Kind of random worlds: {', '.join(KINDS.known)}; mixed for all; or MODULE:CLASS.",
 )
 @click.option(
     "--scene",
@@ -227,7 +227,7 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
         return
     from scenegen.share.regenerate import recipe_text
 
-    of_recipe = ("kind", "recipe", "lidar", "noise", "mapping", "grid")
+    of_recipe = ("kind", "recipe", "lidar", "noise", "mapping", "grid", "sources")
     others = {key: value for key, value in plan.parameters.items() if key not in of_recipe}
     show_table(rows | flat(others), "would make")
     say(f"\n{recipe_text(plan.parameters, 'this as a recipe file')}".rstrip())

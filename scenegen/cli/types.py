@@ -23,6 +23,7 @@ class Named(click.ParamType):
         file: A name that ends so is that of a file.
         others: Endings of files that another option takes, each with that option.
         address: Whether an address may follow, as in ray://host:10001.
+        more: Other names that are taken.
     """
 
     def __init__(
@@ -32,7 +33,9 @@ class Named(click.ParamType):
         file: str | None = None,
         others: Mapping[str, str] | None = None,
         address: bool = False,
+        more: tuple[str, ...] = (),
     ):
+        self.more = more
         self.registry, self.name = registry, registry.what
         self.file, self.others, self.address = file, others or {}, address
 
@@ -43,13 +46,17 @@ class Named(click.ParamType):
         if option := self.others.get(Path(value).suffix):
             self.fail(f"{value} is a file; give it as {option} {value}", param, ctx)
         name = value.partition("://")[0] if self.address else value
-        if ":" not in name and name not in self.registry.known:
+        if ":" not in name and name not in (*self.registry.known, *self.more):
             self.fail(self.registry.unknown(name), param, ctx)
         return str(value)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Names that begin with what is typed."""
-        return [CompletionItem(name) for name in self.registry.known if name.startswith(incomplete)]
+        return [
+            CompletionItem(name)
+            for name in (*self.registry.known, *self.more)
+            if name.startswith(incomplete)
+        ]
 
 
 class Choice(click.Choice[str]):

@@ -244,21 +244,26 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
 
 
 def _check_alike(first: Dataset, other: Dataset) -> None:
-    ours, theirs = (manifest.completed(one.manifest.parameters) for one in (first, other))
-    for name in ALIKE:
-        ours_is, theirs_is = ours.get(name), theirs.get(name)
-        if ours_is == theirs_is:
-            continue
-        if isinstance(ours_is, dict) and isinstance(theirs_is, dict):
-            part = next(
-                key for key in (*ours_is, *theirs_is) if ours_is.get(key) != theirs_is.get(key)
-            )
-            name, ours_is, theirs_is = f"{name}.{part}", ours_is.get(part), theirs_is.get(part)
+    if said := unlike(first.manifest.parameters, other.manifest.parameters):
         raise DatasetError(
-            f"{other.folder}: {name} is {short(theirs_is)} there, and {short(ours_is)} in "
-            f"{first.folder}; merge "
+            f"{other.folder}: {said[0]} is {said[2]} there, and {said[1]} in {first.folder}; merge "
             "datasets that share it"
         )
+
+
+def unlike(first: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, str, str] | None:
+    """The first parameter in which two datasets differ that cannot be in one: its name, and its
+    values, for people; None where there is none."""
+    ours, theirs = manifest.completed(first), manifest.completed(other)
+    for name in ALIKE:
+        one, two = ours.get(name), theirs.get(name)
+        if one == two:
+            continue
+        if isinstance(one, dict) and isinstance(two, dict):
+            part = next(key for key in (*one, *two) if one.get(key) != two.get(key))
+            name, one, two = f"{name}.{part}", one.get(part), two.get(part)
+        return name, short(one), short(two)
+    return None
 
 
 def _plan(
@@ -341,16 +346,28 @@ class _Sources:
 
     def parameters(self, counts: Mapping[str, int], shard_samples: int) -> dict[str, Any]:
         """Those of the new dataset's manifest."""
-        each = [manifest.completed(home.parameters) for home, _ in self._found.values()]
-        first = each[0]
-        given = {name: first[name] for name in ALIKE if name in first}
-        for name, instead in EMPTY.items():
-            given[name] = first[name] if all(one[name] == first[name] for one in each) else instead
-        if all(one.get("rescan") == first.get("rescan") is not None for one in each):
-            given["rescan"] = first["rescan"]
-        given |= {"counts": dict(counts), "shard_samples": shard_samples}
-        given["sources"] = [
-            {"digest": home.digest, "taken": ways, "parameters": dict(home.parameters)}
-            for home, ways in self._found.values()
-        ]
-        return given | {"version": manifest.version_of(given)}
+        each = [(home.parameters, home.digest, ways) for home, ways in self._found.values()]
+        return gathered(each, counts, shard_samples)
+
+
+def gathered(
+    sources: Sequence[tuple[Mapping[str, Any], str | None, Sequence[str]]],
+    counts: Mapping[str, int],
+    shard_samples: int,
+) -> dict[str, Any]:
+    """The parameters of the manifest of a dataset whose samples were made for `sources`: of each
+    its parameters, its digest (None where it was never there by itself), and how samples were
+    taken."""
+    each = [manifest.completed(parameters) for parameters, _, _ in sources]
+    first = each[0]
+    given = {name: first[name] for name in ALIKE if name in first}
+    for name, instead in EMPTY.items():
+        given[name] = first[name] if all(one[name] == first[name] for one in each) else instead
+    if all(one.get("rescan") == first.get("rescan") is not None for one in each):
+        given["rescan"] = first["rescan"]
+    given |= {"counts": dict(counts), "shard_samples": shard_samples}
+    given["sources"] = [
+        {"digest": digest, "taken": list(taken), "parameters": dict(parameters)}
+        for parameters, digest, taken in sources
+    ]
+    return given | {"version": manifest.version_of(given)}

@@ -9,14 +9,15 @@ from typing import Any
 from lidarsim import Sensor
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.locate import locate
+from scenegen.dataset.mixed import MIXED, is_mixed, plan_mixed, read_components
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.state import Plan
 from scenegen.errors import RecipeError
 from scenegen.recipe import preset, read_recipe
-from scenegen.source import DrawnWorlds, Source, read_scenes
+from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
 from scenegen.stores import folder_of, is_remote
 from scenegen.tables import named_lidar
-from scenegen.worlds.labels import By, labels_by
+from scenegen.worlds.labels import By, Labels, labels_by
 
 
 def generate(
@@ -73,7 +74,8 @@ def plan_generation(
     """The shards of the dataset that is asked for; nothing is written yet.
 
     Args:
-        kind: Name of a kind of random worlds, or "module:Class".
+        kind: Name of a kind of random worlds, or "module:Class"; "mixed" for all, or for the
+            components of the recipe.
         n: Training samples.
         val: Validation samples; by default a tenth of `n`, and none for a single scene.
         test: Test samples; by default a fifth of `n`, and none for a single scene.
@@ -98,18 +100,27 @@ def plan_generation(
         raise RecipeError("a kind draws worlds and a scene has them; give one of the two")
     named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
+    if named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
+        if named not in (None, MIXED):
+            raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
+        parts = read_components(
+            None if recipe is None else Path(recipe), lidar=sensor, noise=noise, mapping=mapping
+        )
+        if labels is not None:
+            parts = [
+                (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
+                for one, weight in parts
+            ]
+        counts = _counts(n, val, test, alone=False)
+        return plan_mixed(_folder(out, MIXED), parts, seed=seed, counts=counts, **more)
     if recipe is not None:
         asked = read_recipe(Path(recipe), named, lidar=sensor, noise=noise, mapping=mapping)
     else:
         assert named is not None
         asked = preset(named, lidar=sensor, noise=noise, mapping=mapping)
     alone = path is not None and not path.is_dir()
-    counts = {
-        "train": n,
-        "val": val if val is not None else 0 if alone else max(n // 10, 1),
-        "test": test if test is not None else 0 if alone else max(n // 5, 1),
-    }
-    source: Source
+    counts = _counts(n, val, test, alone=alone)
+    source: DrawnWorlds | SceneWorlds
     if path is not None:
         source = read_scenes(
             path,
@@ -125,10 +136,26 @@ def plan_generation(
     else:
         source = DrawnWorlds(asked)
     if labels is not None:
-        asked = dataclasses.replace(asked, labels=labels_by(labels, source.class_names(labels)))
+        asked = dataclasses.replace(asked, labels=_labels(labels, source))
     # data/Towers for my_worlds:Towers
     name = path.stem if path is not None else asked.kind.rpartition(":")[2]
-    folder = (
-        Path("data", name) if out is None else folder_of(str(out)) if is_remote(out) else Path(out)
-    )
-    return plan_dataset(folder, asked, source, seed=seed, counts=counts, **more)
+    return plan_dataset(_folder(out, name), asked, source, seed=seed, counts=counts, **more)
+
+
+def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[str, int]:
+    """Samples of each split; those of a single scene are all for training unless asked for."""
+    return {
+        "train": n,
+        "val": val if val is not None else 0 if alone else max(n // 10, 1),
+        "test": test if test is not None else 0 if alone else max(n // 5, 1),
+    }
+
+
+def _labels(by: By, source: DrawnWorlds | SceneWorlds) -> Labels:
+    return labels_by(by, source.class_names(by))
+
+
+def _folder(out: str | Path | None, name: str) -> Path:
+    if out is None:
+        return Path("data", name)
+    return folder_of(str(out)) if is_remote(out) else Path(out)

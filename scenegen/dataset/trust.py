@@ -60,7 +60,7 @@ MINOR = tuple(name for name, since in manifest.SINCE.items() if since != "1")
 """Entries that raise a manifest's version."""
 _COUNT = whole(0, MOST_SAMPLES)
 _ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
-_SOURCE = {"digest": DIGEST, "parameters": TABLE, "taken": LIST}
+_SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
 ALIKE = ("format", "generator", "fields", *NAMES)
 """Parameters in which all datasets agree whose samples are in one."""
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}

@@ -86,7 +86,18 @@ def inspect(
     }
     if it.sources:
         found["sources"] = [
-            {"kind": one.kind, "seed": one.seed, "digest": one.digest, "taken": entry["taken"]}
+            {
+                **{"kind": one.kind, "seed": one.seed, "digest": one.digest},
+                "taken": entry["taken"],
+                "samples": {
+                    split: sum(
+                        shard.samples
+                        for shard in it.shards
+                        if it.home(shard) is one and shard.split == split
+                    )
+                    for split in SPLITS
+                },
+            }
             for one, entry in zip(it.sources, it.parameters["sources"], strict=True)
         ]
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]

@@ -83,10 +83,28 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     tables["mapping"] = parameters.get("mapping")
     tables["grid"] = {GRID[name]: value for name, value in parameters["grid"].items()}
     lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
+    if sources := parameters.get("sources"):
+        lines[1] = 'kind = "mixed"'
+        for source in sources:
+            own = source["parameters"]
+            lines += ["", "[[component]]", f"kind = {_toml(own['kind'])}"]
+            lines.append(f"weight = {_toml(sum(own['counts'].values()))}")
+            for name in ("world", "flight", "accept"):
+                if own["recipe"].get(name):
+                    lines += ["", f"[component.{name}]", *_entries(own["recipe"][name])]
+        common = {name: tables[name] for name in ("lidar", "noise", "mapping", "grid")}
+        # before the components, whose tables would else take them in
+        lines[2:2] = _tables(common)
+        return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_tables(tables)]) + "\n"
+
+
+def _tables(tables: Mapping[str, Any]) -> list[str]:
+    lines: list[str] = []
     for name, table in tables.items():
         if table is not None:
             lines += ["", f"[{name}]", *_entries(table)]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _entries(table: Mapping[str, Any]) -> list[str]:

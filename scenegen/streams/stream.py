@@ -13,6 +13,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from scenegen.dataset.mixed import MIXED, is_mixed, read_components
 from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
@@ -273,9 +274,9 @@ def stream(
     gives with this seed and split. No torch is needed.
 
     Args:
-        worlds: A kind's name, a recipe or its TOML file, an MJCF file or a folder of them; or
-            several, as a list, or as a mapping to weights. Samples come in proportion to the
-            weights, by a fixed rule (docs/stream.md).
+        worlds: A kind's name, "mixed" for all kinds, a recipe or its TOML file, an MJCF file or a
+            folder of them; or several, as a list, or as a mapping to weights. Samples come in
+            proportion to the weights, by a fixed rule (docs/stream.md).
         seed: The same seed gives the same samples.
         split: "train", "val" or "test". No world of one split is in another, because each draw is
             seeded with its split.
@@ -289,10 +290,18 @@ def stream(
             raises GenerationError, IndexError and TypeError, too.
     """
     seed = _whole("seed", seed, 0, MOST_SEED)
-    parts = parts_of(worlds)
+    parts = [part for what, weight in parts_of(worlds) for part in _unmixed(what, weight)]
     components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
     mixture = Mixture(components, [weight for _, weight in parts])
     return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers, cache=cache)
+
+
+def _unmixed(what: Any, weight: Any) -> list[tuple[Any, Any]]:
+    """A part of a stream as parts of one kind each, which share its weight."""
+    file = Path(what) if isinstance(what, str | Path) and str(what).endswith(".toml") else None
+    if what != MIXED and (file is None or not is_mixed(file)):
+        return [(what, weight)]
+    return [(recipe, weight * share) for recipe, share in read_components(file)]
 
 
 def _whole(name: str, value: Any, least: int, most: int) -> int:

@@ -1,0 +1,142 @@
+"""Datasets of several kinds: shares, kinds told apart, the same samples as by themselves, resuming,
+and what is wrong in one line."""
+
+from pathlib import Path
+
+import pytest
+
+import scenegen
+from scenegen.dataset import manifest
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.generation import plan_generation
+from scenegen.dataset.mixed import read_components
+from scenegen.dataset.read import Dataset
+from scenegen.errors import RecipeError
+from scenegen.recipes import kind_names
+from scenegen.share.regenerate import recipe_text
+from scenegen.source import DrawnWorlds
+from tests.command_line import run
+
+RECIPE = """
+kind = "mixed"
+[grid]
+shape = [24, 24, 16]
+[flight]
+viewpoints = 2
+[accept]
+min_solids = 0
+min_occupied_share = 0
+min_returned_share = 0
+[[component]]
+kind = "pillar"
+weight = 3
+[component.world]
+density = [0.06, 0.06]
+[[component]]
+kind = "clutter"
+weight = 1
+[[component]]
+kind = "maze"
+weight = 1
+"""
+COUNTS = {"n": 20, "val": 5, "test": 5, "seed": 4}
+
+
+@pytest.fixture(scope="module")
+def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mixed") / "recipe.toml"
+    path.write_text(RECIPE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def mixed(recipe: Path) -> Dataset:
+    return scenegen.generate(recipe=recipe, out=recipe.parent / "data", shard_samples=4, **COUNTS)
+
+
+def kinds(dataset: Dataset, split: str) -> list[str]:
+    samples = dataset.split(split)
+    return [samples.home(n).kind for n in range(len(samples))]
+
+
+def test_samples_come_by_weight_and_know_their_kind(mixed: Dataset) -> None:
+    assert mixed.manifest.kind == manifest.SEVERAL
+    assert kinds(mixed, "train") == ["pillar"] * 12 + ["clutter"] * 4 + ["maze"] * 4
+    assert kinds(mixed, "val") == ["pillar"] * 3 + ["clutter", "maze"]
+    names = mixed.split("train").names
+    assert len(set(names)) == len(names) == 20
+    assert mixed.split("train").count_worlds() == 10
+
+
+def test_a_component_has_the_samples_that_it_has_by_itself(mixed: Dataset, recipe: Path) -> None:
+    (pillars, _), *_ = read_components(recipe)
+    counts = {"train": 12, "val": 3, "test": 3}
+    plan = plan_dataset(
+        recipe.parent / "alone", pillars, DrawnWorlds(pillars), seed=4, counts=counts
+    )
+    build(plan)
+    for split, count in counts.items():
+        alone, ours = Dataset(plan.folder).split(split), mixed.split(split)
+        assert [one.sha256() for one in alone] == [ours[n].sha256() for n in range(count)]
+
+
+def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed: Dataset, recipe: Path) -> None:
+    before = manifest.read(mixed.folder)
+    for name in ("train-00003.h5", "val-00001.worlds.zip", "test-00002.h5"):
+        (mixed.folder / name).unlink()
+    again = scenegen.generate(recipe=recipe, out=mixed.folder, workers=2, shard_samples=4, **COUNTS)
+    assert manifest.read(again.folder) == before
+
+
+def test_it_is_verified_inspected_measured_and_gathered(
+    mixed: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(mixed.folder)
+    code, said, _ = run(capsys, "verify", folder)
+    assert (code, "failed" in said) == (0, False), said
+    code, said, _ = run(capsys, "inspect", folder)
+    assert (code, "clutter, seed 4, train 4, val 1, test 1" in said) == (0, True), said
+    words = ("--method", "returns", "--quick", "--quiet", "-o", str(tmp_path / "b"))
+    assert run(capsys, "bench", folder, *words)[0] == 0
+    report = (tmp_path / "b" / "report.md").read_text()
+    assert [f"## {kind}\n" in report for kind in ("pillar", "clutter", "maze")] == [True] * 3
+    words = ("--split", "train", "-o", str(tmp_path / "few"), "--quiet")
+    assert run(capsys, "take", folder, *words)[0] == 0
+    assert kinds(Dataset(tmp_path / "few"), "train") == kinds(mixed, "train")
+
+
+def test_the_recipe_that_a_dry_run_shows_plans_the_same(mixed: Dataset, tmp_path: Path) -> None:
+    text = recipe_text(mixed.manifest.parameters, "again")
+    (tmp_path / "again.toml").write_text(text)
+    plan = plan_generation(recipe=tmp_path / "again.toml", out="x", shard_samples=4, **COUNTS)
+    assert plan.parameters == mixed.manifest.parameters
+
+
+def test_without_components_every_kind_has_the_same_weight() -> None:
+    every = plan_generation("mixed", 100, val=0, test=0, out="x", labels="class")
+    assert {shard.samples for shard in every.shards} == {10}
+    assert len(every.shards) == len(kind_names())
+    stream = scenegen.stream("mixed")
+    assert {stream.part(n)[0] for n in range(5 * len(kind_names()))} == set(
+        range(len(kind_names()))
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("weight = 3\n", "", "component 1 ('pillar'): has no weight, and others have"),
+        ("weight = 3", "weight = -1", "weight = -1: expected a number above 0"),
+        ("weight = 3", 'weight = "x"', "weight = 'x': expected a number above 0"),
+        ('kind = "clutter"\n', "", "component 2: names no kind"),
+        ('"clutter"', '"cluter"', "clutter"),
+        ("density = [0.06, 0.06]", "density = [2, 1]", "[world] density = [2, 1]"),
+        ("[component.world]", "[component.lidar]\nrows = 4\n[component.world]", "lidar.rows"),
+    ],
+)
+def test_a_bad_mixture_ends_in_one_line(tmp_path: Path, old: str, new: str, told: str) -> None:
+    (tmp_path / "r.toml").write_text(RECIPE.replace(old, new, 1))
+    with pytest.raises(RecipeError) as caught:
+        plan_generation(recipe=tmp_path / "r.toml", out=tmp_path / "d", **COUNTS)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
