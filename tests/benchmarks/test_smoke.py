@@ -38,6 +38,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
             r"merge \| N, N \| N \| N \|",
         ),
     ),
+    "generalisation": (("--out", "out"), (r"extrude: maze N", r"without maze: maze N")),
     "generate": (
         (),
         (
@@ -66,7 +67,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     ),
 }
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
-LEARNED = {"elsewhere", "ensemble", "inference", "points", "training"}
+LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "points", "training"}
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests."""
 
