@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 265_000, "benchmarks": 25_000, "tests": 279_000}
-FILES = 227
+TOKENS = {"product": 267_000, "benchmarks": 25_000, "tests": 280_000}
+FILES = 228
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

@@ -14,7 +14,9 @@ import numpy as np
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
+from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds
+from scenegen.truth.difficulty import Difficulty, difficulty
 
 
 def measure(kind: str, worlds: int) -> dict[str, float]:
@@ -24,14 +26,19 @@ def measure(kind: str, worlds: int) -> dict[str, float]:
     draw_unit(source, recipe, seed=0, split="val", unit=0)  # compiles kernels
     begin, rejected, solids = time.process_time(), 0, []
     occupied, unknown = [], []
+    samples: list[Sample] = []
     for number in range(worlds):
         unit = draw_unit(source, recipe, seed=1, split="val", unit=number)
         rejected += sum(unit.rejected.worlds.values())
         solids.append(unit.world.model.ngeom)
         occupied += [sample.occupancy.mean() for sample in unit.samples]
         unknown += [1 - (sample.observed | sample.free).mean() for sample in unit.samples]
+        samples += unit.samples
+    taken = time.process_time() - begin
+    hard = [difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m) for one in samples]
     return {
-        "samples a second": len(occupied) / (time.process_time() - begin),
+        **dict(zip(Difficulty._fields, np.nanmean(hard, axis=0).tolist(), strict=True)),
+        "samples a second": len(occupied) / taken,
         "rejected": rejected / (rejected + worlds),
         "solids": float(np.mean(solids)),
         "occupied": float(np.mean(occupied)),
@@ -56,6 +63,14 @@ def main() -> None:
             f"| `{kind}` | {row['solids']:.0f} | {row['occupied']:.1%} · {row['unknown']:.0%} | "
             f"{row['rejected']:.0%} · {row['samples a second'] / base:.2f} |"
         )
+    print(
+        "\n| kind | clearance · visibility, m | dispersion · passage, m | tortuosity · "
+        "traversability |\n|---|---|---|---|"
+    )
+    for kind, row in found.items():
+        one, two, three, four, five, six = (row[name] for name in Difficulty._fields)
+        cells = f"{one:.2f} · {two:.2f} | {three:.2f} · {four:.2f} | {five:.3f} · {six:.2f}"
+        print(f"| `{kind}` | {cells} |")
 
 
 if __name__ == "__main__":

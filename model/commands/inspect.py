@@ -152,7 +152,8 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
         rows = {}
         for key, value in split["statistics"].items():
             _, unit, factor = LABELS[key]
-            label = {"range_m": "mean range", "tudf_m": "mean distance"}.get(key, key)
+            short = {"range_m": "mean range", "tudf_m": "mean distance"}
+            label = short.get(key, key.removesuffix("_m"))
             rows[label] = "–"
             if value["mean"] is not None:
                 mean, std, low, high = (value[one] * factor for one in value)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from scenegen.errors import short
 from scenegen.limits import MOST_SAMPLES
 from scenegen.run.workers import run
 from scenegen.sample import Sample
+from scenegen.truth.difficulty import Difficulty, difficulty
 
 
 def _ranges(sample: Sample) -> NDArray[np.float32]:
@@ -33,6 +34,16 @@ def _range_m(sample: Sample) -> float:
     return float(ranges[hit].mean()) if hit.any() else float("nan")
 
 
+@lru_cache(maxsize=1)  # its figures are asked for one after the other
+def _difficulties(sample: Sample) -> Difficulty:
+    assert sample.grid is not None
+    return difficulty(sample.occupancy, sample.tudf, sample.grid.voxel_m)
+
+
+def _difficulty(sample: Sample, *, name: str) -> float:
+    return float(getattr(_difficulties(sample), name))
+
+
 FIGURES: Mapping[str, Callable[[Sample], float]] = {
     "occupied": lambda sample: float(sample.occupancy.mean()),
     "observed": lambda sample: float(sample.observed.mean()),
@@ -40,9 +51,10 @@ FIGURES: Mapping[str, Callable[[Sample], float]] = {
     "returned": lambda sample: float(np.isfinite(_ranges(sample)).mean()),
     "range_m": _range_m,
     "tudf_m": lambda sample: float(sample.tudf.mean()),
+    **{name: partial(_difficulty, name=name) for name in Difficulty._fields},
 }
 """Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
-none; and the mean distance of the map's voxels, metres."""
+none; the mean distance of the map's voxels, metres; and how hard the map is."""
 
 
 NUMBERS = ("sample", "world", "viewpoint")

@@ -221,6 +221,12 @@ LABELS = {
     "returned": ("rays that return", "%", 100),
     "range_m": ("mean range", "m", 1),
     "tudf_m": ("mean distance", "m", 1),
+    "clearance_m": ("distance to the nearest obstacle", "m", 1),
+    "visibility_m": ("mean visibility", "m", 1),
+    "dispersion": ("dispersion", "%", 100),
+    "passage_m": ("narrowest passage", "m", 1),
+    "tortuosity": ("tortuosity", "", 1),
+    "traversability": ("traversability", "", 1),
 }
 """Statistics of a sample: what they are called, their unit, and the factor to it."""
 HEAD = """<!doctype html>

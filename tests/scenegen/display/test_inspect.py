@@ -14,11 +14,12 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect, misfits
 from scenegen.source import DrawnWorlds
+from scenegen.truth.difficulty import Difficulty, difficulty
 from tests.command_line import run
 from tests.conftest import picky_recipe
 
 COUNTS = {"train": 11, "val": 0, "test": 4}
-KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m"}
+KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m", *Difficulty._fields}
 
 
 def make(folder: Path, *, compact: bool = False, shards: tuple[int, int] | None = None) -> Path:
@@ -53,6 +54,9 @@ def recomputed(stored: dict[str, np.ndarray], chosen: np.ndarray) -> dict[str, l
         rows["tudf_m"].append(
             float(stored["tudf"][n].astype(np.float64).sum()) / stored["tudf"][n].size
         )
+        hard = difficulty(stored["occupancy"][n].astype(bool), stored["tudf"][n], 0.2)
+        for key, value in hard._asdict().items():
+            rows[key] += [] if np.isnan(value) else [value]
     return rows
 
 
@@ -84,7 +88,7 @@ def test_statistics_are_those_of_the_files(full: Path) -> None:
         assert split["samples"] == split["sampled"] == len(stored["world"]) == COUNTS[name]
         assert split["worlds"] == len(set(stored["world"].tolist()))
         check(split["statistics"], recomputed(stored, np.arange(COUNTS[name])))
-        assert all(split["statistics"][key]["std"] > 0 for key in KEYS)
+        assert all(split["statistics"][key]["std"] > 0 for key in KEYS - {"tortuosity"})
 
 
 def test_counts_sizes_and_origin_are_those_of_the_folder(full: Path) -> None:

@@ -1,0 +1,177 @@
+"""How hard a map is to see through and to fly through, from its truth alone.
+
+The five figures of BARN (Perille et al. 2020, arXiv 2008.13315), which are planar there, in three
+dimensions and around the map's middle, where the sensor is unless a recipe puts the map elsewhere;
+and the traversability of AvoidBench (Yu et al. 2023, arXiv 2301.07430). All are exact for the
+voxels: nothing is sampled at random.
+"""
+
+import heapq
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.jit import kernel
+
+STEP_M = 0.6
+"""The lattice on which ways are looked for: the paper's planner's."""
+BODY_M = 0.6
+"""Diameter of the robot that traversability counts in."""
+DIRECTIONS = np.array(
+    [one for one in itertools.product((-1, 0, 1), repeat=3) if one != (0, 0, 0)], np.int64
+)
+"""The 26 directions to the neighbours of a voxel; the n-th and the n-th last are opposite."""
+
+
+class Difficulty(NamedTuple):
+    """The figures of one map; NaN where there is nothing to measure."""
+
+    clearance_m: float
+    """From the middle to the centre of the nearest occupied voxel, metres, at most the
+    truncation."""
+    visibility_m: float
+    """Mean over the 26 directions of the way from the middle to an occupied voxel or the map's
+    edge, metres."""
+    dispersion: float
+    """The share of pairs of neighbouring directions, 45 degrees apart or less, of which one is
+    blocked within the map and the other is not."""
+    passage_m: float
+    """The characteristic dimension: over the 13 axes through the middle, the shortest way from
+    occupied voxel to occupied voxel, metres; map edges count as such."""
+    tortuosity: float
+    """Mean over the nodes of the map's lateral faces that can be reached of the length of the
+    shortest way over the straight distance: 1 in an empty map. Nodes lie `STEP_M` apart and have 26
+    neighbours, so that some ways are up to 1.13 times as long in an empty map, too: each is divided
+    by its length there."""
+    traversability: float
+    """Mean over the free nodes and the eight level directions of the way to an occupied voxel or
+    the map's edge, in diameters of the robot."""
+
+
+def difficulty(
+    occupancy: NDArray[np.bool_], tudf: NDArray[np.float32], voxel_m: float
+) -> Difficulty:
+    """The figures of a map.
+
+    Args:
+        occupancy: Truth (nx, ny, nz).
+        tudf: Its distances (nx, ny, nz), metres.
+        voxel_m: Edge of a voxel, metres.
+    """
+    middle = tuple(edge // 2 for edge in occupancy.shape)
+    if occupancy[middle]:
+        return Difficulty(0.0, *[math.nan] * 5)
+    ways, blocked = _look(occupancy, np.array(middle), DIRECTIONS)
+    lengths = voxel_m * ways * np.sqrt((DIRECTIONS**2).sum(axis=1))
+    near, far = _neighbours()
+    step = max(round(STEP_M / voxel_m), 1)
+    way = _mean_way(occupancy, np.array(middle), step, DIRECTIONS[DIRECTIONS[:, 2] == 0])
+    return Difficulty(
+        clearance_m=float(tudf[middle]),
+        visibility_m=float(lengths.mean()),
+        dispersion=float((blocked[near] != blocked[far]).mean()),
+        passage_m=float((lengths + lengths[::-1]).min()),
+        tortuosity=float(_tortuosity(occupancy, np.array(middle), step)),
+        traversability=float(way) * voxel_m / BODY_M,
+    )
+
+
+def _neighbours() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of directions that are at most 45 degrees apart."""
+    length = np.sqrt((DIRECTIONS**2).sum(axis=1))
+    products = (DIRECTIONS[:, None] * DIRECTIONS[None]).sum(axis=2)
+    near, far = np.nonzero(products >= (math.sqrt(0.5) - 1e-9) * length[:, None] * length[None])
+    return near[near < far], far[near < far]
+
+
+@kernel
+def _way(occupancy, x, y, z, dx, dy, dz):
+    """Steps from a free voxel to the last free one in a direction, and whether an occupied one ends
+    them."""
+    nx, ny, nz = occupancy.shape
+    steps = 0
+    while True:
+        x, y, z = x + dx, y + dy, z + dz
+        if x < 0 or y < 0 or z < 0 or x >= nx or y >= ny or z >= nz:
+            return steps, False
+        if occupancy[x, y, z]:
+            return steps, True
+        steps += 1
+
+
+@kernel
+def _look(occupancy, middle, directions):
+    ways, blocked = np.empty(len(directions)), np.empty(len(directions), np.bool_)
+    for n in range(len(directions)):
+        dx, dy, dz = directions[n]
+        ways[n], blocked[n] = _way(occupancy, middle[0], middle[1], middle[2], dx, dy, dz)
+    return ways, blocked
+
+
+@kernel
+def _mean_way(occupancy, middle, step, directions):
+    """The mean way, in voxels, from the free nodes of the middle's lattice."""
+    nx, ny, nz = occupancy.shape
+    total, count = 0.0, 0
+    for x in range(middle[0] % step, nx, step):
+        for y in range(middle[1] % step, ny, step):
+            for z in range(middle[2] % step, nz, step):
+                if not occupancy[x, y, z]:
+                    for n in range(len(directions)):
+                        dx, dy, dz = directions[n]
+                        ways = _way(occupancy, x, y, z, dx, dy, dz)[0]
+                        total += ways * math.sqrt(dx * dx + dy * dy + dz * dz)
+                        count += 1
+    return total / count if count else np.nan
+
+
+@kernel
+def _tortuosity(occupancy, middle, step):
+    """The mean over reached nodes of the lateral faces of the shortest way over that in an empty
+    map (Dijkstra 1959)."""
+    first = middle % step
+    counts = (np.array(occupancy.shape) - 1 - first) // step + 1
+    na, nb, nc = counts
+    length = np.full((na, nb, nc), np.inf)
+    start = middle // step
+    length[start[0], start[1], start[2]] = 0.0
+    heap = [(0.0, start[0], start[1], start[2])]
+    while len(heap) > 0:
+        walked, a, b, c = heapq.heappop(heap)
+        if walked > length[a, b, c]:
+            continue
+        for i in range(max(a - 1, 0), min(a + 2, na)):
+            for j in range(max(b - 1, 0), min(b + 2, nb)):
+                for k in range(max(c - 1, 0), min(c + 2, nc)):
+                    apart = (i - a) ** 2 + (j - b) ** 2 + (k - c) ** 2
+                    there = walked + math.sqrt(apart)
+                    free = not occupancy[
+                        first[0] + step * i, first[1] + step * j, first[2] + step * k
+                    ]
+                    if free and there < length[i, j, k] - 1e-9:
+                        length[i, j, k] = there
+                        heapq.heappush(heap, (there, i, j, k))
+    total, count = 0.0, 0
+    for a in range(na):
+        for b in range(nb):
+            if 0 < a < na - 1 and 0 < b < nb - 1:
+                continue
+            for c in range(nc):
+                if math.isfinite(length[a, b, c]):
+                    low, mid, high = _sorted(
+                        abs(a - start[0]), abs(b - start[1]), abs(c - start[2])
+                    )
+                    empty = (high - mid) + math.sqrt(2.0) * (mid - low) + math.sqrt(3.0) * low
+                    total += length[a, b, c] / empty
+                    count += 1
+    return total / count if count else np.nan
+
+
+@kernel
+def _sorted(a, b, c):
+    """Three numbers in rising order."""
+    low, high = min(a, b, c), max(a, b, c)
+    return low, a + b + c - low - high, high

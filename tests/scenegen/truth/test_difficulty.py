@@ -1,0 +1,107 @@
+"""How hard maps are: small maps worked by hand, and laws."""
+
+import math
+
+import numpy as np
+import pytest
+
+from scenegen.truth import distance_field
+from scenegen.truth.difficulty import Difficulty, difficulty
+from tests.conftest import small_recipe
+
+VOXEL = 0.2
+
+
+def measured(occupancy: np.ndarray) -> Difficulty:
+    return difficulty(occupancy, np.full(occupancy.shape, 2.0, np.float32), VOXEL)
+
+
+def empty() -> np.ndarray:
+    return np.zeros((13, 13, 13), np.bool_)
+
+
+def test_an_empty_map() -> None:
+    found = measured(empty())
+    assert found.clearance_m == 2.0
+    # six voxels to every edge: along 6 axes, 12 diagonals of faces, 8 of the cube
+    mean = 6 * VOXEL * (6 + 12 * math.sqrt(2) + 8 * math.sqrt(3)) / 26
+    assert found.visibility_m == pytest.approx(mean)
+    assert found.dispersion == 0.0
+    assert found.passage_m == pytest.approx(12 * VOXEL)
+    assert found.tortuosity == pytest.approx(1.0)
+
+
+def test_a_wall_with_a_slit() -> None:
+    """A wall two voxels beyond the middle, in which one voxel of the line of sight is free."""
+    occupancy = empty()
+    occupancy[8] = True
+    occupancy[8, 6, 6] = False
+    found = measured(occupancy)
+    # of the nine directions with x > 0, eight end one voxel before the wall
+    blocked = VOXEL * 1 * (4 * math.sqrt(2) + 4 * math.sqrt(3))
+    others = VOXEL * 6 * (6 + 8 * math.sqrt(2) + 4 * math.sqrt(3))
+    assert found.visibility_m == pytest.approx((blocked + others) / 26)
+    # the open one has four neighbours at 45 degrees; the four edges of the ring, with x = 0, four
+    # each to the blocked ones at 45 degrees or less
+    pairs = [
+        (a, b)
+        for n, a in enumerate(DIRECTIONS)
+        for b in DIRECTIONS[n + 1 :]
+        if np.dot(a, b) >= (math.sqrt(0.5) - 1e-9) * np.linalg.norm(a) * np.linalg.norm(b)
+    ]
+    shut = [d[0] > 0 and d != (1, 0, 0) for d in DIRECTIONS]
+    differing = [shut[DIRECTIONS.index(a)] != shut[DIRECTIONS.index(b)] for a, b in pairs]
+    assert found.dispersion == pytest.approx(np.mean(differing))
+    assert found.passage_m == pytest.approx(VOXEL * (1 + 6) * math.sqrt(2))
+
+
+DIRECTIONS = [
+    (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)
+]
+
+
+def test_a_way_around_a_wall_is_longer() -> None:
+    """On a lattice of three voxels, a wall of nodes from edge to edge but for the top layer."""
+    occupancy = empty()
+    occupancy[9, :, :12] = True
+    found = measured(occupancy)
+    nodes = [(a, b, c) for a in range(5) for b in range(5) for c in range(5)]
+    start, lengths = (2, 2, 2), {(2, 2, 2): 0.0}
+    for _ in range(20):  # Bellman and Ford
+        for a in nodes:
+            for b in nodes:
+                step = math.dist(a, b)
+                if a in lengths and step < 1.8 and not occupancy[3 * b[0], 3 * b[1], 3 * b[2]]:
+                    lengths[b] = min(lengths.get(b, math.inf), lengths[a] + step)
+    ratios = []
+    for node, length in lengths.items():
+        if node[0] in (0, 4) or node[1] in (0, 4):
+            low, mid, high = sorted(abs(p - q) for p, q in zip(node, start, strict=True))
+            ratios.append(length / (high - mid + math.sqrt(2) * (mid - low) + math.sqrt(3) * low))
+    assert found.tortuosity == pytest.approx(np.mean(ratios))
+    assert found.tortuosity > 1.0
+
+
+def test_traversability_is_the_mean_way_in_diameters() -> None:
+    occupancy = np.ones((7, 7, 1), np.bool_)
+    occupancy[:, 3] = False  # a corridor along x, whose nodes are 0, 3 and 6
+    # from 0 and 6, 6 voxels one way; from 3, 3 both ways; sideways and diagonally none
+    assert measured(occupancy).traversability == pytest.approx((6 + 6 + 6) * VOXEL / 0.6 / 24)
+
+
+def test_a_blocked_middle_has_no_figures() -> None:
+    occupancy = empty()
+    occupancy[6, 6, 6] = True
+    found = measured(occupancy)
+    assert found.clearance_m == 0.0
+    assert all(map(math.isnan, found[1:]))
+
+
+def test_figures_do_not_change_where_a_map_is_turned() -> None:
+    rng, grid = np.random.default_rng(2), small_recipe().grid
+    occupancy = rng.random((25, 25, 17)) < 0.05
+    occupancy[12, 12, 8] = False
+    found = difficulty(occupancy, distance_field(occupancy, grid), grid.voxel_m)
+    turned = np.ascontiguousarray(np.rot90(occupancy))
+    again = difficulty(turned, distance_field(turned, grid), grid.voxel_m)
+    np.testing.assert_allclose(found, again, rtol=1e-12)
