@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 267_000, "benchmarks": 25_000, "tests": 280_000}
+TOKENS = {"product": 268_000, "benchmarks": 25_000, "tests": 280_000}
 FILES = 228
 LINES = 400
 """The longest file of product code."""

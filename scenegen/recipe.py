@@ -175,11 +175,12 @@ def preset(
     lidar: Sensor | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
+    difficulty: str | None = None,
 ) -> Recipe:
     """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`, or
     with these parameters of `mapping`. Raises RecipeError for an unknown kind, suggesting the
     nearest."""
-    return make_recipe(kind, beside_file("", {}, lidar, noise, mapping), sensor=lidar)
+    return make_recipe(kind, beside_file("", {}, lidar, noise, mapping, difficulty), sensor=lidar)
 
 
 def read_recipe(
@@ -189,6 +190,7 @@ def read_recipe(
     lidar: Sensor | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
+    difficulty: str | None = None,
 ) -> Recipe:
     """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar], [noise],
     [mapping] and [grid] of what differs from the preset. `kind`, `lidar`, `noise` and `mapping`,
@@ -212,7 +214,7 @@ def read_recipe(
         )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
-    given = beside_file(where, tables, lidar, noise, mapping)
+    given = beside_file(where, tables, lidar, noise, mapping, difficulty)
     return make_recipe(named, tables | given, where=where, folder=path.parent, sensor=lidar)
 
 
@@ -222,20 +224,30 @@ def beside_file(
     lidar: Sensor | None,
     noise: str | None,
     mapping: Mapping[str, Any] | None,
+    difficulty: str | None = None,
 ) -> dict[str, Any]:
-    """Tables of what is given beside those of a file. Raises RecipeError where the file has one of
-    them, too."""
+    """What is given beside the tables of a file. Raises RecipeError where the file has one of them,
+    too."""
     options = {"lidar": lidar, "noise": noise, "mapping": mapping or None}
+    options["difficulty"] = difficulty
     for name, value in options.items():
         if value is not None and name in tables:
             named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
             raise RecipeError(
-                f"{where}: has a table [{name}], and {named} is given beside it; leave one of the "
-                f"two out"
+                f"{where}: has {name}, and {named} is given beside it; leave one of the two out"
             )
-    return ({} if noise is None else {"noise": {"stages": noise}}) | (
-        {"mapping": dict(mapping)} if mapping else {}
-    )
+    found: dict[str, Any] = {} if noise is None else {"noise": {"stages": noise}}
+    found |= {"mapping": dict(mapping)} if mapping else {}
+    return found | ({} if difficulty is None else {"difficulty": difficulty})
+
+
+def _graded(kind: type[WorldKind], level: Any, at: str) -> dict[str, Any]:
+    """The parameters in which a kind's preset of this difficulty differs from its defaults."""
+    known: dict[str, dict[str, object]] = {"medium": {}} | kind.graded
+    if not isinstance(level, str) or level not in known:
+        names = ", ".join(name for name in ("easy", "medium", "hard") if name in known)
+        raise RecipeError(f"{at}difficulty = {short(level)}: expected one of {names}")
+    return dict(known[level])
 
 
 def make_recipe(
@@ -263,13 +275,17 @@ def make_recipe(
     }
     parts["mapping"] = Mapper
     defaults: dict[str, dict[str, Any]] = {}
-    at = f"{where}: " if where else ""
+    at, tables = f"{where}: " if where else "", dict(tables)
+    level = tables.pop("difficulty", "medium")
     if kind != "scene":
         try:
             parts["world"] = found = find_kind(kind)
         except ValueError as error:
             raise RecipeError(f"{at}{error}") from None
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
+        defaults["world"] = _graded(found, level, at)
+    elif level != "medium":
+        raise RecipeError(f"{at}difficulty: worlds from MJCF files have none; leave it out")
     tables = tables | ({"lidar": {}} if sensor is not None else {})
     for name, table in tables.items():
         whose = [f"[{part}]" for part, made in parts.items() if name in field_names(made)]

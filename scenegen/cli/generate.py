@@ -68,6 +68,12 @@ MAPPING = {field.name for field in dataclasses.fields(Mapper)}
     help=f"Kind of random worlds: {', '.join(KINDS.known)}; mixed for all; or MODULE:CLASS.",
 )
 @click.option(
+    "--difficulty",
+    type=click.Choice(["easy", "medium", "hard"]),
+    panel=WORLDS,
+    help="Which preset of the kind.  [default: medium]",
+)
+@click.option(
     "--scene",
     type=click.Path(path_type=Path),
     panel=WORLDS,

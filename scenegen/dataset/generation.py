@@ -38,7 +38,8 @@ def generate(
         workers: Processes of this machine that write shards.
         force: Replace another dataset in the folder.
         options: Those of `plan_generation`: `val`, `test`, `scene`, `recipe`, `lidar`, `noise`,
-            `mapping`, `labels`, `seed`, `engine`, `compact`, `shard_samples`, `allow_unseen`.
+            `mapping`, `difficulty`, `labels`, `seed`, `engine`, `compact`, `shard_samples`,
+            `allow_unseen`.
 
     Returns:
         The dataset, opened.
@@ -65,6 +66,7 @@ def plan_generation(
     lidar: str | Sensor | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
+    difficulty: str | None = None,
     labels: By | None = None,
     seed: int = 0,
     allow_unseen: bool = False,
@@ -85,6 +87,7 @@ def plan_generation(
         lidar: The sensor, or its name; the recipe's by default.
         noise: Stages of noise, such as "range:0.02,dropout:0.05".
         mapping: Parameters of how maps are made.
+        difficulty: "easy", "medium" or "hard": which preset of the kind.
         labels: What decides the classes of geoms: "class", "name", "material" or "group".
         seed: The same seed gives the same dataset.
         allow_unseen: Whether scenes may have geoms that rays cannot see.
@@ -100,12 +103,12 @@ def plan_generation(
         raise RecipeError("a kind draws worlds and a scene has them; give one of the two")
     named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
+    given: dict[str, Any] = {"lidar": sensor, "noise": noise, "mapping": mapping}
+    given["difficulty"] = difficulty
     if named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
-        parts = read_components(
-            None if recipe is None else Path(recipe), lidar=sensor, noise=noise, mapping=mapping
-        )
+        parts = read_components(None if recipe is None else Path(recipe), **given)
         if labels is not None:
             parts = [
                 (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
@@ -114,10 +117,10 @@ def plan_generation(
         counts = _counts(n, val, test, alone=False)
         return plan_mixed(_folder(out, MIXED), parts, seed=seed, counts=counts, **more)
     if recipe is not None:
-        asked = read_recipe(Path(recipe), named, lidar=sensor, noise=noise, mapping=mapping)
+        asked = read_recipe(Path(recipe), named, **given)
     else:
         assert named is not None
-        asked = preset(named, lidar=sensor, noise=noise, mapping=mapping)
+        asked = preset(named, **given)
     alone = path is not None and not path.is_dir()
     counts = _counts(n, val, test, alone=alone)
     source: DrawnWorlds | SceneWorlds

@@ -54,6 +54,7 @@ def read_components(
     lidar: Sensor | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
+    difficulty: str | None = None,
 ) -> list[Component]:
     """The components of a mixture.
 
@@ -65,6 +66,7 @@ def read_components(
         lidar: The sensor of all.
         noise: The stages of noise of all.
         mapping: Parameters of how all maps are made.
+        difficulty: That of all.
 
     Raises:
         RecipeError: A component is none, or only some have weights.
@@ -79,7 +81,7 @@ def read_components(
             f"kind"
         )
     weighed = [isinstance(one, dict) and "weight" in one for one in listed]
-    given = beside_file(where, common, lidar, noise, mapping)
+    given = beside_file(where, common, lidar, noise, mapping, difficulty)
     found = []
     for n, one in enumerate(listed, start=1):
         at = f"{where}: component {n}" if where else f"component {n}"

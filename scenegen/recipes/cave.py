@@ -26,6 +26,23 @@ class Cave(WorldKind):
     as in the worlds of the DARPA Subterranean Challenge, whose tunnels are 2 to 6 m wide."""
 
     version: ClassVar[int] = 1
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "height_m": (4.5, 6.5),
+            "rough_m": (0.1, 0.4),
+            "chamber_m": (4.0, 8.0),
+            "tunnel_m": (2.0, 4.0),
+            "dripstone_density": (0.0, 0.02),
+            "rock_density": (0.0, 0.02),
+        },
+        "hard": {
+            "height_m": (3.0, 3.8),
+            "chamber_m": (2.0, 4.0),
+            "tunnel_m": (1.0, 1.6),
+            "dripstone_density": (0.06, 0.15),
+            "rock_density": (0.06, 0.15),
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("dripstone_density", "rock_density")
     classes: ClassVar[tuple[str, ...]] = CLASSES
     flight_defaults: ClassVar[dict[str, object]] = {

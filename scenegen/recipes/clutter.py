@@ -23,6 +23,14 @@ class Clutter(WorldKind):
     clearings; sizes are scale-free between two bounds."""
 
     version: ClassVar[int] = 1
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "density": (0.02, 0.08),
+        },
+        "hard": {
+            "density": (0.5, 1.5),
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("density",)
     classes: ClassVar[tuple[str, ...]] = CLASSES
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 6.0)}

@@ -19,6 +19,18 @@ class Forest(WorldKind):
     apart in YOPO's) to 0.2 (ETH's forest_gen); most worlds here lie between."""
 
     version: ClassVar[int] = 1
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "density": (0.01, 0.04),
+            "bush_density": (0.0, 0.02),
+            "fallen_density": (0.0, 0.003),
+        },
+        "hard": {
+            "density": (0.12, 0.2),
+            "bush_density": (0.05, 0.12),
+            "fallen_density": (0.01, 0.03),
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("density", "bush_density")
     classes: ClassVar[tuple[str, ...]] = CLASSES
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (2.0, 4.5)}

@@ -27,6 +27,18 @@ class Geometric(WorldKind):
     """
 
     version: ClassVar[int] = 2
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "density": (0.002, 0.05),
+            "wall_density": (0.0, 0.01),
+            "clutter_density": (0.0, 0.001),
+        },
+        "hard": {
+            "density": (0.2, 0.6),
+            "wall_density": (0.01, 0.04),
+            "clutter_density": (0.002, 0.006),
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = (
         "density",
         "wall_density",

@@ -21,6 +21,22 @@ class Industrial(WorldKind):
     steps of 0.2 by 0.25 m (ISO 14122)."""
 
     version: ClassVar[int] = 1
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "bundles": (1.0, 3.0),
+            "machine_density": (0.002, 0.008),
+            "scaffold_density": (0.0, 0.001),
+            "tank_density": (0.0, 0.003),
+            "catwalks": (0.0, 1.0),
+        },
+        "hard": {
+            "bundles": (8.0, 14.0),
+            "machine_density": (0.02, 0.04),
+            "scaffold_density": (0.006, 0.015),
+            "tank_density": (0.006, 0.015),
+            "catwalks": (4.0, 8.0),
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("machine_density", "scaffold_density", "tank_density")
     classes: ClassVar[tuple[str, ...]] = CLASSES
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (0.8, 6.0)}

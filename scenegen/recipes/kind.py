@@ -37,6 +37,10 @@ class WorldKind(ABC):
     accept_defaults: ClassVar[dict[str, object]] = {}
     """The same for `scenegen.recipe.Acceptance`."""
 
+    graded: ClassVar[dict[str, dict[str, object]]] = {}
+    """The parameters in which the presets called "easy" and "hard" differ from the defaults, which
+    are "medium"."""
+
     size_m: tuple[float, float, float] = (40.0, 40.0, 10.0)
     """Extent of the world along x, y and z, metres; z is how high floating solids may have their
     centres."""

@@ -22,6 +22,22 @@ class Maze(WorldKind):
     the others. Narrow passages by design: windows are 2 to 4 times as wide as the robot."""
 
     version: ClassVar[int] = 1
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "cell_m": (5.5, 7.5),
+            "window_m": (1.8, 3.0),
+            "open_share": 0.6,
+            "loop_share": 0.5,
+            "shelf_share": 0.05,
+        },
+        "hard": {
+            "cell_m": (3.8, 4.8),
+            "window_m": (1.2, 2.0),
+            "open_share": 0.2,
+            "loop_share": 0.3,
+            "shelf_share": 0.4,
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("shelf_share",)
     classes: ClassVar[tuple[str, ...]] = CLASSES
     flight_defaults: ClassVar[dict[str, object]] = {

@@ -22,6 +22,15 @@ class Pillar(WorldKind):
     """
 
     version: ClassVar[int] = 2
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "density": (0.02, 0.05),
+        },
+        "hard": {
+            "density": (0.1, 0.16),
+            "passage_share": 0.2,
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("density",)
     accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 4.0}
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (3.0, 6.0)}

@@ -25,6 +25,20 @@ class Rooms(WorldKind):
     2.0 m high, tables .72 to .78 m, seats .45 m, steps of .17 m)."""
 
     version: ClassVar[int] = 1
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "room_m": (5.0, 14.0),
+            "door_width_m": (1.2, 1.8),
+            "open_share": 0.5,
+            "furniture_density": (0.0, 0.06),
+        },
+        "hard": {
+            "room_m": (3.0, 6.5),
+            "door_width_m": (0.8, 1.0),
+            "open_share": 0.05,
+            "furniture_density": (0.15, 0.35),
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("furniture_density",)
     classes: ClassVar[tuple[str, ...]] = CLASSES
     flight_defaults: ClassVar[dict[str, object]] = {

@@ -23,6 +23,23 @@ class Street(WorldKind):
     parking 2 m, pavements 2 to 4 m), lamp posts stand 10 to 15 m apart."""
 
     version: ClassVar[int] = 1
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "road_m": (9.0, 14.0),
+            "tree_density": (0.0, 0.01),
+            "bush_density": (0.0, 0.02),
+            "wire_share": 0.0,
+            "car_share": 0.2,
+        },
+        "hard": {
+            "road_m": (5.0, 7.0),
+            "pavement_m": (1.5, 2.5),
+            "tree_density": (0.03, 0.08),
+            "bush_density": (0.05, 0.1),
+            "wire_share": 1.0,
+            "car_share": 0.9,
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("tree_density", "bush_density")
     classes: ClassVar[tuple[str, ...]] = CLASSES
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (0.8, 8.0)}

@@ -22,6 +22,20 @@ class Warehouse(WorldKind):
     3.6 m wide, as forklifts and reach trucks need them."""
 
     version: ClassVar[int] = 1
+    graded: ClassVar[dict[str, dict[str, object]]] = {
+        "easy": {
+            "aisle_m": (3.6, 5.0),
+            "empty_share": 0.5,
+            "fill_share": (0.3, 0.6),
+            "goods_density": (0.0, 0.02),
+        },
+        "hard": {
+            "aisle_m": (1.8, 2.4),
+            "empty_share": 0.05,
+            "fill_share": (0.8, 1.0),
+            "levels": (3.0, 5.0),
+        },
+    }
     crowded_by: ClassVar[tuple[str, ...]] = ("goods_density", "fill_share")
     classes: ClassVar[tuple[str, ...]] = CLASSES
     flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (0.8, 6.5)}

@@ -192,3 +192,19 @@ def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path: Path) -> 
     (tmp_path / "r.toml").write_text(f'kind = "pillar"\n{lines}')
     with pytest.raises(RecipeError, match="unknown table 'a'"):
         read_recipe(tmp_path / "r.toml")
+
+
+def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path: Path) -> None:
+    hard = preset("pillar", difficulty="hard")
+    path = tmp_path / "r.toml"
+    path.write_text('kind = "pillar"\ndifficulty = "hard"\n[world]\nround_share = 0.5\n')
+    assert read_recipe(path).world == dataclasses.replace(hard.world, round_share=0.5)
+    for kind, level, told in (
+        ("pillar", "harder", "expected one of easy, medium, hard"),
+        ("pillar", 3, "difficulty = 3"),
+        ("scene", "hard", "worlds from MJCF files have none"),
+    ):
+        with pytest.raises(RecipeError, match=told):
+            make_recipe(kind, {"difficulty": level}, where="test")
+    with pytest.raises(RecipeError, match="has difficulty, and --difficulty is given beside it"):
+        read_recipe(path, difficulty="easy")

@@ -88,7 +88,7 @@ def test_statistics_are_those_of_the_files(full: Path) -> None:
         assert split["samples"] == split["sampled"] == len(stored["world"]) == COUNTS[name]
         assert split["worlds"] == len(set(stored["world"].tolist()))
         check(split["statistics"], recomputed(stored, np.arange(COUNTS[name])))
-        assert all(split["statistics"][key]["std"] > 0 for key in KEYS - {"tortuosity"})
+        assert all(split["statistics"][key]["std"] > 0 for key in KEYS - set(Difficulty._fields))
 
 
 def test_counts_sizes_and_origin_are_those_of_the_folder(full: Path) -> None:

@@ -14,6 +14,7 @@ from scenegen.recipes.geometric import Geometric
 from scenegen.recipes.kind import WorldKind
 from scenegen.recipes.pillar import Pillar
 from scenegen.source import DrawnWorlds
+from scenegen.truth.difficulty import difficulty
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.labels import class_names, labels_by
 from scenegen.worlds.world import write_world
@@ -51,6 +52,23 @@ def test_a_world_of_a_preset_is_flown_through_and_is_the_one_that_its_version_pr
         inside = ((cell >= 0) & (cell < recipe.grid.shape)).all(axis=1)
         assert sample.occupancy[tuple(cell[inside].T)].all()
         assert 0.005 < sample.occupancy.mean() < 0.6
+
+
+@pytest.mark.parametrize("name", kind_names())
+def test_easy_medium_and_hard_are_so(name: str) -> None:
+    visible = []
+    for level in ("easy", "medium", "hard"):
+        recipe = preset(name, difficulty=level)
+        assert (recipe.world == preset(name).world) == (level == "medium")
+        source, found = DrawnWorlds(recipe), []
+        for unit in range(5):
+            drawn = draw_unit(source, recipe, seed=1, split="val", unit=unit)
+            found += [
+                difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m).visibility_m
+                for one in drawn.samples
+            ]
+        visible.append(np.nanmean(found))
+    assert visible[0] > visible[1] > visible[2]
 
 
 @KINDS

@@ -32,7 +32,7 @@ def both(draw: Callable[[Drawing], None]) -> tuple[bytes, bytes, bool]:
 def test_worlds_of_every_kind_are_written_as_mujoco_writes_them(kind: str) -> None:
     world = preset(kind).world
     assert world is not None
-    for seed in range(40):
+    for seed in range(40 if kind in ("pillar", "geometric") else 6):
         ours, theirs, own = both(
             lambda drawing, seed=seed: world.add_to(drawing, rng=np.random.default_rng(seed))
         )
