@@ -94,6 +94,11 @@ def examine(request: Request) -> Dataset:
     find_licence(request.licence)
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
+    if dataset.manifest.sources and all(one.digest is None for one in dataset.manifest.sources):
+        raise PublishError(
+            f"{request.dataset}: is a mixture of several kinds, which has no card yet; generate "
+            f"and publish a dataset of each kind"
+        )
     if dataset.manifest.sources:
         raise PublishError(
             f"{request.dataset}: its samples were made for other datasets, and no one command "

@@ -103,6 +103,8 @@ def test_it_is_verified_inspected_measured_and_gathered(
     words = ("--split", "train", "-o", str(tmp_path / "few"), "--quiet")
     assert run(capsys, "take", folder, *words)[0] == 0
     assert kinds(Dataset(tmp_path / "few"), "train") == kinds(mixed, "train")
+    code, _, said = run(capsys, "publish", folder, "--repo", "ada/mixed", "--dry-run")
+    assert (code, "mixture of several kinds" in said) == (1, True), said
 
 
 def test_the_recipe_that_a_dry_run_shows_plans_the_same(mixed: Dataset, tmp_path: Path) -> None:
