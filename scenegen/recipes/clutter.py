@@ -41,7 +41,7 @@ class Clutter(WorldKind):
     """Whether there is a floor."""
     density: Range = number((0.05, 0.5), above=0, rising=True)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform."""
-    patch_m: Range = (3.0, 10.0)
+    patch_m: Range = number((3.0, 10.0), least=0.5, most=1000, rising=True)
     """Width of thickets and clearings, metres; one value a world."""
     octaves: int = number(3, least=1, most=8)
     """Octaves of the noise, each half as wide and half as strong as the one before."""

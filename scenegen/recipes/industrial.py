@@ -69,7 +69,9 @@ class Industrial(WorldKind):
             3 * self.tank_density[1] + 6 * self.machine_density[1] + 60 * self.scaffold_density[1]
         )
         long = max(x_m, y_m)
-        return each * x_m * y_m + (self.bundles[1] * 30 + self.catwalks[1] * (4 * long + 30)) + 200
+        columns = (x_m / self.column_m[0] + 1) * (y_m / self.column_m[0] + 2)
+        pipes, walks = self.bundles[1] * (30 + long / 2), self.catwalks[1] * (4 * long + 30)
+        return each * x_m * y_m + pipes + walks + columns
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """Draw the hall, and one group of things after the other."""

@@ -13,6 +13,8 @@ from scenegen.worlds.drawing import UPRIGHT, Drawing
 
 Point = Sequence[float]
 """Three numbers, metres."""
+MOST_CELLS = 500_000
+"""The most points of a lattice of noise or of heights."""
 
 
 class Parts:
@@ -113,6 +115,7 @@ def noise_field(
     whole = np.floor(scaled).astype(np.int64)
     part = scaled - whole
     part = part * part * (3.0 - 2.0 * part)
+    _check_cells(float(np.prod(whole.max(axis=0) + 2.0)), f"noise of {cell_m:g} m")
     lattice = rng.random(tuple(whole.max(axis=0) + 2))
     found = np.zeros(len(points))
     for corner in itertools.product((0, 1), repeat=points.shape[1]):
@@ -128,6 +131,7 @@ def hilly(
 ) -> NDArray[np.float64]:
     """Heights from 0 to 1 on a lattice of about `step_m` over a plan, (along y, along x): noise
     with hills of several widths, each of half the height of the one before."""
+    _check_cells((size_m[0] / step_m + 1) * (size_m[1] / step_m + 1), "uneven ground")
     counts = [round(edge / step_m) + 1 for edge in size_m[:2]]
     axes = [
         np.arange(count) * (edge / (count - 1))
@@ -140,6 +144,15 @@ def hilly(
         total += noise_field(points, cell, rng=rng) / 2**n
         weight += 1.0 / 2**n
     return (total / weight).reshape(y.shape)
+
+
+def _check_cells(cells: float, what: str) -> None:
+    """Raise ValueError where a lattice would take too much memory."""
+    if cells > MOST_CELLS:
+        raise ValueError(
+            f"{what} has {cells:.3g} points, expected {MOST_CELLS} at most; lower size_m, or make "
+            f"it coarser"
+        )
 
 
 def height_at(heights: NDArray[np.float64], size_m: Sequence[float], x: float, y: float) -> float:

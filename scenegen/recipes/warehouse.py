@@ -68,7 +68,9 @@ class Warehouse(WorldKind):
         x_m, y_m, _ = self.size_m
         bays = x_m / (self.aisle_m[0] + 2.2) * (y_m / BAY_M + 1)
         floor = self.goods_density[1] * x_m * y_m
-        return bays * (6 + 8 * (self.levels[1] + 1)) + 4 * floor + x_m * 12
+        trusses = (x_m + 2) * (y_m / 5 + 1)
+        conveyors = (x_m / (self.aisle_m[0] + 2.2) + 1) * (2 * y_m + 2)
+        return bays * (6 + 8 * (self.levels[1] + 1)) + 4 * floor + trusses + conveyors + 10
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """Draw the hall, then row after row."""

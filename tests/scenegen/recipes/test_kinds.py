@@ -81,6 +81,29 @@ def test_solids_are_within_what_the_kind_says(kind: type[WorldKind]) -> None:
         assert (place <= np.add(kind().size_m, (3.0, 3.0, 8.0))).all()
 
 
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("cave", {"size_m": (9000.0, 9000.0, 6.0), "dripstone_density": (0.0, 0.0)}),
+        ("forest", {"size_m": (9000.0, 9000.0, 6.0), "density": (0.0, 0.0)}),
+        (
+            "clutter",
+            {"size_m": (600.0, 600.0, 90.0), "patch_m": (0.5, 0.5), "density": (0.01, 0.01)},
+        ),
+        ("industrial", {"column_m": (0.1, 0.1)}),
+        ("warehouse", {"size_m": (9000.0, 9000.0, 9.0), "aisle_m": (9000.0, 9000.0)}),
+        ("street", {"house_m": (0.01, 0.01)}),
+        ("rooms", {"room_m": (1.0, 1.0)}),
+        ("maze", {"cell_m": (1.0, 1.0)}),
+    ],
+)
+def test_what_would_take_too_much_memory_is_refused(name: str, given: dict[str, Any]) -> None:
+    more = {"rock_density": (0.0, 0.0)} if name == "cave" else {}
+    more |= {"bush_density": (0.0, 0.0), "fallen_density": (0.0, 0.0)} if name == "forest" else {}
+    with pytest.raises(ValueError, match=r"expected [0-9]+ at most"):
+        draw(find_kind(name)(**given, **more))
+
+
 @pytest.mark.parametrize("name", sorted(set(kind_names()) - {"pillar", "geometric"}))
 def test_every_solid_is_of_a_class(name: str) -> None:
     kind = find_kind(name)()
