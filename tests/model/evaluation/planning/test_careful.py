@@ -14,6 +14,7 @@ from scenegen.model.evaluation.calibrate import (
     path_risks,
 )
 from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.evaluation.planning.astar import plan_path
 from scenegen.model.evaluation.planning.measure import draw_trials, met, plan_carefully
 from scenegen.truth import distance_field
 from tests.model.evaluation.planning.test_measure import EAST, FAR, FREE, GRID, filled, scattered
@@ -49,6 +50,14 @@ def test_it_abstains_where_it_knows_no_way() -> None:
     assert (done.path, len(done.voxels), done.plan.reason) == (None, 0, "no_path")
     assert not done.judged(FREE, FAR, GRID, PLAN).success
     assert plan_carefully(FREE, FAR, EAST, GRID, PLAN).path is not None
+
+
+def test_a_robot_may_start_where_its_map_holds_occupied() -> None:
+    around = np.zeros(GRID.shape, bool)
+    around[tuple(edge // 2 for edge in GRID.shape)] = True
+    done = plan_carefully(around, FAR, EAST, GRID, PLAN)
+    assert done.path is not None
+    assert plan_path(around, EAST, GRID, PLAN).reason == "start_blocked"
 
 
 def test_the_risk_asked_is_the_risk_had() -> None:
