@@ -136,7 +136,7 @@ def tables(rows: dict[str, Any]) -> list[str]:
     lines = []
     for name, title in TITLES.items():
         lines += ["", f"## {title}", "", *head(("seen in training", "held out", "extrude"))]
-        for kind in rows["extrude"]:
+        for kind in next(iter(rows.values())):
             saw = [
                 rows[row][kind][name]["mean"]
                 for row in rows

@@ -177,9 +177,18 @@ def preset(
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
 ) -> Recipe:
-    """The recipe of a kind as it comes, or with the sensor `lidar`, or with stages of `noise`, or
-    with these parameters of `mapping`. Raises RecipeError for an unknown kind, suggesting the
-    nearest."""
+    """The recipe of a kind as it comes.
+
+    Args:
+        kind: Its name, or "module:Class".
+        lidar: The sensor, in place of the paper's.
+        noise: Stages of noise, such as "range:0.02".
+        mapping: Parameters of how maps are made.
+        difficulty: "easy", "medium" or "hard"; medium by default.
+
+    Raises:
+        RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
+    """
     return make_recipe(kind, beside_file("", {}, lidar, noise, mapping, difficulty), sensor=lidar)
 
 
@@ -192,13 +201,19 @@ def read_recipe(
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
 ) -> Recipe:
-    """A recipe from a TOML file: `kind`, and tables [world], [flight], [accept], [lidar], [noise],
-    [mapping] and [grid] of what differs from the preset. `kind`, `lidar`, `noise` and `mapping`,
-    where given, stand in for the file's; a file with a table [lidar] beside a `lidar` is refused,
-    and so is one with the same of the others.
+    """A recipe from a TOML file: `kind`, `difficulty`, and tables [world], [flight], [accept],
+    [lidar], [noise], [mapping] and [grid] of what differs from the preset.
 
     A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its
-    `[lidar] sensor` first. Raises RecipeError naming the file, the table and the parameter.
+    `[lidar] sensor` first.
+
+    Args:
+        path: The file.
+        kind: Stands in for the file's, which may be missing then.
+        lidar, noise, mapping, difficulty: As in `preset`; a file that has the same is refused.
+
+    Raises:
+        RecipeError: The file, the table and the parameter are named.
     """
     where = printable(path)
     tables = read_toml(path)
@@ -233,8 +248,9 @@ def beside_file(
     for name, value in options.items():
         if value is not None and name in tables:
             named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
+            what = name if name == "difficulty" else f"a table [{name}]"
             raise RecipeError(
-                f"{where}: has {name}, and {named} is given beside it; leave one of the two out"
+                f"{where}: has {what}, and {named} is given beside it; leave one of the two out"
             )
     found: dict[str, Any] = {} if noise is None else {"noise": {"stages": noise}}
     found |= {"mapping": dict(mapping)} if mapping else {}

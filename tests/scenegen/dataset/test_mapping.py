@@ -355,7 +355,7 @@ def test_a_recipe_says_it_and_is_published(several: Path, tmp_path: Path) -> Non
         read_recipe(tmp_path / "my.toml").mapping == dataset.manifest.mapping == Mapper(**SEVERAL)
     )
     check_source(dataset, name, text)
-    with pytest.raises(RecipeError, match=r"has mapping, and scans is given beside it"):
+    with pytest.raises(RecipeError, match=r"has a table \[mapping\], and scans is given beside it"):
         read_recipe(tmp_path / "my.toml", mapping={"scans": 2})
 
 
