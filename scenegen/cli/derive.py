@@ -87,6 +87,13 @@ def rescan(
     "-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split."
 )
 @click.option(
+    "--kind",
+    "kinds",
+    multiple=True,
+    metavar="KIND",
+    help="Samples of this kind of worlds alone, of a mixed or merged dataset; repeatable.",
+)
+@click.option(
     "--worlds",
     type=Ranges(),
     default=(),
@@ -105,6 +112,7 @@ def take(
     dataset: Path | str,
     splits: tuple[str, ...],
     most: int | None,
+    kinds: tuple[str, ...],
     worlds: Any,
     where: Any,
     out: Path | None,
@@ -120,7 +128,7 @@ def take(
     from scenegen.dataset.gather import plan_take
 
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
-    choice = Choice(splits=chosen, most=most, worlds=worlds, where=where)
+    choice = Choice(splits=chosen, most=most, kinds=kinds, worlds=worlds, where=where)
     source = open_dataset(dataset, shown=not options["quiet"], partial=False)
     make(plan_take(source, out, choice, workers=options["workers"]), begin=begin, **options)
 

@@ -109,6 +109,8 @@ class Choice:
     splits: tuple[str, ...] = SPLITS
     most: int | None = None
     """So many of each split at most; None for no bound."""
+    kinds: tuple[str, ...] = ()
+    """Kinds of worlds; empty for all."""
     worlds: tuple[tuple[int, int], ...] = ()
     """Numbers of worlds, (first, one past last) each; empty for all."""
     where: tuple[Condition, ...] = ()
@@ -117,6 +119,7 @@ class Choice:
         """As the command's options say it; what a manifest tells of it."""
         words = [f"--split {split}" for split in self.splits if self.splits != SPLITS]
         words += [] if self.most is None else [f"--n {self.most}"]
+        words += [f"--kind {kind}" for kind in self.kinds]
         words += [f"--worlds {','.join(f'{a}:{b}' for a, b in self.worlds)}"] if self.worlds else []
         return " ".join([*words, *(f"--where {condition}" for condition in self.where)])
 
@@ -152,6 +155,7 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
             found = {
                 n: _named(split, n, choice)
                 for n in range(begin, min(begin + step, len(split.shards)))
+                if not choice.kinds or dataset.manifest.home(split.shards[n]).kind in choice.kinds
             }
             if measured:
                 tasks = [(n, one.rows) for n, one in found.items()]

@@ -103,6 +103,11 @@ def test_it_is_verified_inspected_measured_and_gathered(
     words = ("--split", "train", "-o", str(tmp_path / "few"), "--quiet")
     assert run(capsys, "take", folder, *words)[0] == 0
     assert kinds(Dataset(tmp_path / "few"), "train") == kinds(mixed, "train")
+    words = ("--kind", "maze", "--kind", "clutter", "-o", str(tmp_path / "two"), "--quiet")
+    assert run(capsys, "take", folder, *words)[0] == 0
+    assert kinds(Dataset(tmp_path / "two"), "train") == ["clutter"] * 4 + ["maze"] * 4
+    code, _, said = run(capsys, "take", folder, "--kind", "cave", "-o", str(tmp_path / "no"))
+    assert (code, "no sample is as asked for (--kind cave)" in said) == (1, True), said
     code, _, said = run(capsys, "publish", folder, "--repo", "ada/mixed", "--dry-run")
     assert (code, "mixture of several kinds" in said) == (1, True), said
 
