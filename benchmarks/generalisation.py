@@ -135,19 +135,18 @@ def tables(rows: dict[str, Any]) -> list[str]:
     """For each figure, by kind: networks that saw the kind, the one that did not, and `extrude`."""
     lines = []
     for name, title in TITLES.items():
-        lines += ["", f"## {title}", "", *head(("seen in training", "held out", "extrude"))]
+        lines += ["", f"## {title}", "", *head(("seen in training", "held out", "extrude; truth"))]
         for kind in next(iter(rows.values())):
             saw = [
                 rows[row][kind][name]["mean"]
                 for row in rows
                 if row.startswith("without ") and row != f"without {kind}"
             ]
-            mean = f"{sum(saw) / len(saw):.3f} ({len(saw)} networks)" if saw else "–"
-            cells = (
-                mean,
-                *(_cell(rows, row, kind, name) for row in (f"without {kind}", "extrude")),
+            mean = f"{sum(saw) / len(saw):.3f} (of {len(saw)})" if saw else "–"
+            held, extrude, truth = (
+                _cell(rows, row, kind, name) for row in (f"without {kind}", "extrude", "truth")
             )
-            lines.append(line(f"`{kind}`", cells))
+            lines.append(line(f"`{kind}`", (mean, held, f"{extrude}; {truth.partition(' ')[0]}")))
     lines += ["", f"## The bundled `{BUNDLED}`", "", *head(TITLES.values())]
     for kind in rows.get(BUNDLED, ()):
         lines.append(line(f"`{kind}`", (_cell(rows, BUNDLED, kind, name) for name in TITLES)))
