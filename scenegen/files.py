@@ -73,6 +73,12 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
     return content
 
 
+def real_path(path: Path) -> Path:
+    """`path` without links. Links that lead in a circle stay: `Path.resolve` would raise
+    RuntimeError, where who opens the path finds that nothing is there."""
+    return path if isinstance(path, StorePath) else Path(os.path.realpath(path))
+
+
 def check_target(path: Path) -> None:
     """Raise DatasetError unless `path` is free or a regular file: no device, pipe, folder or link
     is ever replaced."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable
+from scenegen.files import real_path
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Limited, run
@@ -205,7 +206,7 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
     included = {path for reading in readings for path in reading.includes}
     scenes, parts = dict[Path, Scene](), list[str]()
     for reading in readings:
-        if reading.path.resolve() in included or reading.outcome is None:
+        if real_path(reading.path) in included or reading.outcome is None:
             parts.append(reading.path.name)
         elif isinstance(reading.outcome, SceneError):
             raise reading.outcome

@@ -86,7 +86,7 @@ def complete(
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
-    from scenegen.files import check_target, make_parent, remove_drafts
+    from scenegen.files import check_target, make_parent, real_path, remove_drafts
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.points import scans_in
     from scenegen.model.completion.predictions import predict_scan, predict_split
@@ -106,9 +106,8 @@ def complete(
             f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
         )
     if found.is_dir() and scans:
-        _complete_all(
-            completer, found, scans, out or Path(f"{found.resolve().name}.completed"), sensor, quiet
-        )
+        out = out or Path(f"{real_path(found).name}.completed")
+        _complete_all(completer, found, scans, out, sensor, quiet)
         return
     out = out or (Path("predictions.h5") if found.is_dir() else found.with_suffix(".completed.h5"))
     check_target(out)

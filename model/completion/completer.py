@@ -22,6 +22,7 @@ from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
 from scenegen.errors import needs, printable
+from scenegen.files import real_path
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
@@ -284,7 +285,7 @@ def called(name: str | Path, path: Path) -> str:
     repository."""
     if (name := split_own(name)[1]).startswith(HUB):
         return name.removeprefix(HUB).partition("@")[0].rpartition("/")[2]
-    return path.resolve().parent.name if path.name in NAMES_IN_FOLDER else path.stem
+    return real_path(path).parent.name if path.name in NAMES_IN_FOLDER else path.stem
 
 
 def open_network(name: str | Path) -> tuple[Any, GridSpec, dict[str, Any]]:

@@ -110,6 +110,10 @@ def run_command(app: Any) -> NoReturn:
         code, line = 1, f"standard output: {lost.strerror}; what was to be printed is lost"
     if line:
         print(f"scenegen: {printable(line)}", file=sys.stderr)
+    if "TORCHELASTIC_RUN_ID" in os.environ:
+        # one of torchrun's: all is said and written, and torch's threads have been seen to abort a
+        # process that Python takes down around them, which torchrun takes for a failed run
+        os._exit(code)
     sys.exit(code)
 
 

@@ -24,7 +24,7 @@ from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import ALIKE, Entry, GatheredEntry, Manifest
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.files import write_whole
+from scenegen.files import real_path, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
 
@@ -277,7 +277,8 @@ def _plan(
     index = dict.fromkeys(SPLITS, 0)
     dataset: Dataset | None = None
     for dataset, chosen in pieces:
-        if dataset.folder.resolve() in (folder.resolve(), *folder.resolve().parents):
+        here = real_path(folder)
+        if real_path(dataset.folder) in (here, *here.parents):
             raise DatasetError(
                 f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
             )

@@ -20,6 +20,7 @@ from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw import Rejections, Unit, engine_of, flight_rng, samples_of, scans_from
 from scenegen.errors import DatasetError, GenerationError, printable, short
+from scenegen.files import real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.truth import rasterize
@@ -212,7 +213,7 @@ def plan_rescan(
         )
     except ValueError as error:
         raise DatasetError(printable(error)) from None
-    if folder.resolve() == dataset.folder.resolve():
+    if real_path(folder) == real_path(dataset.folder):
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
     left = {name: it for name, it in found.parameters.items() if name not in (*NAMES, "engine")}
     compact = "tudf" not in found.fields

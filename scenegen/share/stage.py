@@ -21,7 +21,7 @@ from scenegen.display.inspect import inspect
 from scenegen.display.look import looks, spread
 from scenegen.display.page import check_grid, page
 from scenegen.errors import DatasetError, PublishError
-from scenegen.files import disk_error, draft_of, remove_drafts, sync_folder, write_whole
+from scenegen.files import disk_error, draft_of, real_path, remove_drafts, sync_folder, write_whole
 from scenegen.run import undone_if_stopped
 from scenegen.share.card import card
 from scenegen.share.croissant import croissant
@@ -204,7 +204,7 @@ def check_out(dataset: Path, out: Path) -> None:
     publish did not make."""
     if out.exists() and not out.is_dir():
         raise PublishError(f"--out {out}: is there, and not a folder; give another name")
-    there, here = out.resolve(), dataset.resolve()
+    there, here = real_path(out), real_path(dataset)
     if there == here or there.is_relative_to(here) or here.is_relative_to(there):
         raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
     _check_foreign(out)
@@ -280,7 +280,7 @@ def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
     """
 
     def take_one(name: str) -> None:
-        there, here = (source / name).resolve(), draft / name
+        there, here = real_path(source / name), draft / name
         try:
             os.link(there, here)
         except OSError:  # another disk, or a file system or owner that does not allow it

@@ -199,10 +199,6 @@ class StorePath(_Path):
     def mkdir(self, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
         """Nothing: there are no folders."""
 
-    def resolve(self, strict: bool = False) -> "StorePath":
-        """Itself."""
-        return self
-
     def open_bounded(self, most_bytes: int) -> io.BufferedReader:
         """A copy of the object on this disk, that nobody else sees. Raises as `Store.read`."""
         try:

@@ -166,7 +166,7 @@ def fetch_all(folder: Path, names: Iterable[str]) -> None:
 def note_of(folder: Path) -> Note | None:
     """What a folder of copies is of; None for any other, whatever lies beside it: a stranger's has
     no say in what is asked of the network."""
-    folder = folder.resolve()
+    folder = Path(os.path.realpath(folder))
     if folder.parent.parent != _root() or not note_file(folder).is_file():
         return None
     try:

@@ -12,7 +12,15 @@ import pytest
 
 from scenegen import files
 from scenegen.errors import DatasetError
-from scenegen.files import check_target, draft_of, make_parent, remove_drafts, whole, write_whole
+from scenegen.files import (
+    check_target,
+    draft_of,
+    make_parent,
+    real_path,
+    remove_drafts,
+    whole,
+    write_whole,
+)
 from scenegen.run import undo_all
 
 
@@ -157,3 +165,10 @@ def test_a_stop_removes_what_is_being_written(tmp_path: Path) -> None:
     with pytest.raises(DatasetError), whole(tmp_path / "a"):  # noqa: PT012
         undo_all()
         assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_links_are_followed_unless_they_lead_in_a_circle(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("a")
+    (tmp_path / "loop").symlink_to("loop")
+    assert real_path(tmp_path / "link") == tmp_path.resolve() / "a"
+    assert real_path(tmp_path / "loop").name == "loop"

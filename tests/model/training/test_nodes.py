@@ -50,7 +50,12 @@ def alone(words: list[str], tmp_path: Path) -> Path:
 
 
 def run(command: list[str], **more: str) -> None:
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"} | more
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        "PYTHONFAULTHANDLER": "1",
+        **more,
+    }
     ended = subprocess.run(
         command, env=environment, capture_output=True, text=True, check=False, timeout=200
     )
