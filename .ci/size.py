@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 268_000, "benchmarks": 25_000, "tests": 280_000}
-FILES = 228
+TOKENS = {"product": 271_000, "benchmarks": 25_000, "tests": 284_000}
+FILES = 230
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

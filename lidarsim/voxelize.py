@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.elementary import log
+from lidarsim.engines.voxels import enter, slab
 from lidarsim.fusion import Fusion
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
@@ -131,11 +132,6 @@ def crossed(
     return free
 
 
-STILL = 1e-300
-"""A ray whose direction has less than this along an axis stands still there: a voxel would take it
-an infinite way, and infinity times no way at all is NaN."""
-
-
 @kernel
 def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, free):
     """Mark `free` along every ray and `observed` at its end."""
@@ -165,29 +161,6 @@ def cell_at(position, direction, reach, origin, voxel_m, nx, ny, nz):
 
 
 @kernel
-def _slab(start, direction, count, voxel_m):
-    """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it
-    enters and leaves."""
-    if abs(direction) < STILL:
-        inside = 0.0 <= start < float(count)
-        return 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
-    pace = voxel_m / direction
-    first, last = (0.0 - start) * pace, (float(count) - start) * pace
-    return pace, min(first, last), max(first, last)
-
-
-@kernel
-def _enter(start, t, pace, count):
-    """The voxel's number along one axis at distance `t`, the boundary ahead of it, and where the
-    ray crosses that."""
-    if pace == 0.0:
-        return math.floor(start), 0.0, math.inf
-    at = min(max(math.floor(start + t / pace), 0), count - 1)
-    ahead = float(at + 1 if pace > 0.0 else at)
-    return at, ahead, (ahead - start) * pace
-
-
-@kernel
 def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
     """Mark the voxels, of nx * ny * nz one after the other, that the segment of length `end` from
     `position` along `direction` meets.
@@ -200,16 +173,16 @@ def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
         (position[1] - origin[1]) / voxel_m,
         (position[2] - origin[2]) / voxel_m,
     )
-    px, in_x, out_x = _slab(sx, direction[0], nx, voxel_m)
-    py, in_y, out_y = _slab(sy, direction[1], ny, voxel_m)
-    pz, in_z, out_z = _slab(sz, direction[2], nz, voxel_m)
+    px, in_x, out_x = slab(sx, direction[0], nx, voxel_m)
+    py, in_y, out_y = slab(sy, direction[1], ny, voxel_m)
+    pz, in_z, out_z = slab(sz, direction[2], nz, voxel_m)
     t = max(max(in_x, in_y), max(in_z, 0.0))
     leave = min(min(out_x, out_y), min(out_z, end))
     if not leave - t > TOUCH_M:
         return
-    i, bx, tx = _enter(sx, t, px, nx)
-    j, by, ty = _enter(sy, t, py, ny)
-    k, bz, tz = _enter(sz, t, pz, nz)
+    i, bx, tx = enter(sx, t, px, nx)
+    j, by, ty = enter(sy, t, py, ny)
+    k, bz, tz = enter(sz, t, pz, nz)
     ux, uy, uz = 1.0 if px > 0.0 else -1.0, 1.0 if py > 0.0 else -1.0, 1.0 if pz > 0.0 else -1.0
     dx, dy, dz = int(ux) * ny * nz, int(uy) * nz, int(uz)
     cell = (i * ny + j) * nz + k

@@ -11,6 +11,7 @@ import numpy as np
 
 from lidarsim import AnalyticEngine, Engine, Pose, Scan, Sensor, cast, fuse
 from lidarsim.engines import EngineFactory
+from lidarsim.engines.voxels import VoxelEngine, VoxelMap
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
 from scenegen import SPLITS
@@ -234,7 +235,7 @@ def samples_of(
 
 
 def scan_world(
-    world: World,
+    world: World | VoxelMap,
     lidar: Sensor,
     pose: Pose,
     noise: Noise | None = None,
@@ -245,19 +246,23 @@ def scan_world(
     """What a sensor returns of a world.
 
     Args:
-        world: The world.
+        world: The world, or the map of a real place.
         lidar: The sensor.
         pose: The pose of the body that holds the sensor.
         noise: What becomes of the clean ranges; nothing by default.
         seed: What the noise is drawn by.
-        engine: What casts the rays.
+        engine: What casts the rays of a world; those through a map, `VoxelEngine` casts.
 
     Raises:
         GenerationError: A stage of the noise needs what the engine does not know.
     """
-    caster = engine(world.model, world.data)
     rng = np.random.default_rng(seed)
-    return _observed(cast(caster, lidar, pose), noise or Noise(), world, caster, rng)
+    if isinstance(world, VoxelMap):
+        through: Any = VoxelEngine(world)  # no engine of a compiled model
+        return _observed(cast(through, lidar, pose), noise or Noise(), None, through, rng)
+    caster = engine(world.model, world.data)
+    albedo = albedo_of(world.model)
+    return _observed(cast(caster, lidar, pose), noise or Noise(), albedo, caster, rng)
 
 
 def scans_from(poses: Sequence[Pose], engine: Engine, lidar: Sensor) -> list[Scan]:
@@ -294,7 +299,7 @@ def with_noise(
     for before, scan in enumerate(scans):
         key = (SPLITS.index(split), unit, 0, STREAM, view, *([before] if before else []))
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-        seen = _observed(scan, noise, world, engine, rng)
+        seen = _observed(scan, noise, albedo_of(world.model), engine, rng)
         if len(seen.ranges) > 1 or seen.intensity is not None:
             raise GenerationError(
                 f"noise {noise}: a dataset holds one range a ray and nothing else; leave intensity "
@@ -311,9 +316,9 @@ def with_noise(
 
 
 def _observed(
-    scan: Scan, noise: Noise, world: World, engine: Engine, rng: np.random.Generator
+    scan: Scan, noise: Noise, albedo: np.ndarray | None, engine: Engine, rng: np.random.Generator
 ) -> Returns:
     try:
-        return noise.observe(scan, engine, rng=rng, albedo=albedo_of(world.model))
+        return noise.observe(scan, engine, rng=rng, albedo=albedo)
     except ValueError as error:
         raise GenerationError(str(error)) from None

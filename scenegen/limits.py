@@ -88,6 +88,8 @@ MOST_DOCUMENT_BYTES = 16 << 20
 """The most bytes of an MJCF document."""
 MOST_ASSET_BYTES = 64 << 20
 """The most bytes of one file that a world refers to."""
+MOST_PLACE_VOXELS = 1 << 28
+"""The most voxels of a real place's map: a byte each, and 290 × 170 × 30 m at 0.2 m take 180 MB."""
 MOST_ARCHIVE_BYTES = 1 << 30
 """The most bytes of all members of a shard's archive together, unpacked."""
 MOST_MEMBERS = 65_000

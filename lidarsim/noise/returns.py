@@ -101,7 +101,7 @@ class View:
         if hits is None:
             raise ValueError(
                 f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use "
-                f"the engine analytic"
+                "the engine analytic, or for a map only stages that change ranges"
             )
         cosine, albedo = (
             np.zeros(returns.directions.shape[:-1]),

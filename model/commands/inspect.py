@@ -15,6 +15,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
 from scenegen.cli.types import OutputFile
+from scenegen.worlds import MAPS
 from scenegen.worlds.mapping import Mapper
 
 
@@ -31,8 +32,8 @@ def inspect(
 ) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
 
-    A folder of datasets is listed; of a world (.xml), a scan, a file of predictions (.h5), or a
-    run's folder, it says what it is.
+    A folder of datasets is listed; of a world (.xml), an OctoMap (.bt, .ot), a scan, a file of
+    predictions (.h5), or a run's folder, it says what it is.
     """
     from scenegen.dataset.manifest import NAME
     from scenegen.display.inspect import inspect_all
@@ -60,6 +61,10 @@ def _facts(path: Path) -> dict[str, Any] | None:
         from scenegen.display.inspect import inspect_world
 
         return inspect_world(path)
+    if path.suffix in MAPS:
+        from scenegen.display.inspect import inspect_map
+
+        return inspect_map(path)
     if not (path.suffix in READERS or path.suffix == ".h5" or (path / "metrics.csv").is_file()):
         return None
     from scenegen.model import facts  # loads torch

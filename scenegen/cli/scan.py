@@ -20,16 +20,21 @@ from scenegen.cli.options import (
     out_option,
     quiet_option,
     seed_option,
+    was_given,
 )
 from scenegen.cli.show import say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.limits import LEAST_DRAWN_M
+from scenegen.worlds import MAPS
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
+    from lidarsim.engines.voxels import VoxelMap
     from lidarsim.noise.chain import Noise
     from scenegen.worlds.world import World
 
+MOST_UNKNOWN_M = 0.6
+"""A ray through a map that crosses more unknown space than this is counted, metres."""
 HEADS = {
     "shape": "rays",
     "elevation_deg": "up, °",
@@ -112,6 +117,7 @@ def _cell(value: Any) -> str:
     epilog=examples(
         "scan room.xml --pose 1,2,0.5,30 -o scan.ply",
         "scan room.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
+        "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
     )
 )
 @click.argument("world", type=click.Path(path_type=Path))
@@ -160,21 +166,29 @@ def scan(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Scan the world of an MJCF file, once or along a flight, and write the returns as points."""
+    """Scan the world of an MJCF file, once or along a flight, and write the returns as points.
+
+    Or an OctoMap of a real place (.bt, .ot), with --pose. Rays that cross unknown space are
+    counted.
+    """
     if (pose is None) != flight:
         raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
     if every is not None and not flight:
         raise click.UsageError("--every goes with --flight")
+    is_map = world.suffix in MAPS
+    if is_map and (flight or was_given("engine")):
+        raise click.UsageError(f"{world}: a map takes no --flight and no --engine; give --pose")
     from scenegen.display.points import SUFFIXES
     from scenegen.files import check_ours
     from scenegen.source import read_world
     from scenegen.tables import named_lidar, named_noise
+    from scenegen.worlds.octomap import read_octomap
 
     if out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
-    found = read_world(world)
+    found = read_octomap(world) if is_map else read_world(world)
     poses = _poses(found, pose, every, seed)
     files = [out] if every is None else [_numbered(out, number) for number in range(len(poses))]
     for file in files:
@@ -197,22 +211,24 @@ def _numbered(out: Path, number: int) -> Path:
 
 
 def _poses(
-    world: "World", pose: tuple[float, ...] | None, every: float | None, seed: int
+    world: "World | VoxelMap", pose: tuple[float, ...] | None, every: float | None, seed: int
 ) -> "list[Pose]":
     """The pose given, one in a random flight, or those `every` so many metres of it."""
     from lidarsim import Pose
+    from lidarsim.engines.voxels import VoxelMap
     from scenegen.worlds.flight import pose_in_flight, poses_in_flight
 
+    if pose is not None:
+        return [Pose.level(pose[:3], math.radians(pose[3]))]
+    assert not isinstance(world, VoxelMap)
     if every is not None:
         return poses_in_flight(world, every_m=every, seed=seed)
-    if pose is None:
-        return [pose_in_flight(world, seed=seed)]
-    return [Pose.level(pose[:3], math.radians(pose[3]))]
+    return [pose_in_flight(world, seed=seed)]
 
 
 def _write_scan(
     file: Path,
-    world: "World",
+    world: "World | VoxelMap",
     sensor: "Sensor",
     at: "Pose",
     chain: "Noise",
@@ -223,6 +239,7 @@ def _write_scan(
     """Scans from a pose, writes the returns, and gives what is to be said of them."""
     import numpy as np
 
+    from lidarsim.engines.voxels import VoxelEngine, VoxelMap
     from lidarsim.pose import rotate
     from scenegen.display.points import write_points
     from scenegen.draw import scan_world
@@ -242,7 +259,7 @@ def _write_scan(
         "frame": frame,
     }
     write_points(file, points, intensity, about)
-    return {
+    row = {
         "file": str(file),
         "lidar": str(sensor),
         "noise": str(chain) or "none",
@@ -251,3 +268,8 @@ def _write_scan(
         "rays": int(sensor.times_s.size),
         "returns": len(points),
     }
+    if isinstance(world, VoxelMap):
+        rays = rotate(at.quaternion, sensor.directions_body)
+        _, unknown_m = VoxelEngine(world).cross(at.position[None], rays[None], sensor.max_range_m)
+        row["rays_through_unknown"] = int(np.count_nonzero(unknown_m > MOST_UNKNOWN_M))
+    return row

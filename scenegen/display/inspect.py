@@ -199,6 +199,21 @@ def inspect_world(path: Path) -> dict[str, Any]:
     }
 
 
+def inspect_map(path: Path) -> dict[str, Any]:
+    """What an OctoMap knows of its place. Raises SceneError for a file that holds none."""
+    from scenegen.worlds.octomap import read_octomap
+
+    found = read_octomap(path)
+    states = np.bincount(found.states.reshape(-1), minlength=3) / found.states.size
+    return {
+        "map": str(path),
+        "voxel_m": found.voxel_m,
+        "shape": list(found.states.shape),
+        "bounds": found.bounds.tolist(),
+        **dict(zip(("unknown", "free", "occupied"), states.tolist(), strict=True)),
+    }
+
+
 def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
     """What of a map its sensor can hardly know, in a line each."""
     edges = [np.linspace(-extent / 2, extent / 2, 41) for extent in grid.extent_m]

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 from lidarsim import BeamTable
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.sensors import CATALOGUE, SENSORS
 from scenegen.dataset.read import Dataset
 from scenegen.display.pattern import WIDE_PX, draw_pattern, draw_patterns
 from tests.command_line import ROOT, SMALL, run
+from tests.scenegen.worlds.test_octomap import written
 
 ROOM = """<mujoco><worldbody>
 <geom type="box" size="1 20 5" pos="11 0 0" rgba="1 1 1 1"/>
@@ -242,3 +244,43 @@ def test_the_documented_sensor_and_flight_are_such(
     found: dict[str, Any] = {}
     exec(flight.replace("every_m=0.5", "every_m=3.0"), found)
     assert len(found["points"]) > 1000
+
+
+def test_a_map_of_a_real_place_is_scanned_and_told_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A room of 4 × 4 × 2 m, mapped at 0.1 m; beyond its walls, and behind one of its halves,
+    nothing is known."""
+    monkeypatch.chdir(tmp_path)
+    states = np.full((40, 40, 20), OCCUPIED, np.uint8)
+    states[1:-1, 1:-1, 1:-1] = FREE
+    states[30:-1, 20:-1, 1:-1] = UNKNOWN
+    Path("room.bt").write_bytes(written(states, (0, 0, 0), ".bt"))
+    facts = json.loads(run(capsys, "inspect room.bt --json")[1])
+    assert facts["shape"] == [40, 40, 20]
+    assert facts["bounds"] == [[0, 0, 0], pytest.approx([4, 4, 2])]
+    assert facts["unknown"] == pytest.approx((states == UNKNOWN).mean())
+    command = "scan room.bt --pose 1,2,1,0 --lidar velodyne-vlp-16 --frame world -o a.xyz --json"
+    assert run(capsys, command.replace(".xyz", ".txt"))[0] == 2
+    code, said, _ = run(capsys, command.replace(".xyz", ".npz"))
+    row = json.loads(said)
+    assert code == 0
+    assert row["returns"] == row["rays"], "the room is closed"
+    points = np.load("a.npz")["points"]
+    index = np.floor(points / 0.1 + 1e-6).astype(int)
+    assert (states[tuple(index.T)] == OCCUPIED).all()
+    assert 0 < row["rays_through_unknown"] < row["rays"] / 2
+    for words, expected in (
+        ("--pose 1,2,1,0 --engine mujoco", "--engine"),
+        ("--flight", "--flight"),
+        ("--pose 1,2,1,0 --noise intensity", "only stages that change ranges"),
+    ):
+        code, _, error = run(capsys, f"scan room.bt {words}")
+        assert code
+        assert expected in error
+    Path("room.bt").write_bytes(Path("room.bt").read_bytes()[:-1])
+    for command in ("inspect room.bt", "scan room.bt --pose 1,2,1,0"):
+        code, _, error = run(capsys, command)
+        assert code == 1
+        assert error.count("\n") == 1
+        assert "ends within its tree" in error

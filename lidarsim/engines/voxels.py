@@ -1,0 +1,174 @@
+"""Rays through a map of voxels, each occupied, free or unknown: what a robot's mapping keeps of a
+real place."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarsim.jit import kernel
+
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+"""States of a voxel."""
+LEAST_CHORD_M = 1e-4
+"""A ray meets an occupied voxel when it runs this far in it: the middle of that way lies in the
+voxel also when the range is rounded to float32, up to a kilometre."""
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelMap:
+    """What is known of a place. What lies beyond the map is unknown."""
+
+    states: NDArray[np.uint8]
+    """(nx, ny, nz): `UNKNOWN`, `FREE` or `OCCUPIED`; x y z in that order, z up."""
+    voxel_m: float
+    """Edge of a voxel, metres."""
+    origin: NDArray[np.float64]
+    """(3,): the map's least corner in the world, metres."""
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """(2, 3): the map's least and greatest corner in the world, metres."""
+        extent = np.array(self.states.shape, dtype=np.float64) * self.voxel_m
+        return np.stack([self.origin, self.origin + extent])
+
+
+class VoxelEngine:
+    """Casts rays through a `VoxelMap` from voxel to voxel (Amanatides and Woo 1987).
+
+    A map does not say where in a voxel the surface lies. A ray that meets an occupied voxel returns
+    from the middle of its way through it, so that a return lies in that voxel. Rays pass through
+    unknown voxels; `cross` tells how far.
+    """
+
+    def __init__(self, voxels: VoxelMap):
+        self._voxels = voxels
+
+    def cast(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
+    ) -> NDArray[np.float64]:
+        """See `lidarsim.engines.Engine.cast`, but for the rays from within a solid: they meet the
+        voxel in which they begin."""
+        return self.cross(origins, directions, max_range_m)[0]
+
+    def cross(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Ranges as `cast` gives them, and the metres of unknown space that each ray crosses before
+        it returns, or within `max_range_m`; both (P, *shape)."""
+        starts = np.array(origins, dtype=np.float64, order="C")
+        rays = np.array(directions, dtype=np.float64, order="C")
+        shape = rays.shape[:-1]
+        ranges, unknown = np.full(shape, np.inf), np.zeros(shape)
+        count = int(np.prod(shape[1:]))
+        _cast(
+            starts,
+            rays.reshape(len(starts), count, 3),
+            float(max_range_m),
+            self._voxels.states,
+            self._voxels.voxel_m,
+            self._voxels.origin,
+            ranges.reshape(len(starts), count),
+            unknown.reshape(len(starts), count),
+        )
+        return ranges, unknown
+
+
+@kernel
+def _cast(origins, directions, max_range_m, states, voxel_m, origin, ranges, unknown):
+    """Fill ranges (P, n) and metres of unknown space (P, n) for directions (P, n, 3)."""
+    for p in range(len(origins)):
+        if not abs(origins[p, 0]) + abs(origins[p, 1]) + abs(origins[p, 2]) < math.inf:
+            continue
+        for n in range(directions.shape[1]):
+            x, y, z = directions[p, n, 0], directions[p, n, 1], directions[p, n, 2]
+            length2 = x * x + y * y + z * z
+            if abs(length2 - 1.0) <= 2e-6:  # as `Engine.cast` has it; not where it is NaN
+                length = math.sqrt(length2)
+                ranges[p, n], unknown[p, n] = _first(
+                    origins[p],
+                    (x / length, y / length, z / length),
+                    max_range_m,
+                    states,
+                    voxel_m,
+                    origin,
+                )
+
+
+@kernel
+def _first(position, direction, max_range_m, states, voxel_m, origin):
+    """The range of one ray, and the metres of unknown space on its way."""
+    nx, ny, nz = states.shape
+    sx = (position[0] - origin[0]) / voxel_m
+    sy = (position[1] - origin[1]) / voxel_m
+    sz = (position[2] - origin[2]) / voxel_m
+    px, in_x, out_x = slab(sx, direction[0], nx, voxel_m)
+    py, in_y, out_y = slab(sy, direction[1], ny, voxel_m)
+    pz, in_z, out_z = slab(sz, direction[2], nz, voxel_m)
+    t = max(max(in_x, in_y), max(in_z, 0.0))
+    leave = min(min(out_x, out_y), out_z)
+    if not leave > t or t >= max_range_m:
+        return math.inf, max_range_m
+    unknown = t
+    i, bx, tx = enter(sx, t, px, nx)
+    j, by, ty = enter(sy, t, py, ny)
+    k, bz, tz = enter(sz, t, pz, nz)
+    ux, uy, uz = 1 if px > 0.0 else -1, 1 if py > 0.0 else -1, 1 if pz > 0.0 else -1
+    while True:
+        at = min(min(tx, ty), min(tz, leave))
+        way = at - t
+        if way > 0.0:
+            state = states[i, j, k]
+            if state == OCCUPIED and way >= LEAST_CHORD_M:
+                middle = t + 0.5 * way
+                return (middle if middle <= max_range_m else math.inf), unknown
+            if state == UNKNOWN:
+                unknown += min(at, max_range_m) - t
+            t = at
+        if at >= leave or t >= max_range_m:
+            break
+        # each crossing is computed from its boundary's own number: errors do not add up
+        if tx <= ty and tx <= tz:
+            i += ux
+            bx += ux
+            tx = (bx - sx) * px
+        elif ty <= tz:
+            j += uy
+            by += uy
+            ty = (by - sy) * py
+        else:
+            k += uz
+            bz += uz
+            tz = (bz - sz) * pz
+        if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz):
+            break
+    return math.inf, unknown + max(max_range_m - max(t, 0.0), 0.0)
+
+
+STILL = 1e-300
+"""A ray whose direction has less than this along an axis stands still there: a voxel would take it
+an infinite way, and infinity times no way at all is NaN."""
+
+
+@kernel
+def slab(start, direction, count, voxel_m):
+    """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it
+    enters and leaves."""
+    if abs(direction) < STILL:
+        inside = 0.0 <= start < float(count)
+        return 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
+    pace = voxel_m / direction
+    first, last = (0.0 - start) * pace, (float(count) - start) * pace
+    return pace, min(first, last), max(first, last)
+
+
+@kernel
+def enter(start, t, pace, count):
+    """The voxel's number along one axis at distance `t`, the boundary ahead of it, and where the
+    ray crosses that."""
+    if pace == 0.0:
+        return math.floor(start), 0.0, math.inf
+    at = min(max(math.floor(start + t / pace), 0), count - 1)
+    ahead = float(at + 1 if pace > 0.0 else at)
+    return at, ahead, (ahead - start) * pace

@@ -1,0 +1,151 @@
+"""OctoMap's files (Hornung et al. 2013): trees of occupied and free cubes, `.bt` with states alone,
+`.ot` with log-odds."""
+
+from pathlib import Path
+
+import numpy as np
+
+from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
+from lidarsim.jit import kernel
+from scenegen.errors import SceneError, printable
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+
+LEVELS = 16
+"""Levels of a tree, as OctoMap has them."""
+HALF = 1 << (LEVELS - 1)
+"""Voxels from the tree's least corner to the world's origin, along each axis."""
+MOST_HEADER = 64 << 10
+"""The most bytes of a header."""
+FAULTS = {
+    1: "ends within its tree; copy it again",
+    2: f"has a tree of more than {LEVELS} levels; write it with OctoMap's own depth",
+    3: "goes on behind its tree; copy it again",
+    4: "has log-odds that are NaN; map the place again",
+}
+
+
+def read_octomap(path: Path) -> VoxelMap:
+    """The map in a `.bt` or `.ot` file, as large as what is known in it. Raises SceneError for a
+    file that holds none."""
+    return parse_octomap(read_bounded(path, MOST_ASSET_BYTES), str(path))
+
+
+def parse_octomap(content: bytes, name: str) -> VoxelMap:
+    """The map that `content` holds. Raises SceneError, naming `name`."""
+    first, _, _ = content[:MOST_HEADER].partition(b"\n")
+    head, found, tree = content.partition(b"\ndata\n")
+    known = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}
+    if first.strip() not in known or not found or len(head) > MOST_HEADER:
+        raise SceneError(f"{name}: not an OctoMap; expected a .bt or .ot file of OctoMap 1.x")
+    lines = (line.split(None, 1) for line in head.decode("latin-1").splitlines())
+    said = {words[0]: words[1].strip() for words in lines if len(words) == 2}
+    if said.get("id") != "OcTree":
+        raise SceneError(
+            f"{name}: holds a tree of type {printable(said.get('id', 'none'))[:40]}, expected "
+            "OcTree; convert it with OctoMap's convert_octree"
+        )
+    try:
+        voxel_m = float(said.get("res", "nan"))
+    except ValueError:
+        voxel_m = float("nan")
+    if not 1e-3 <= voxel_m <= 1e3:
+        raise SceneError(f"{name}: res is not a voxel's edge from 0.001 to 1000 metres")
+    fill = _fill_states if known[first.strip()] else _fill_log_odds
+    data = np.frombuffer(tree, np.uint8)
+    bounds = np.array([[2 * HALF] * 3, [0] * 3])
+    nothing = np.empty((0, 0, 0), np.uint8)
+    fault = fill(data, bounds, nothing)
+    if fault:
+        raise SceneError(f"{name}: {FAULTS[fault]}")
+    shape = bounds[1] - bounds[0]
+    if not (shape > 0).all():
+        raise SceneError(f"{name}: an empty map; nothing in it is known")
+    if (count := int(shape.prod())) > MOST_PLACE_VOXELS:
+        raise SceneError(
+            f"{name}: {' × '.join(map(str, shape))} voxels, {count} in all, expected "
+            f"{MOST_PLACE_VOXELS} at most; cut the map, or make it coarser"
+        )
+    states = np.zeros(shape, np.uint8)
+    fill(data, bounds, states)
+    return VoxelMap(states, voxel_m, (bounds[0] - HALF) * voxel_m)
+
+
+@kernel
+def _mark(x, y, z, size, state, bounds, states):
+    """Put a cube of `size` voxels into `states`; where these are empty, into `bounds` (2, 3)."""
+    if states.size == 0:
+        bounds[0, 0], bounds[1, 0] = min(bounds[0, 0], x), max(bounds[1, 0], x + size)
+        bounds[0, 1], bounds[1, 1] = min(bounds[0, 1], y), max(bounds[1, 1], y + size)
+        bounds[0, 2], bounds[1, 2] = min(bounds[0, 2], z), max(bounds[1, 2], z + size)
+    else:
+        i, j, k = x - bounds[0, 0], y - bounds[0, 1], z - bounds[0, 2]
+        states[i : i + size, j : j + size, k : k + size] = state
+
+
+@kernel
+def _fill_states(data, bounds, states):
+    """Read a `.bt` tree, depth first: 16 bits a node, two for each child, 0 unknown, 1 free, 2
+    occupied, 3 a node of its own. The number of a fault, 0 for none."""
+    waiting = np.empty((8 * LEVELS + 8, 4), np.int64)
+    waiting[0] = (0, 0, 0, 2 * HALF)
+    left, at = 1, 0
+    while left > 0:
+        left -= 1
+        x, y, z, half = waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3] // 2
+        if at + 2 > len(data):
+            return 1
+        if half == 0:
+            return 2
+        bits = int(data[at]) | int(data[at + 1]) << 8
+        at += 2
+        for turn in range(8):
+            child = 7 - turn  # the first one is taken from the stack first
+            state = bits >> 2 * child & 3
+            if state > 0:
+                i, j, k = (
+                    x + half * (child & 1),
+                    y + half * (child >> 1 & 1),
+                    z + half * (child >> 2),
+                )
+                if state == 3:
+                    waiting[left, 0], waiting[left, 1], waiting[left, 2] = i, j, k
+                    waiting[left, 3] = half
+                    left += 1
+                else:
+                    _mark(i, j, k, half, state, bounds, states)
+    return 0 if at == len(data) else 3
+
+
+@kernel
+def _fill_log_odds(data, bounds, states):
+    """Read an `.ot` tree, depth first: a node's log-odds in four bytes, and one byte that says
+    which children it has; without any it is a leaf, occupied from log-odds of 0 on."""
+    waiting = np.empty((8 * LEVELS + 8, 4), np.int64)
+    waiting[0] = (0, 0, 0, 2 * HALF)
+    left, at = 1, 0
+    while left > 0:
+        left -= 1
+        x, y, z, size = waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3]
+        if at + 5 > len(data):
+            return 1
+        odds = data[at : at + 4].view(np.float32)[0]
+        children = int(data[at + 4])
+        at += 5
+        if children == 0:
+            if np.isnan(odds):
+                return 4
+            _mark(x, y, z, size, OCCUPIED if odds >= 0.0 else FREE, bounds, states)
+            continue
+        half = size // 2
+        if half == 0:
+            return 2
+        for turn in range(8):
+            child = 7 - turn
+            if children >> child & 1:
+                waiting[left, 0] = x + half * (child & 1)
+                waiting[left, 1] = y + half * (child >> 1 & 1)
+                waiting[left, 2] = z + half * (child >> 2)
+                waiting[left, 3] = half
+                left += 1
+    return 0 if at == len(data) else 3

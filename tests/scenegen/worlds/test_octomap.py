@@ -1,0 +1,112 @@
+"""OctoMap's files are read as they were written, and refused in a line where they are damaged."""
+
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
+from scenegen.errors import SceneError
+from scenegen.worlds.octomap import parse_octomap, read_octomap
+
+HALF = 1 << 15
+
+
+def written(states: NDArray[np.uint8], corner: tuple[int, int, int], suffix: str) -> bytes:
+    """An OctoMap of `states`, whose least voxel is `corner` voxels from the world's origin."""
+    place = np.array(corner) + HALF
+
+    def block(low: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
+        begin, end = np.maximum(low - place, 0), np.minimum(low - place + size, states.shape)
+        if not (end > begin).all():
+            return np.zeros(0, np.uint8)
+        return states[tuple(slice(a, b) for a, b in zip(begin, end, strict=True))]
+
+    def kind(low: NDArray[np.int64], size: int) -> int:
+        """A state, or 3 for what has several."""
+        part = block(low, size)
+        if not part.any():
+            return UNKNOWN
+        return int(part.flat[0]) if part.size == size**3 and (part == part.flat[0]).all() else 3
+
+    def node(low: NDArray[np.int64], size: int) -> bytes:
+        steps = [low + size // 2 * np.array([c & 1, c >> 1 & 1, c >> 2]) for c in range(8)]
+        kinds = [kind(step, size // 2) for step in steps]
+        if suffix == ".bt":
+            head = struct.pack("<H", sum(k << 2 * c for c, k in enumerate(kinds)))
+            return head + b"".join(
+                node(s, size // 2) for s, k in zip(steps, kinds, strict=True) if k == 3
+            )
+        head = struct.pack("<fB", 0.1, sum((k > 0) << c for c, k in enumerate(kinds)))
+        leaf = {FREE: struct.pack("<fB", -0.4, 0), OCCUPIED: struct.pack("<fB", 0.0, 0)}
+        return head + b"".join(
+            node(s, size // 2) if k == 3 else leaf[k]
+            for s, k in zip(steps, kinds, strict=True)
+            if k
+        )
+
+    binary = " binary" if suffix == ".bt" else ""
+    head = f"# Octomap OcTree{binary} file\n# made by a test\nid OcTree\nsize 9\nres 0.1\ndata\n"
+    return head.encode() + node(np.zeros(3, int), 2 * HALF)
+
+
+@pytest.mark.parametrize("suffix", [".bt", ".ot"])
+@pytest.mark.parametrize("corner", [(-3, -9, 2), (0, 0, 0), (31000, -32768, -5)])
+def test_a_map_is_read_as_it_was_written(
+    suffix: str, corner: tuple[int, int, int], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(0)
+    states = rng.choice([UNKNOWN, FREE, OCCUPIED], (13, 6, 9)).astype(np.uint8)
+    states[:, :4] = FREE  # cubes of several voxels
+    states[0, 0, 0], states[-1, -1, -1] = FREE, OCCUPIED
+    (tmp_path / f"map{suffix}").write_bytes(written(states, corner, suffix))
+    found = read_octomap(tmp_path / f"map{suffix}")
+    assert (found.states == states).all()
+    assert found.voxel_m == 0.1
+    assert found.origin == pytest.approx(np.array(corner) * 0.1)
+
+
+WHOLE = {
+    suffix: written(np.full((3, 2, 1), OCCUPIED, np.uint8), (0, 0, 0), suffix)
+    for suffix in (".bt", ".ot")
+}
+DEEP = WHOLE[".bt"][: WHOLE[".bt"].index(b"\ndata\n") + 6]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "not an OctoMap"),
+        (WHOLE[".bt"].replace(b"\ndata\n", b"\n"), "not an OctoMap"),
+        (WHOLE[".bt"].replace(b"id OcTree", b"id ColorOcTree"), "ColorOcTree"),
+        (WHOLE[".bt"].replace(b"res 0.1", b"res -1"), "res is not"),
+        (WHOLE[".bt"].replace(b"res 0.1", b"res nan"), "res is not"),
+        (WHOLE[".bt"].replace(b"res 0.1", b"res"), "res is not"),
+        (WHOLE[".bt"][:-1], "ends within its tree"),
+        (WHOLE[".ot"][:-1], "ends within its tree"),
+        (WHOLE[".bt"] + b"\0", "goes on behind"),
+        (WHOLE[".ot"] + b"\0", "goes on behind"),
+        (DEEP + b"\xff\xff" * 20, "more than 16 levels"),
+        (DEEP + b"\0\0", "empty map"),
+        (DEEP + b"\x02\x80", "at most"),  # two opposite eighths of everything
+        (WHOLE[".ot"][:-5] + struct.pack("<fB", np.nan, 0), "NaN"),
+    ],
+)
+def test_a_damaged_map_ends_in_a_line(content: bytes, said: str) -> None:
+    with pytest.raises(SceneError, match=said) as raised:
+        parse_octomap(content, "map")
+    assert "\n" not in str(raised.value)
+
+
+def test_any_damage_ends_in_a_line_or_in_a_map() -> None:
+    rng = np.random.default_rng(0)
+    for suffix, whole in WHOLE.items():
+        begin = whole.index(b"\ndata\n") + 6
+        for _ in range(200):
+            damaged = bytearray(whole)
+            damaged[rng.integers(begin, len(whole))] = rng.integers(256)
+            with suppress(SceneError):
+                assert parse_octomap(bytes(damaged), suffix).states.any()
