@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.engines import Engine
+from lidarsim.engines import Caster
 from lidarsim.pose import Pose, rotate
 from lidarsim.sensors import Sensor
 
@@ -34,7 +34,7 @@ class Scan:
         )
 
 
-def cast(engine: Engine, lidar: Sensor, pose: Pose) -> Scan:
+def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:
     """Scan the engine's world with `lidar` carried by a body at `pose`. The scan's pose is that of
     the sensor: the body's, moved by the sensor's `lever_arm_m`, if it has one.
 

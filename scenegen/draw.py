@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim import AnalyticEngine, Engine, Pose, Scan, Sensor, cast, fuse
-from lidarsim.engines import EngineFactory
+from lidarsim.engines import Caster, EngineFactory
 from lidarsim.engines.voxels import VoxelEngine, VoxelMap
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
@@ -258,7 +258,7 @@ def scan_world(
     """
     rng = np.random.default_rng(seed)
     if isinstance(world, VoxelMap):
-        through: Any = VoxelEngine(world)  # no engine of a compiled model
+        through = VoxelEngine(world)
         return _observed(cast(through, lidar, pose), noise or Noise(), None, through, rng)
     caster = engine(world.model, world.data)
     albedo = albedo_of(world.model)
@@ -316,7 +316,7 @@ def with_noise(
 
 
 def _observed(
-    scan: Scan, noise: Noise, albedo: np.ndarray | None, engine: Engine, rng: np.random.Generator
+    scan: Scan, noise: Noise, albedo: np.ndarray | None, engine: Caster, rng: np.random.Generator
 ) -> Returns:
     try:
         return noise.observe(scan, engine, rng=rng, albedo=albedo)

@@ -14,16 +14,8 @@ if TYPE_CHECKING:  # the command line asks for the names, and must not load NumP
     from numpy.typing import ArrayLike, NDArray
 
 
-class Engine(Protocol):
-    """Anything that knows one world and can intersect rays with it. An engine serves one thread at
-    a time."""
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
-        """The engine of a compiled world, in its reference configuration, or in that of `data`,
-        which MuJoCo has forwarded. Geoms whose material, or whose own colour without one, has alpha
-        0 are not there. Neither argument is changed."""
-        ...
+class Caster(Protocol):
+    """Anything that can intersect rays with what it knows. It serves one thread at a time."""
 
     def cast(
         self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
@@ -38,6 +30,17 @@ class Engine(Protocol):
         vectors along them; other ones (a length of 0, a NaN), and origins that are not finite, meet
         nothing.
         """
+        ...
+
+
+class Engine(Caster, Protocol):
+    """A caster that knows one compiled world."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
+        """The engine of a compiled world, in its reference configuration, or in that of `data`,
+        which MuJoCo has forwarded. Geoms whose material, or whose own colour without one, has alpha
+        0 are not there. Neither argument is changed."""
         ...
 
 

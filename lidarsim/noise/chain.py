@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.engines import Engine
+from lidarsim.engines import Caster
 from lidarsim.noise import STAGES, Stage
 from lidarsim.noise.returns import Returns, View
 from lidarsim.scan import Scan, check_ranges
@@ -64,7 +64,7 @@ class Noise:
     def observe(
         self,
         scan: Scan,
-        engine: Engine,
+        engine: Caster,
         *,
         rng: np.random.Generator,
         albedo: NDArray[np.float64] | None = None,

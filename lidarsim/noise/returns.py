@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.elementary import log, sin_cos
-from lidarsim.engines import Engine
+from lidarsim.engines import Caster
 from lidarsim.parameters import check, number
 from lidarsim.pose import Pose
 from lidarsim.scan import Scan
@@ -75,7 +75,7 @@ class Returns:
 class View:
     """The sensor in its world."""
 
-    engine: Engine
+    engine: Caster
     sensor: Sensor
     pose: Pose
     albedo: NDArray[np.float64] | None = None

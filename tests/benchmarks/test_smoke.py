@@ -54,6 +54,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "mutants": ((), (r"N of 1 killed",)),
     "points": ((DATA,), (r"sample +iou N recall N", r"voxels alone +iou N recall N near_rmse N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
+    "real": ((), (r"pillar: extrude N .* columns N .* at N\n",)),
     "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
     "stream": ((), (r"generate --compact +N \(1\.00\) +N", r"cache read +N \(N\) +N")),
     "study": (("--draw", STUDY, "--out", "out"), (r"out/(c)laims\.png", r"out/(l)earning\.png")),
@@ -67,7 +68,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     ),
 }
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
-LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "points", "training"}
+LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "points", "real", "training"}
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests."""
 
