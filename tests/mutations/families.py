@@ -5,6 +5,7 @@ from tests.mutations import (
     damage_bytes,
     damage_hdf5,
     damage_manifest,
+    damage_maps,
     damage_options,
     damage_points,
     damage_predictions,
@@ -18,6 +19,7 @@ FAMILIES: dict[str, Family] = {
     module.__name__.rpartition("damage_")[2]: module.attempt
     for module in (
         *(damage_bytes, damage_hdf5, damage_manifest, damage_archives, damage_recipes),
-        *(damage_scenes, damage_weights, damage_predictions, damage_points, damage_options),
+        *(damage_scenes, damage_weights, damage_predictions, damage_points, damage_maps),
+        damage_options,
     )
 }

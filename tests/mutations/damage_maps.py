@@ -1,0 +1,44 @@
+"""Family ``maps``: OctoMaps with bytes damaged anywhere, and with headers that say otherwise."""
+
+from pathlib import Path
+from random import Random
+
+import numpy as np
+
+from tests.mutations.case import Attempt, refuses, words
+from tests.mutations.damage_bytes import damage
+from tests.mutations.nasty import ESCAPES
+from tests.mutations.valid import Valid
+from tests.scenegen.worlds.test_octomap import written
+
+STATES = np.random.default_rng(0).integers(0, 3, (6, 5, 4)).astype(np.uint8)
+CORNERS = ((0, 0, 0), (-3, -3, -2), (30_000, -32_768, 5))
+LINES = {
+    "res 0.1": ("res 0", "res 1e-300", "res nan", f"res {ESCAPES}", "res"),
+    "id OcTree": ("id ColorOcTree", f"id {ESCAPES}", "id"),
+    "size 9": ("x" * 100_000,),
+}
+COMMANDS = ("inspect map{} --json", "scan map{} --pose 0.2,0.2,0.2,0 --quiet -o a.ply")
+
+
+def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+    """A damaged map, looked at or scanned."""
+    suffix, must_fail = random.choice((".bt", ".ot")), False
+    content = written(STATES, random.choice(CORNERS), suffix)
+    if random.random() < 0.2:
+        line, must_fail = random.choice(list(LINES)), True
+        said = random.choice(LINES[line])
+        content = content.replace(line.encode(), said.encode())
+    elif random.random() < 0.5:
+        begin = content.index(b"\ndata\n") + 6
+        tree, said = damage(content[begin:], random)
+        content, said = content[:begin] + tree, f"tree: {said}"
+    else:
+        content, said = damage(content, random)
+    (here / f"map{suffix}").write_bytes(content)
+    said = f"map{suffix}: {ascii(said)[:60]}"
+    command = words(random.choice(COMMANDS).format(suffix))
+    makes = ("a.ply",) if command[0] == "scan" else ()
+    if must_fail:
+        return Attempt(words=command, damage=said, makes=makes, holds=refuses(said))
+    return Attempt(words=command, damage=said, makes=makes)
