@@ -25,10 +25,10 @@ FAULTS = {
 }
 
 
-def read_octomap(path: Path) -> VoxelMap:
+def read_octomap(path: str | Path) -> VoxelMap:
     """The map in a `.bt` or `.ot` file, as large as what is known in it. Raises SceneError for a
     file that holds none."""
-    return parse_octomap(read_bounded(path, MOST_ASSET_BYTES), str(path))
+    return parse_octomap(read_bounded(Path(path), MOST_ASSET_BYTES), str(path))
 
 
 def parse_octomap(content: bytes, name: str) -> VoxelMap:

@@ -127,6 +127,8 @@ def test_values_are_the_librarys_whoever_wrote_them_and_whoever_reads(
     assert same(read_all(repacked), expected)
     with multiprocessing.get_context("fork").Pool(1) as pool:  # a daemon, as torch's loaders are
         assert same(pool.apply(read_all, (repacked,)), expected)
+        pool.close()
+        pool.join()
     with h5py.File(repacked, "w", libver="latest") as file:
         for name, values in expected.items():
             file.create_dataset(name, data=values)

@@ -121,6 +121,8 @@ def test_many_processes_read_what_one_reads(folder: Path, method: str) -> None:
     tasks = [(split, index) for index in (*range(12), *reversed(range(12)))]
     with multiprocessing.get_context(method).Pool(2) as pool:
         assert pool.map(digest, tasks, chunksize=1) == expected + expected[::-1]
+        pool.close()
+        pool.join()
     assert [digest((split, index)) for index in range(12)] == expected
 
 

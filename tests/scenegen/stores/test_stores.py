@@ -375,6 +375,8 @@ def test_forked_processes_read_for_themselves(store: Path, made: Path) -> None:
     split[0]
     with multiprocessing.get_context("fork").Pool(2) as pool:
         found = pool.map(_digest, [(split, n) for n in range(len(split))])
+        pool.close()
+        pool.join()  # leaving ends processes by force, and was seen to wait for one for ever
     assert found == [sample.sha256() for sample in load(made, split="train")]
 
 

@@ -63,7 +63,7 @@ def test_a_map_is_read_as_it_was_written(
     states[:, :4] = FREE  # cubes of several voxels
     states[0, 0, 0], states[-1, -1, -1] = FREE, OCCUPIED
     (tmp_path / f"map{suffix}").write_bytes(written(states, corner, suffix))
-    found = read_octomap(tmp_path / f"map{suffix}")
+    found = read_octomap(str(tmp_path / f"map{suffix}"))
     assert (found.states == states).all()
     assert found.voxel_m == 0.1
     assert found.origin == pytest.approx(np.array(corner) * 0.1)
