@@ -43,10 +43,10 @@ from scenegen.truth import distance_field
 STAGES: dict[str, tuple[Any, str]] = {
     "draw world, write MJCF, compile": (source_module, "write_world"),
     "  of which compile, read solids": (world_module, "compile_world"),
-    "plan flight": (draw_module, "plan"),
+    "plan flight": (draw_module, "fly"),
     "make engine": (draw_module, "engine_of"),
     "cast rays": (draw_module, "cast"),
-    "occupancy": (draw_module, "rasterize"),
+    "occupancy": (world_module, "rasterize"),
     "observed and free": (draw_module, "fuse"),
     "distance": (draw_module, "distance_field"),
     "compress": (shard_module, "compress"),

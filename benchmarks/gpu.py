@@ -35,6 +35,7 @@ from scenegen.recipe import preset
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
+from scenegen.worlds.world import solid
 
 PUBLISHED = {"mujoco-lidar (JAX)": 231e6, "OmniPerception (RTX 4090)": 328e6}
 CHECKED = 16
@@ -133,7 +134,13 @@ def preset_batch(kind: str, worlds: int, device: str) -> Batch:
         for n in range(worlds)
     ]
     poses = [Pose(unit.samples[0].position, unit.samples[0].quaternion) for unit in units]
-    return Batch([unit.world.solids for unit in units], poses, recipe.lidar, recipe.grid, device)
+    return Batch(
+        [solid(unit.world, "drawn").solids for unit in units],
+        poses,
+        recipe.lidar,
+        recipe.grid,
+        device,
+    )
 
 
 def three_solids(sensors: int, device: str) -> Batch:

@@ -17,6 +17,7 @@ from scenegen.recipes import kind_names
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds
 from scenegen.truth.difficulty import Difficulty, difficulty
+from scenegen.worlds.world import solid
 
 
 def measure(kind: str, worlds: int) -> dict[str, float]:
@@ -30,7 +31,7 @@ def measure(kind: str, worlds: int) -> dict[str, float]:
     for number in range(worlds):
         unit = draw_unit(source, recipe, seed=1, split="val", unit=number)
         rejected += sum(unit.rejected.worlds.values())
-        solids.append(unit.world.model.ngeom)
+        solids.append(solid(unit.world, "drawn").model.ngeom)
         occupied += [sample.occupancy.mean() for sample in unit.samples]
         unknown += [1 - (sample.observed | sample.free).mean() for sample in unit.samples]
         samples += unit.samples

@@ -28,6 +28,7 @@ from scenegen.source import DrawnWorlds
 from scenegen.truth import rasterize
 from scenegen.truth.voxels import resample
 from scenegen.worlds.octomap import read_octomap
+from scenegen.worlds.world import solid
 
 PAGE = Path(__file__).parents[1] / "docs" / "results" / "real.md"
 NETWORKS = ("columns", "proposed", "occ")
@@ -82,7 +83,7 @@ def drawn(kind: str, worlds: int) -> Iterator[tuple[VoxelMap, Pose]]:
         low = np.floor((sample.position - half) / recipe.grid.voxel_m - 1) * recipe.grid.voxel_m
         nx, ny, nz = recipe.grid.shape
         around = GridSpec(shape=(nx + 3, ny + 3, nz + 3), voxel_m=recipe.grid.voxel_m)
-        filled = rasterize(unit.world.solids, around, low)
+        filled = rasterize(solid(unit.world, "drawn").solids, around, low)
         states = np.where(filled, OCCUPIED, FREE).astype(np.uint8)
         yield VoxelMap(states, around.voxel_m, low), Pose(sample.position, sample.quaternion)
 

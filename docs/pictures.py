@@ -16,6 +16,7 @@ from scenegen.draw import Unit, draw_unit
 from scenegen.recipe import Recipe, preset
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
+from scenegen.worlds.world import solid
 
 OUT = Path(__file__).parent / "pictures"
 HEIGHTS = "viridis"
@@ -36,13 +37,14 @@ def main() -> None:
 def draw_world(unit: Unit, recipe: Recipe, path: Path) -> None:
     """The solids of a world, the viewpoints of its flight, and the map's box around one of them."""
     plotter = pv.Plotter(off_screen=True, window_size=[900, 580])
-    model, solids = unit.world.model, unit.world.solids
+    world = solid(unit.world, "drawn")
+    model, solids = world.model, world.solids
     worn = model.geom_matid >= 0
     colours = model.geom_rgba.copy()
     colours[worn] = model.mat_rgba[model.geom_matid[worn]]
     for geom, mesh in zip(solids.geom, solid_meshes(solids), strict=True):
         above = model.geom_matid[geom] >= 0 and model.mat(model.geom_matid[geom]).name == "ceiling"
-        roof = unit.world.data.geom_xmat[geom, 8] < 0 and model.geom_type[geom] == HFIELD
+        roof = world.data.geom_xmat[geom, 8] < 0 and model.geom_type[geom] == HFIELD
         if not (above or roof):  # which would hide what is below
             plotter.add_mesh(mesh, color=np.sqrt(colours[geom, :3]), smooth_shading=False)
     for sample in unit.samples:

@@ -2,6 +2,7 @@
 whole method is here."""
 
 import functools
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,31 +10,32 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim import AnalyticEngine, Engine, Pose, Scan, Sensor, cast, fuse
+from lidarsim import AnalyticEngine, Pose, Scan, Sensor, cast, fuse
 from lidarsim.engines import Caster, EngineFactory
-from lidarsim.engines.voxels import VoxelEngine, VoxelMap
 from lidarsim.noise.chain import Noise
-from lidarsim.noise.returns import Returns, albedo_of
+from lidarsim.noise.returns import Returns
 from scenegen import SPLITS
 from scenegen.errors import GenerationError
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample, earlier_fields
 from scenegen.source import Source
-from scenegen.truth import distance_field, rasterize
-from scenegen.worlds.flight import Viewpoints, plan, viewpoints
+from scenegen.truth import distance_field
+from scenegen.worlds.flight import Viewpoints, fly, viewpoints
 from scenegen.worlds.labels import label_fields
+from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
 
-View = tuple[Sequence[Scan], np.ndarray]
-"""What one viewpoint gave: its own clean scan, those before it, the last one first, and the
-occupancy of its map."""
+View = tuple[Sequence[Scan], dict[str, np.ndarray]]
+"""What one viewpoint gave: its own clean scan, those before it, the last one first, and the truth
+of its map by the names of fields."""
 STREAM = 2
 """The streams of a draw are its world's, 0, and its flight's, 1; this one is the noise's."""
 ADVICE = {
     "no_flight": "no flight fits between the solids: lower {crowded} or flight.robot_radius_m",
     "few_solids": "worlds are too empty: raise {crowded}, or lower accept.min_solids",
     "few_viewpoints": "flights give too few viewpoints: lower flight.viewpoints, flight.spacing_m, "
-    "accept.min_occupied_share or accept.min_returned_share",
+    "accept.min_occupied_share or accept.min_returned_share; in a map of a real place, "
+    "known.least_share, or raise known.most_marked_share",
 }
 """What to change where no draw is kept, by the reason."""
 
@@ -52,7 +54,7 @@ class Unit:
 
     number: int
     """The world's number within its split."""
-    world: World
+    world: World | Place
     samples: tuple[Sample, ...]
     rejected: Rejections
 
@@ -116,27 +118,36 @@ def _stream(number: int, seed: int, split: str, unit: int, attempt: int) -> np.r
     return np.random.default_rng(spawned[number])
 
 
-@functools.lru_cache(maxsize=8)
-def engine_of(engine: EngineFactory, world: World) -> Engine:
+def engine_of(engine: EngineFactory, world: World | Place) -> Caster:
     """What casts the rays of `world`; a world from an MJCF file shares it among its flights."""
-    return engine(world.model, world.data)
+    return world.caster(engine) if isinstance(world, Place) else _engine(engine, world)
+
+
+@functools.lru_cache(maxsize=8)
+def _engine(engine: EngineFactory, world: World) -> Caster:
+    return world.caster(engine)
 
 
 def _fly(
-    world: World, engine: Engine, recipe: Recipe, rejected: Rejections, *, rng: np.random.Generator
+    world: World | Place,
+    engine: Caster,
+    recipe: Recipe,
+    rejected: Rejections,
+    *,
+    rng: np.random.Generator,
 ) -> list[View] | None:
     """The views of one flight, in flight order; None, with the reason counted, if the world yields
     no acceptable flight."""
     flight, reason = recipe.flight, "no_flight"
     for _ in range(flight.flights_per_world):
-        path = plan(world.clearance, world.flight_bounds, flight, rng=rng)
+        path = fly(world, flight, rng=rng)
         if path is None:
             continue
         candidates = viewpoints(path, flight.spacing_m, rng=rng)
         if _solids_nearby(world, candidates, recipe) < recipe.accept.min_solids:
             reason = "few_solids"
             break
-        kept: list[tuple[int, Scan, np.ndarray]] = []
+        kept: list[tuple[int, Scan, dict[str, np.ndarray]]] = []
         for n, position in enumerate(candidates.positions):
             apart = [((position - scan.pose.position) ** 2).sum() for _, scan, _ in kept]
             if all(square >= flight.spacing_m * flight.spacing_m for square in apart):
@@ -147,8 +158,8 @@ def _fly(
                 kept.sort(key=lambda view: candidates.flown_m[view[0]])
                 before = [candidates.before(n, recipe.mapping) for n, _, _ in kept]
                 return [
-                    ([scan, *scans_from(poses, engine, recipe.lidar)], occupancy)
-                    for (_, scan, occupancy), poses in zip(kept, before, strict=True)
+                    ([scan, *scans_from(poses, engine, recipe.lidar)], truth)
+                    for (_, scan, truth), poses in zip(kept, before, strict=True)
                 ]
         reason = "few_viewpoints"
     rejected.worlds[reason] += 1
@@ -156,28 +167,49 @@ def _fly(
 
 
 def _look(
-    world: World, engine: Engine, pose: Pose, recipe: Recipe, rejected: Rejections
-) -> tuple[Scan, np.ndarray] | None:
-    """The scan and the occupancy at a viewpoint; None, with the reason counted, where there is next
-    to nothing."""
+    world: World | Place, engine: Caster, pose: Pose, recipe: Recipe, rejected: Rejections
+) -> tuple[Scan, dict[str, np.ndarray]] | None:
+    """The scan and the truth at a viewpoint; None, with the reason counted, where there is next to
+    nothing, or too little is known."""
     accept = recipe.accept
     (scan,) = scans_from([pose], engine, recipe.lidar)
     returned = np.count_nonzero(np.isfinite(scan.ranges))
     if returned < scan.ranges.size * accept.min_returned_share:
         rejected.viewpoints["few_returns"] += 1
         return None
-    occupancy = rasterize(world.solids, recipe.grid, recipe.mapping.origin(recipe.grid, pose))
-    if np.count_nonzero(occupancy) < occupancy.size * accept.min_occupied_share:
+    truth = truth_of(world, scan, recipe)
+    if truth["occupancy"].mean() < accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
-    return scan, occupancy
+    if recipe.known is not None:
+        if truth["known"].mean() < recipe.known.least_share:
+            rejected.viewpoints["few_known"] += 1
+            return None
+        if (~truth["ray_known"]).mean() > recipe.known.most_marked_share:
+            rejected.viewpoints["rays_unknown"] += 1
+            return None
+    return scan, truth
 
 
-def _solids_nearby(world: World, candidates: Viewpoints, recipe: Recipe) -> float:
+def truth_of(world: World | Place, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
+    """The fields of a sample that say what is there, and what of it is known, at its own `scan`."""
+    truth: dict[str, np.ndarray] = world.truth(
+        recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose)
+    )
+    if recipe.known is not None:
+        truth.setdefault("known", np.ones(recipe.grid.shape, np.bool_))
+        unknown = world.unknown_m(scan) if isinstance(world, Place) else np.zeros(scan.ranges.shape)
+        truth["ray_known"] = unknown <= recipe.known.most_unknown_m
+    return truth
+
+
+def _solids_nearby(world: World | Place, candidates: Viewpoints, recipe: Recipe) -> float:
     """Solids whose bounding boxes reach into the map, averaged over the maps of a flight's
-    candidate viewpoints."""
+    candidate viewpoints; no end of them in a map of voxels."""
     if not len(candidates):
         return 0.0
+    if isinstance(world, Place):
+        return math.inf
     half, middles = recipe.grid.extent_m / 2, candidates.positions
     if not recipe.mapping.centred:
         poses = map(candidates.pose, range(len(candidates)))
@@ -196,8 +228,8 @@ def _solids_nearby(world: World, candidates: Viewpoints, recipe: Recipe) -> floa
 def samples_of(
     views: Sequence[View],
     recipe: Recipe,
-    world: World,
-    engine: Engine,
+    world: World | Place,
+    engine: Caster,
     seed: int,
     split: str,
     unit: int,
@@ -208,7 +240,7 @@ def samples_of(
     number and the first sample's viewpoint. Raises GenerationError."""
     number, first = names
     found = []
-    for view, (clean, occupancy) in enumerate(views):
+    for view, (clean, truth) in enumerate(views):
         scans = with_noise(
             clean, recipe.noise, world, engine, seed=seed, split=split, unit=unit, view=view
         )
@@ -218,8 +250,10 @@ def samples_of(
         values: dict[str, Any] = {
             "observed": seen.observed,
             "free": seen.free,
-            "occupancy": occupancy,
-            "tudf": distance_field(occupancy, recipe.grid) if derived else np.empty(0, "<f4"),
+            "tudf": distance_field(truth["occupancy"], recipe.grid)
+            if derived
+            else np.empty(0, "<f4"),
+            **truth,
             "ranges": own.ranges,
             "position": own.pose.position,
             "quaternion": own.pose.quaternion,
@@ -229,13 +263,14 @@ def samples_of(
             **earlier_fields(earlier),
         }
         if recipe.labels is not None:
+            assert isinstance(world, World)  # `SceneWorlds.suited` refuses maps
             values |= label_fields(values, world, recipe.lidar, recipe.grid, recipe.labels)
         found.append(Sample(**values, lidar=recipe.lidar, grid=recipe.grid))
     return tuple(found)
 
 
 def scan_world(
-    world: World | VoxelMap,
+    world: World | Place,
     lidar: Sensor,
     pose: Pose,
     noise: Noise | None = None,
@@ -251,21 +286,17 @@ def scan_world(
         pose: The pose of the body that holds the sensor.
         noise: What becomes of the clean ranges; nothing by default.
         seed: What the noise is drawn by.
-        engine: What casts the rays of a world; those through a map, `VoxelEngine` casts.
+        engine: What casts the rays of a world of solids.
 
     Raises:
         GenerationError: A stage of the noise needs what the engine does not know.
     """
     rng = np.random.default_rng(seed)
-    if isinstance(world, VoxelMap):
-        through = VoxelEngine(world)
-        return _observed(cast(through, lidar, pose), noise or Noise(), None, through, rng)
-    caster = engine(world.model, world.data)
-    albedo = albedo_of(world.model)
-    return _observed(cast(caster, lidar, pose), noise or Noise(), albedo, caster, rng)
+    caster = world.caster(engine)
+    return _observed(cast(caster, lidar, pose), noise or Noise(), world.albedo, caster, rng)
 
 
-def scans_from(poses: Sequence[Pose], engine: Engine, lidar: Sensor) -> list[Scan]:
+def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Scan]:
     """The clean scans of `lidar` from `poses`. Raises GenerationError where the engine fails."""
     try:
         return [cast(engine, lidar, pose) for pose in poses]
@@ -276,8 +307,8 @@ def scans_from(poses: Sequence[Pose], engine: Engine, lidar: Sensor) -> list[Sca
 def with_noise(
     scans: Sequence[Scan],
     noise: Noise,
-    world: World,
-    engine: Engine,
+    world: World | Place,
+    engine: Caster,
     *,
     seed: int,
     split: str,
@@ -299,7 +330,7 @@ def with_noise(
     for before, scan in enumerate(scans):
         key = (SPLITS.index(split), unit, 0, STREAM, view, *([before] if before else []))
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-        seen = _observed(scan, noise, albedo_of(world.model), engine, rng)
+        seen = _observed(scan, noise, world.albedo, engine, rng)
         if len(seen.ranges) > 1 or seen.intensity is not None:
             raise GenerationError(
                 f"noise {noise}: a dataset holds one range a ray and nothing else; leave intensity "

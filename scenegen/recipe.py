@@ -36,7 +36,7 @@ from scenegen.tables import (
 )
 from scenegen.worlds.flight import Flight
 from scenegen.worlds.labels import Labels
-from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.mapping import Known, Mapper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +99,8 @@ class Recipe:
     """What samples say of geoms and classes; nothing for None. Nothing else depends on it."""
     mapping: Mapper = field(default_factory=Mapper)
     """Which scans make a map, how the sensor is held, and where the map lies."""
+    known: Known | None = None
+    """How much must be known of the maps of real places; None where no world is one."""
 
     def __post_init__(self) -> None:
         if any(getattr(self.lidar, "lever_arm_m", ())):
@@ -202,7 +204,7 @@ def read_recipe(
     difficulty: str | None = None,
 ) -> Recipe:
     """A recipe from a TOML file: `kind`, `difficulty`, and tables [world], [flight], [accept],
-    [lidar], [noise], [mapping] and [grid] of what differs from the preset.
+    [lidar], [noise], [mapping], [known] and [grid] of what differs from the preset.
 
     A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its
     `[lidar] sensor` first.
@@ -290,6 +292,8 @@ def make_recipe(
         "noise": Faults,
     }
     parts["mapping"] = Mapper
+    if "known" in tables:
+        parts["known"] = Known
     defaults: dict[str, dict[str, Any]] = {}
     at, tables = f"{where}: " if where else "", dict(tables)
     level = tables.pop("difficulty", "medium")

@@ -42,9 +42,10 @@ class Sample:
     Grids are indexed x, y, z; lengths are metres; positions are in the world's frame. A dataset
     with several scans a sample has the fields `earlier_…`, the last scan made first; one with
     labels has `return_…` and `voxel_…`, where geoms are numbered as in the compiled world and
-    classes as in the manifest's `labels`. These fields are None in other datasets. The fields of a
-    sample that comes from a dataset or a stream are read when they are first asked for; a copy of
-    it, by pickle or by `dataclasses.replace`, holds all of them.
+    classes as in the manifest's `labels`; one of maps has `known` and `ray_known`. These fields are
+    None in other datasets. The fields of a sample that comes from a dataset or a stream are read
+    when they are first asked for; a copy of it, by pickle or by `dataclasses.replace`, holds all of
+    them.
     """
 
     observed: NDArray[np.bool_] = _stored("bool", "grid", "voxels that hold at least one return")
@@ -101,6 +102,19 @@ class Sample:
     )
     voxel_class: NDArray[np.uint16] | None = _stored(
         "<u2", "grid", "truth: its class; 0 where not occupied", group="labels"
+    )
+    known: NDArray[np.bool_] | None = _stored(
+        "bool",
+        "grid",
+        "voxels of which the map of the place knows whether they are occupied; of the others the "
+        "truth says nothing",
+        group="known",
+    )
+    ray_known: NDArray[np.bool_] | None = _stored(
+        "bool",
+        "rays",
+        "rays that cross no more unknown space than `known.most_unknown_m` before they return",
+        group="known",
     )
     lidar: Sensor | None = None
     """The sensor that made the sample, where it is known."""

@@ -4,6 +4,7 @@ A source answers one question: which world does unit u of a split fly through? A
 flight and its samples.
 """
 
+import dataclasses
 import functools
 import hashlib
 import itertools
@@ -20,9 +21,12 @@ from scenegen.files import real_path
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Limited, run
+from scenegen.worlds import MAPS
 from scenegen.worlds.labels import By, class_names
+from scenegen.worlds.mapping import Known
+from scenegen.worlds.place import Place
 from scenegen.worlds.scene import Reading, Scene, named, read_file
-from scenegen.worlds.world import World, compile_world, write_world
+from scenegen.worlds.world import World, archived_world, solid, write_world
 
 SHARES = {"train": 10, "val": 1, "test": 2}
 """How a folder of worlds is dealt out."""
@@ -37,7 +41,7 @@ class Source(Protocol):
         the same world)."""
         ...
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
         """The world itself; a source that draws does so from `rng` alone."""
         ...
 
@@ -82,8 +86,8 @@ class DrawnWorlds:
 
 @dataclass(frozen=True)
 class SceneWorlds:
-    """Worlds from MJCF files. The units of a split visit its worlds in turn, each time with another
-    flight, so that any number of samples spreads evenly over them."""
+    """Worlds from files, MJCF or maps. The units of a split visit its worlds in turn, each time
+    with another flight, so that any number of samples spreads evenly over them."""
 
     scenes: Mapping[str, Sequence[Scene]]
     """The worlds of each split."""
@@ -95,7 +99,7 @@ class SceneWorlds:
         turn, number = divmod(unit, len(self.scenes[split]))
         return number, turn
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
         """The world of a file; nothing is drawn."""
         scene = self.scenes[split][number]
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
@@ -116,20 +120,31 @@ class SceneWorlds:
             for split, of in self.scenes.items()
             for n in range(len(of))
         )
-        return {name for world in worlds for name in class_names(world.model, by)}
+        solids = (solid(world, "--labels: one of the worlds") for world in worlds)
+        return {name for world in solids for name in class_names(world.model, by)}
+
+    @property
+    def maps(self) -> list[str]:
+        """The names of those that are maps of real places."""
+        return [scene.name for of in self.scenes.values() for scene in of if scene.is_map]
+
+    def suited(self, recipe: Recipe) -> Recipe:
+        """`recipe`, with `known` where a world is a map."""
+        return dataclasses.replace(recipe, known=recipe.known or Known()) if self.maps else recipe
 
 
-def read_world(path: str | Path) -> World:
-    """The world of an MJCF file. Raises SceneError for one that cannot serve."""
+def read_world(path: str | Path) -> World | Place:
+    """The world of an MJCF file, or of a map of a real place. Raises SceneError for a file that
+    cannot serve."""
     if Path(path).is_dir():
-        raise SceneError(f"{path}: is a folder; expected one MJCF file")
+        raise SceneError(f"{path}: is a folder; expected one MJCF file, or a map")
     source = read_scenes(Path(path), {"train": 1, "val": 0, "test": 0}, seed=0, allow_unseen=True)
     return source.world("train", 0, rng=np.random.default_rng(0))
 
 
 @functools.lru_cache(maxsize=8)
-def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> World:
-    return compile_world(mjcf, dict(assets), name=name)
+def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> World | Place:
+    return archived_world(mjcf, dict(assets), name=name)
 
 
 def _content_digest(scene: Scene) -> str:
@@ -147,13 +162,13 @@ def read_scenes(
     allow_unseen: bool = False,
     materials: bool = False,
 ) -> SceneWorlds:
-    """Worlds from MJCF files, dealt to the splits as `SHARES` says.
+    """Worlds from files, MJCF or maps, dealt to the splits as `SHARES` says.
 
     Which world goes to which split depends on the files' names, the seed, and which splits are
     asked for, never on how many samples.
 
     Args:
-        path: An MJCF file, or a folder of them.
+        path: An MJCF file, a map of a real place, or a folder of them.
         counts: How many samples each split shall have.
         seed: What the worlds are dealt by.
         allow_unseen: Whether worlds may have geoms that rays cannot see.
@@ -164,8 +179,8 @@ def read_scenes(
             splits.
     """
     if not path.exists():
-        raise SceneError(f"{path}: no such file or folder; expected MJCF")
-    files = sorted(path.glob("*.xml")) if path.is_dir() else [path]
+        raise SceneError(f"{path}: no such file or folder; expected MJCF, or a map")
+    files = sorted(world_files(path)) if path.is_dir() else [path]
     scenes, parts = _read_files(files, materials)
     if not scenes:
         raise SceneError(f"{path}: holds no MJCF world, or parts alone, which other files include")
@@ -189,12 +204,17 @@ def read_scenes(
     return SceneWorlds(worlds, tuple(notes))
 
 
+def world_files(folder: Path) -> list[Path]:
+    """The files in a folder that may be worlds."""
+    return [path for path in folder.iterdir() if path.suffix in (".xml", *MAPS)]
+
+
 def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scene], list[str]]:
     """The worlds among `files`, and the names of those that are parts of others.
 
-    Files are read one after the other in a process of their own, which a file that never ends, or
-    takes all memory, cannot outlive; it costs about a second, in which kernels are loaded that this
-    process loads again.
+    MJCF is read one file after the other in a process of their own, which a file that never ends,
+    or takes all memory, cannot outlive; it costs about a second, in which kernels are loaded that
+    this process loads again. Maps are read here, by code that is bounded itself.
     """
     read: Limited[Path, Reading] = Limited(
         functools.partial(read_file, materials=materials),
@@ -202,7 +222,10 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
         SCENE_BYTES,
         _given_up,
     )
-    readings = sorted(run(read, files, 1), key=lambda reading: reading.path)
+    maps = [path for path in files if path.suffix in MAPS]
+    readings = [read_file(path) for path in maps]
+    readings += run(read, [path for path in files if path not in maps], 1)
+    readings.sort(key=lambda reading: reading.path)
     included = {path for reading in readings for path in reading.includes}
     scenes, parts = dict[Path, Scene](), list[str]()
     for reading in readings:

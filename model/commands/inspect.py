@@ -15,7 +15,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
 from scenegen.cli.types import OutputFile
-from scenegen.worlds import MAPS
+from scenegen.worlds import is_map
 from scenegen.worlds.mapping import Mapper
 
 
@@ -57,14 +57,10 @@ def _facts(path: Path) -> dict[str, Any] | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
     from scenegen.model.completion.points import READERS
 
-    if path.suffix == ".xml":
+    if path.suffix == ".xml" or is_map(path):
         from scenegen.display.inspect import inspect_world
 
         return inspect_world(path)
-    if path.suffix in MAPS:
-        from scenegen.display.inspect import inspect_map
-
-        return inspect_map(path)
     if not (path.suffix in READERS or path.suffix == ".h5" or (path / "metrics.csv").is_file()):
         return None
     from scenegen.model import facts  # loads torch

@@ -125,8 +125,9 @@ def _draw_world(path: Path, seed: int | None, title: str) -> Any:
     from scenegen.display.pictures import draw_world
     from scenegen.source import read_world
     from scenegen.worlds.flight import poses_in_flight
+    from scenegen.worlds.world import solid
 
-    world = read_world(path)
+    world = solid(read_world(path), str(path))
     poses = [] if seed is None else poses_in_flight(world, seed=seed)
     flight = np.stack([pose.position for pose in poses]) if poses else None
     return draw_world(world, title=title, flight=flight)
@@ -172,6 +173,7 @@ def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:
     import numpy as np
 
     from scenegen.display.pictures import draw_world
+    from scenegen.worlds.world import solid
 
     samples = found.split(split)
     sample = samples[index]
@@ -179,4 +181,5 @@ def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:
     same = [n for n, (_, world, _) in enumerate(samples.names) if world == number][:MOST_SHOWN]
     places = np.stack([samples[n].position for n in same])
     box = sample.origin, sample.origin + found.grid.extent_m
-    return draw_world(found.compile(split, number), title=title, places=places, box=box)
+    world = solid(found.compile(split, number), title)
+    return draw_world(world, title=title, places=places, box=box)

@@ -30,9 +30,9 @@ from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
 from scenegen.model.evaluation.pretrained import Pretrained
-from scenegen.model.evaluation.run import check_middle
+from scenegen.model.evaluation.run import check_middle, check_whole
 from scenegen.model.evaluation.tuning import spread
-from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_layers
+from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run.workers import run as run_workers
 from scenegen.sample import Sample
 
@@ -220,6 +220,7 @@ def calibrate(
     for dataset in datasets:
         if not len(dataset.split(split)):
             raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
+        check_whole(dataset, "calibrate on drawn worlds")
         if dataset.grid != grid:
             raise DatasetError(
                 f"{dataset.folder}: its maps are on {dataset.grid}, the network's on {grid}"
@@ -300,8 +301,8 @@ def _count(
     weight: float, grid: GridSpec, said: Prediction, sample: Sample, split: Split, index: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Scores and logits of a map's unknown voxels."""
-    layers = scored_layers(sample, grid, split.home(index).tables)
-    classes = classify(sample, lidar=split.dataset.lidar, grid=grid, scored=layers)
+    scored = scored_voxels(sample, grid, split.home(index).tables)
+    classes = classify(sample, lidar=split.dataset.lidar, grid=grid, scored=scored)
     unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
     distance, chance = (
         said.distance(Thresholds(), grid),

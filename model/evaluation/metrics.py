@@ -149,12 +149,14 @@ def measure(
     class_count: int,
     config: ReconstructionConfig,
     union: Sequence[int] = (),
+    certain: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """The metrics of one map, (2 + class_count, len(METRICS)): over the voxels of all classes, over
     those of the classes in `union`, and over each class.
 
     All grids have the same shape. `classes` holds numbers below `class_count`; a voxel with another
-    number, such as `visibility.UNSCORED`, is left out everywhere. A map in which nothing is
+    number, such as `visibility.UNSCORED`, is left out everywhere. Distances count where they are
+    `certain` (*grid.shape), everywhere by default. A map in which nothing is
     occupied and nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of
     nothing to nothing is 0. Distance metrics over no voxel are NaN.
     """
@@ -166,7 +168,8 @@ def measure(
         (occupied.reshape(-1), distance.reshape(-1)),
         (true_occupancy.reshape(-1), true_distance.reshape(-1)),
     )
-    _accumulate(*said, *true, classes.reshape(-1), near, sums)
+    sure = np.ones(classes.shape, np.bool_) if certain is None else certain
+    _accumulate(*said, *true, classes.reshape(-1), sure.reshape(-1), near, sums)
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     return np.array(
         [[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64
@@ -193,18 +196,19 @@ def measure_whole(
 
 
 @kernel
-def _accumulate(occupied, distance, true_occupancy, true_distance, classes, near, sums):
+def _accumulate(occupied, distance, true_occupancy, true_distance, classes, certain, near, sums):
     """Add up, by class, what `Sums` names, in its order."""
     for v in range(len(classes)):
         if classes[v] >= len(sums):
             continue
         row = sums[classes[v]]
         error = float(distance[v]) - float(true_distance[v])
-        row[0] += 1.0
-        row[1] += error
-        row[2] += abs(error)
-        row[3] += error * error
-        if true_distance[v] <= near:
+        if certain[v]:
+            row[0] += 1.0
+            row[1] += error
+            row[2] += abs(error)
+            row[3] += error * error
+        if certain[v] and true_distance[v] <= near:
             row[4] += 1.0
             row[5] += error
             row[6] += abs(error)

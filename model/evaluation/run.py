@@ -25,9 +25,11 @@ from scenegen.model.evaluation.tuning import spread, tune
 from scenegen.model.evaluation.visibility import (
     CLASSES,
     UNOBSERVED,
+    certain_distances,
     classify,
     describe,
-    scored_layers,
+    scored_voxels,
+    walled,
 )
 from scenegen.run import Executor
 from scenegen.run.workers import Local
@@ -111,6 +113,16 @@ def check_middle(
         )
 
 
+def check_whole(dataset: Dataset, instead: str) -> None:
+    """Raise DatasetError, with what to do `instead`, for maps of real places, of which not all is
+    known."""
+    if dataset.manifest.known is not None:
+        raise DatasetError(
+            f"{dataset.folder}: its samples are of maps of real places, which do not know all; "
+            f"{instead}"
+        )
+
+
 def bench(
     dataset: Dataset,
     methods: Sequence[Method],
@@ -137,6 +149,8 @@ def bench(
             f"{dataset.folder}: {empty_split(config.split)}, or give another --split"
         )
     check_middle(dataset)
+    if config.study:
+        check_whole(dataset, "leave --study out")
     kind = kind or dataset.manifest.kind
     ours = [n for one, n in _by_shard(split) if one == kind]
     if not ours:
@@ -215,11 +229,13 @@ def _work(
     for index in rows.numbers:
         sample = split[index]
         truth = sample.occupancy, sample.tudf
-        layers = scored_layers(sample, grid, split.home(index).tables)
-        classes = classify(sample, lidar=dataset.lidar, grid=grid, scored=layers)
+        scored = scored_voxels(sample, grid, split.home(index).tables)
+        classes = classify(sample, lidar=dataset.lidar, grid=grid, scored=scored)
+        certain = certain_distances(sample, grid)
+        solid, gap = walled(*truth, sample.known, grid)
         drawn = trials_of(sample, index, split, config, trials_each)
         trial = partial(
-            run_trial, occupancy_truth=truth[0], tudf_truth=truth[1], grid=grid, config=config.plan
+            run_trial, occupancy_truth=solid, tudf_truth=gap, grid=grid, config=config.plan
         )
         seen = _seen(sample, split) if config.study else None
         one = _Found(
@@ -247,12 +263,14 @@ def _work(
                     class_count=len(CLASSES),
                     config=config.reconstruction,
                     union=UNOBSERVED,
+                    certain=certain,
                 )
                 for at in maps
             }
             one.reconstruction.append(figures[usual])
             one.tuned.append(figures[best][0])
-            one.trials.append([trial(*maps[usual], goal=goal) for goal in drawn.goals])
+            planned = walled(*maps[usual], sample.known, grid)
+            one.trials.append([trial(*planned, goal=goal) for goal in drawn.goals])
             if seen is not None:
                 studied = study_map(
                     said,
@@ -281,6 +299,6 @@ def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, cou
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
     world = split.home(index).tables.get("world")  # worlds from MJCF files have no box
     bounds = None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - sample.origin
-    return draw_trials(
-        sample.occupancy, split.dataset.grid, config.plan, count=count, rng=rng, bounds=bounds
-    )
+    grid = split.dataset.grid
+    solid, _ = walled(sample.occupancy, sample.tudf, sample.known, grid)
+    return draw_trials(solid, grid, config.plan, count=count, rng=rng, bounds=bounds)

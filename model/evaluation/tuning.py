@@ -8,7 +8,7 @@ import numpy as np
 from scenegen.dataset.read import Dataset
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Method
-from scenegen.model.evaluation.visibility import scored_layers
+from scenegen.model.evaluation.visibility import scored_voxels
 
 PROBABILITIES = np.arange(0.05, 1.0, 0.05)
 DISTANCES_M = np.arange(0.05, 0.85, 0.05)
@@ -33,8 +33,8 @@ def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds)
     name, candidates = "probability", PROBABILITIES
     for index in spread(len(split), most):
         sample = split[index]
-        layers = scored_layers(sample, dataset.grid, split.home(index).tables)
-        truth = sample.occupancy[..., layers]
+        scored = scored_voxels(sample, dataset.grid, split.home(index).tables)
+        truth = sample.occupancy[scored]
         try:
             completion = method.completion(sample, split)
         except KeyError:  # a file that predicts the test split alone
@@ -44,7 +44,7 @@ def tune(method: Method, dataset: Dataset, *, most: int, thresholds: Thresholds)
         row = []
         for value in candidates:
             at = dataclasses.replace(thresholds, **{name: float(value)})
-            occupied = completion.occupied(at)[..., layers]
+            occupied = completion.occupied(at)[scored]
             union = np.count_nonzero(occupied | truth)
             row.append(np.count_nonzero(occupied & truth) / union if union else 1.0)
         scores.append(row)

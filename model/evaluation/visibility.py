@@ -19,7 +19,8 @@ from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.model.inputs import within_view
 from scenegen.sample import Sample
-from scenegen.truth import rasterize
+from scenegen.truth import distance_field, rasterize
+from scenegen.worlds.world import solid
 
 CLASSES = ("observed", "crossed", "occluded", "interior", "out_of_view")
 """How a voxel was seen. An `observed` voxel holds a return. A `crossed` one holds none, and some
@@ -29,13 +30,14 @@ lies on the way of none."""
 UNOBSERVED = tuple(CLASSES.index(name) for name in ("occluded", "interior", "out_of_view"))
 """The classes of unknown voxels: neither observed nor crossed."""
 UNSCORED = 255
-"""Stands in place of a class where a voxel lies below the ground: no score counts it."""
+"""Stands in place of a class where a voxel lies below the ground, or where nobody knows what is
+there: no score counts it."""
 
 
-def scored_layers(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """Which layers of a map, (grid.shape[2],) from below, scores count: those that reach above the
-    underside of the ground slab, all where the world has none. `tables` are those of the sample's
-    recipe.
+def scored_voxels(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """Which voxels of a map, (*grid.shape), scores count: those that reach above the underside of
+    the ground slab, all where the world has none; and in a map of a real place those that are
+    known. `tables` are those of the sample's recipe.
 
     No sensor sees below the ground and no robot flies there, so what is said of that space is
     neither right nor wrong.
@@ -47,14 +49,37 @@ def scored_layers(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> 
         bottom = -thick_m
     tops = sample.origin[2] + grid.voxel_m * np.arange(1, grid.shape[2] + 1)
     # a layer that ends at the underside does not count, however it is rounded
-    return np.asarray(tops > bottom + 1e-6)
+    layers = tops > bottom + 1e-6
+    known = np.ones(grid.shape, np.bool_) if sample.known is None else sample.known
+    return np.asarray(known & layers)
+
+
+def certain_distances(sample: Sample, grid: GridSpec) -> NDArray[np.bool_] | None:
+    """The voxels (*grid.shape) whose true distance is sure: nothing that is unknown is nearer than
+    what is known to be occupied. None where all is known."""
+    if sample.known is None:
+        return None
+    return np.asarray(sample.tudf <= distance_field(~sample.known, grid))
+
+
+def walled(
+    occupied: NDArray[np.bool_],
+    distance: NDArray[np.float32],
+    known: NDArray[np.bool_] | None,
+    grid: GridSpec,
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """A collision map and a field (*grid.shape each) for plans that keep to `known` space: what is
+    not known is as solid as what is occupied."""
+    if known is None:
+        return occupied, distance
+    return occupied | ~known, np.minimum(distance, distance_field(~known, grid))
 
 
 def classify(
     sample: Sample, *, lidar: Sensor, grid: GridSpec, scored: NDArray[np.bool_] | None = None
 ) -> NDArray[np.uint8]:
     """The class of every voxel of a sample, (*grid.shape), as an index into `CLASSES`; `UNSCORED`
-    in the layers that are not `scored`, where these are given."""
+    in those that are not `scored`, where these are given."""
     in_view = within_view(sample, grid, lidar)
     classes = np.where(
         in_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view"))
@@ -67,7 +92,7 @@ def classify(
     classes[sample.free] = CLASSES.index("crossed")
     classes[sample.observed] = CLASSES.index("observed")
     if scored is not None:
-        classes[..., ~scored] = UNSCORED
+        classes[~scored] = UNSCORED
     return classes
 
 
@@ -126,7 +151,7 @@ def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
 @lru_cache(maxsize=2)  # the samples of a world come one after the other
 def _world(folder: Path, split: str, number: int) -> tuple[Solids, AnalyticEngine]:
     """The solids of an archived world, and what casts rays in it."""
-    solids = Dataset(folder).compile(split, number).solids
+    solids = solid(Dataset(folder).compile(split, number), f"{split} world {number}").solids
     return solids, AnalyticEngine(solids, threads=1)
 
 

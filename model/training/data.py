@@ -72,6 +72,7 @@ class SplitSamples:
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
         self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
         self.mapping, self.noises = dataset.manifest.mapping, (dataset.manifest.noise_stages,)
+        self.known = dataset.manifest.known
         self._split = dataset.split(split)
         self._count = len(self._split)
         if share < 1:
@@ -199,9 +200,15 @@ class Maps(Dataset):
 
 
 def check_alike(sources: Sequence[Samples]) -> None:
-    """Raise DatasetError unless all `sources` have one grid and one sensor, and make maps of scans
-    in one way."""
+    """Raise DatasetError unless all `sources` have one grid and one sensor, make maps of scans in
+    one way, and know all of their truth."""
     first = sources[0]
+    for one in sources:
+        if getattr(one, "known", None) is not None:
+            raise DatasetError(
+                f"{one.name}: its samples are of maps of real places, which do not know all, and "
+                "losses count every voxel; train on drawn worlds"
+            )
     for other in sources[1:]:
         for what in ("grid", "lidar", "mapping"):
             there, here = (getattr(one, what, Mapper()) for one in (first, other))

@@ -136,9 +136,11 @@ def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Pa
     from scenegen.display.exchange.glb import encode_world
     from scenegen.files import write_result
     from scenegen.source import read_world
+    from scenegen.worlds.world import solid
 
     if number is None:
-        content = encode_world(read_world(Path(dataset)))
+        found = read_world(Path(dataset))
     else:
-        content = encode_world(open_dataset(dataset, shown=True).compile(split, number))
+        found = open_dataset(dataset, shown=True).compile(split, number)
+    content = encode_world(solid(found, str(dataset)))
     write_result(out, content)

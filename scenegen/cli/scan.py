@@ -29,12 +29,10 @@ from scenegen.worlds import MAPS
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
-    from lidarsim.engines.voxels import VoxelMap
     from lidarsim.noise.chain import Noise
+    from scenegen.worlds.place import Place
     from scenegen.worlds.world import World
 
-MOST_UNKNOWN_M = 0.6
-"""A ray through a map that crosses more unknown space than this is counted, metres."""
 HEADS = {
     "shape": "rays",
     "elevation_deg": "up, °",
@@ -168,27 +166,24 @@ def scan(
 ) -> None:
     """Scan the world of an MJCF file, once or along a flight, and write the returns as points.
 
-    Or an OctoMap of a real place (.bt, .ot), with --pose. Rays that cross unknown space are
-    counted.
+    Or a map of a real place (.bt, .ot, .npz). Rays that cross unknown space are counted.
     """
     if (pose is None) != flight:
         raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
     if every is not None and not flight:
         raise click.UsageError("--every goes with --flight")
-    is_map = world.suffix in MAPS
-    if is_map and (flight or was_given("engine")):
-        raise click.UsageError(f"{world}: a map takes no --flight and no --engine; give --pose")
+    if world.suffix in MAPS and was_given("engine"):
+        raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
     from scenegen.display.points import SUFFIXES
     from scenegen.files import check_ours
     from scenegen.source import read_world
     from scenegen.tables import named_lidar, named_noise
-    from scenegen.worlds.octomap import read_octomap
 
     if out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
-    found = read_octomap(world) if is_map else read_world(world)
+    found = read_world(world)
     poses = _poses(found, pose, every, seed)
     files = [out] if every is None else [_numbered(out, number) for number in range(len(poses))]
     for file in files:
@@ -211,16 +206,14 @@ def _numbered(out: Path, number: int) -> Path:
 
 
 def _poses(
-    world: "World | VoxelMap", pose: tuple[float, ...] | None, every: float | None, seed: int
+    world: "World | Place", pose: tuple[float, ...] | None, every: float | None, seed: int
 ) -> "list[Pose]":
     """The pose given, one in a random flight, or those `every` so many metres of it."""
     from lidarsim import Pose
-    from lidarsim.engines.voxels import VoxelMap
     from scenegen.worlds.flight import pose_in_flight, poses_in_flight
 
     if pose is not None:
         return [Pose.level(pose[:3], math.radians(pose[3]))]
-    assert not isinstance(world, VoxelMap)
     if every is not None:
         return poses_in_flight(world, every_m=every, seed=seed)
     return [pose_in_flight(world, seed=seed)]
@@ -228,7 +221,7 @@ def _poses(
 
 def _write_scan(
     file: Path,
-    world: "World | VoxelMap",
+    world: "World | Place",
     sensor: "Sensor",
     at: "Pose",
     chain: "Noise",
@@ -239,10 +232,12 @@ def _write_scan(
     """Scans from a pose, writes the returns, and gives what is to be said of them."""
     import numpy as np
 
-    from lidarsim.engines.voxels import VoxelEngine, VoxelMap
+    from lidarsim import cast
     from lidarsim.pose import rotate
     from scenegen.display.points import write_points
     from scenegen.draw import scan_world
+    from scenegen.worlds.mapping import Known
+    from scenegen.worlds.place import Place
 
     seen = scan_world(world, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
@@ -268,8 +263,8 @@ def _write_scan(
         "rays": int(sensor.times_s.size),
         "returns": len(points),
     }
-    if isinstance(world, VoxelMap):
-        rays = rotate(at.quaternion, sensor.directions_body)
-        _, unknown_m = VoxelEngine(world).cross(at.position[None], rays[None], sensor.max_range_m)
-        row["rays_through_unknown"] = int(np.count_nonzero(unknown_m > MOST_UNKNOWN_M))
+    if isinstance(world, Place):
+        unknown_m = world.unknown_m(cast(world.caster(None), sensor, at))
+        through = unknown_m > Known().most_unknown_m
+        row["rays_through_unknown"] = int(np.count_nonzero(through))
     return row

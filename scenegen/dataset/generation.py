@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from lidarsim import Sensor
+from lidarsim.engines import DEFAULT
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.locate import locate
 from scenegen.dataset.mixed import MIXED, is_mixed, plan_mixed, read_components
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.state import Plan
-from scenegen.errors import RecipeError
+from scenegen.errors import RecipeError, SceneError
 from scenegen.recipe import preset, read_recipe
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
 from scenegen.stores import folder_of, is_remote
@@ -82,7 +83,8 @@ def plan_generation(
         val: Validation samples; by default a tenth of `n`, and none for a single scene.
         test: Test samples; by default a fifth of `n`, and none for a single scene.
         out: Folder of the dataset; by default data/<kind>, or data/<the scene's name>.
-        scene: An MJCF file, or a folder of them, in place of random worlds.
+        scene: An MJCF file, a map of a real place (.bt, .ot, .npz), or a folder of them, in place
+            of random worlds.
         recipe: A TOML file of what differs from the kind's preset.
         lidar: The sensor, or its name; the recipe's by default.
         noise: Stages of noise, such as "range:0.02,dropout:0.05".
@@ -140,6 +142,13 @@ def plan_generation(
         source = DrawnWorlds(asked)
     if labels is not None:
         asked = dataclasses.replace(asked, labels=_labels(labels, source))
+    if isinstance(source, SceneWorlds):
+        asked = source.suited(asked)
+        if source.maps and more.get("engine", DEFAULT) != DEFAULT:
+            raise SceneError(
+                f"{source.maps[0]}: is a map of voxels, which has no engine but its own; leave "
+                "--engine out"
+            )
     # data/Towers for my_worlds:Towers
     name = path.stem if path is not None else asked.kind.rpartition(":")[2]
     return plan_dataset(_folder(out, name), asked, source, seed=seed, counts=counts, **more)

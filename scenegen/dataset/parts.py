@@ -19,7 +19,7 @@ from scenegen.errors import BrokenError, DatasetError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_VOXELS
 from scenegen.sample import Schema
-from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.mapping import Known, Mapper
 
 if TYPE_CHECKING:  # these import MuJoCo, which reading does not take
     from lidarsim.noise.chain import Noise
@@ -36,6 +36,7 @@ MOST_STAGES_TEXT = 4000
 """Characters of the text of a dataset's stages."""
 _GIVEN = Rule(lambda value: True, "a value")
 _MAPPING = {item.name: item.name for item in dataclasses.fields(Mapper)}
+_KNOWN = {item.name: item.name for item in dataclasses.fields(Known)}
 _NOISE = {
     "stages": text(
         rf"[ -~]{{1,{MOST_STAGES_TEXT}}}", "stages of noise, as lidarsim.noise writes them"
@@ -242,6 +243,13 @@ def _read_mapping(entry: Any, before: Mapping[str, Any]) -> Mapper:
     return mapping
 
 
+def _read_known(entry: Any, before: Mapping[str, Any]) -> Known | None:
+    if entry is None:
+        return None
+    check(entry, dict.fromkeys(_KNOWN, _GIVEN), "known", _KNOWN)
+    return made(Known, entry, _KNOWN, "known")
+
+
 def _plain(value: Any) -> Any:
     """`value` as JSON would give it back."""
     return json.loads(json.dumps(value))
@@ -300,6 +308,14 @@ PARTS = (
         read=_read_mapping,
         group="earlier",
         brings=lambda mapping: mapping.scans > 1,
+    ),
+    Part(
+        name="known",
+        since="1.5",
+        entry=lambda recipe: recipe.known and _plain(dataclasses.asdict(recipe.known)),
+        read=_read_known,
+        group="known",
+        brings=lambda known: known is not None,
     ),
 )
 """In the order in which they stand in the file and are read."""

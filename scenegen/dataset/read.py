@@ -21,6 +21,7 @@ from scenegen.errors import BrokenError, DatasetError, SceneError, short
 from scenegen.sample import Sample, derive_free, derive_tudf
 
 if TYPE_CHECKING:  # which imports MuJoCo
+    from scenegen.worlds.place import Place
     from scenegen.worlds.world import World
 
 MOST_OPEN = 64
@@ -86,17 +87,17 @@ class Dataset:
                     return {DOCUMENT: document} | others
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
-    def compile(self, split: str, number: int) -> "World":
-        """World `number` of `split`, screened and compiled by MuJoCo. Raises DatasetError where
-        there is none, or it cannot be compiled."""
+    def compile(self, split: str, number: int) -> "World | Place":
+        """World `number` of `split`, screened, and compiled by MuJoCo unless it is a map. Raises
+        DatasetError where there is none, or it cannot be compiled."""
         from scenegen.worlds.screen import screen
-        from scenegen.worlds.world import compile_world
+        from scenegen.worlds.world import archived_world
 
         files = self.world(split, number)
         document, name = files.pop(DOCUMENT), f"{split} world {number}"
         try:
             screen(document, files, name)
-            return compile_world(document, files, name=name)
+            return archived_world(document, files, name=name)
         except (BrokenError, SceneError) as error:
             raise DatasetError(
                 f"{self.folder}: {error}; copy the dataset again, or generate it"

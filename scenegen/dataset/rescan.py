@@ -18,18 +18,26 @@ from scenegen.dataset.parts import NAMES, entries, schema_of
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
-from scenegen.draw import Rejections, Unit, engine_of, flight_rng, samples_of, scans_from
+from scenegen.draw import (
+    Rejections,
+    Unit,
+    engine_of,
+    flight_rng,
+    samples_of,
+    scans_from,
+    truth_of,
+)
 from scenegen.errors import DatasetError, GenerationError, printable, short
 from scenegen.files import real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
-from scenegen.truth import rasterize
-from scenegen.worlds.flight import plan, viewpoints
+from scenegen.worlds.flight import fly, viewpoints
+from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
 
 
 def fly_again(
-    world: World, poses: Sequence[Pose], recipe: Recipe, *, seed: int, split: str, unit: int
+    world: World | Place, poses: Sequence[Pose], recipe: Recipe, *, seed: int, split: str, unit: int
 ) -> list[list[Pose]]:
     """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each
     its own first: the unit's flight is planned again, and known by its passing all of them, to the
@@ -40,7 +48,7 @@ def fly_again(
     for attempt in range(recipe.accept.max_draws):
         rng = flight_rng(seed, split, unit, attempt)
         for _ in range(recipe.flight.flights_per_world):
-            path = plan(world.clearance, world.flight_bounds, recipe.flight, rng=rng)
+            path = fly(world, recipe.flight, rng=rng)
             if path is None:
                 continue
             passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
@@ -60,7 +68,7 @@ def fly_again(
 
 
 def scan_again(
-    world: World,
+    world: World | Place,
     poses: Sequence[Sequence[Pose]],
     recipe: Recipe,
     *,
@@ -81,9 +89,8 @@ def scan_again(
     caster = engine_of(engine, world)
     views = []
     for before in poses:
-        origin = recipe.mapping.origin(recipe.grid, before[0])
-        occupancy = rasterize(world.solids, recipe.grid, origin)
-        views.append((scans_from(before, caster, recipe.lidar), occupancy))
+        scans = scans_from(before, caster, recipe.lidar)
+        views.append((scans, truth_of(world, scans[0], recipe)))
     samples = samples_of(views, recipe, world, caster, seed, split, unit, names, derived)
     return Unit(names[0], world, samples, Rejections())
 
@@ -101,7 +108,7 @@ class Archived:
     """Worlds of each split, where MJCF files were visited in turn; None where each flight has a
     world of its own."""
     _open: list[Dataset] = field(default_factory=list, compare=False)
-    _worlds: dict[tuple[str, int], World] = field(default_factory=dict, compare=False)
+    _worlds: dict[tuple[str, int], World | Place] = field(default_factory=dict, compare=False)
 
     @property
     def dataset(self) -> Dataset:
@@ -121,7 +128,7 @@ class Archived:
         turn, number = divmod(unit, self.scenes[split])
         return number, turn
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
         """See `Source.world`; nothing is drawn."""
         if (split, number) not in self._worlds:
             self._worlds[split, number] = self.dataset.compile(split, number)

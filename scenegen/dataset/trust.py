@@ -51,7 +51,7 @@ from scenegen.limits import (
     MOST_VIEWPOINTS,
 )
 from scenegen.sample import DERIVED, FIELDS, GROUPS, Schema
-from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.mapping import Known, Mapper
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
@@ -132,6 +132,7 @@ class Manifest:
     """The `digest` of the dataset whose worlds and poses were scanned again; None where they were
     drawn."""
     mapping: Mapper
+    known: Known | None
     """How maps are made."""
     sources: tuple["Manifest", ...] = ()
     """The datasets that its samples were made for, each without shards; none where they were made
@@ -241,7 +242,9 @@ class Manifest:
                 if self.labels is None
                 else Labels(by=self.labels["by"], classes=tuple(self.labels["classes"]))
             )
-            return dataclasses.replace(found, noise=noise, labels=labels, mapping=self.mapping)
+            return dataclasses.replace(
+                found, noise=noise, labels=labels, mapping=self.mapping, known=self.known
+            )
         except (RecipeError, ValueError) as error:
             raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 

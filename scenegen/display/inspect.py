@@ -182,10 +182,23 @@ def inspect_all(folder: Path) -> list[dict[str, Any]]:
 
 
 def inspect_world(path: Path) -> dict[str, Any]:
-    """What stands in the world of an MJCF file. Raises SceneError for one that cannot serve."""
+    """What stands in the world of an MJCF file, or what a map of a real place knows of it. Raises
+    SceneError for a file that cannot serve."""
     from scenegen.source import read_world  # which loads what compiles worlds
+    from scenegen.worlds.place import Place
 
     world = read_world(path)
+    if isinstance(world, Place):
+        voxels = world.voxels
+        states = np.bincount(voxels.states.reshape(-1), minlength=3) / voxels.states.size
+        return {
+            "map": str(path),
+            "voxel_m": voxels.voxel_m,
+            "shape": list(voxels.states.shape),
+            "bounds": voxels.bounds.tolist(),
+            "flight_bounds": world.flight_bounds.tolist(),
+            **dict(zip(("unknown", "free", "occupied"), states.tolist(), strict=True)),
+        }
     codes, counts = np.unique(world.solids.shape, return_counts=True)
     solids = {SHAPES[int(code)]: int(count) for code, count in zip(codes, counts, strict=True)}
     if len(world.solids.mesh_filled):
@@ -196,21 +209,6 @@ def inspect_world(path: Path) -> dict[str, Any]:
         "triangles": len(world.solids.triangles),
         "flight_bounds": world.flight_bounds.tolist(),
         "unseen": list(world.unseen),
-    }
-
-
-def inspect_map(path: Path) -> dict[str, Any]:
-    """What an OctoMap knows of its place. Raises SceneError for a file that holds none."""
-    from scenegen.worlds.octomap import read_octomap
-
-    found = read_octomap(path)
-    states = np.bincount(found.states.reshape(-1), minlength=3) / found.states.size
-    return {
-        "map": str(path),
-        "voxel_m": found.voxel_m,
-        "shape": list(found.states.shape),
-        "bounds": found.bounds.tolist(),
-        **dict(zip(("unknown", "free", "occupied"), states.tolist(), strict=True)),
     }
 
 

@@ -135,9 +135,10 @@ def _world(samples: Split, index: int) -> dict[str, Any]:
     """The surfaces of the world of a sample."""
     # MuJoCo and trimesh are needed for worlds alone
     from scenegen.display.exchange.glb import surfaces
+    from scenegen.worlds.world import solid
 
     sample = samples[index]
-    world = samples.dataset.compile(samples.name, int(sample.world))
+    world = solid(samples.dataset.compile(samples.name, int(sample.world)), "the world")
     return packed_world(surfaces(world), sample.origin)
 
 

@@ -4,7 +4,7 @@ them takes an index."""
 import math
 import numbers
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,8 @@ from scenegen.errors import DatasetError, RecipeError, SceneError, short
 from scenegen.limits import MOST_UNITS_IN_ROUND, MOST_WEIGHT
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS
-from scenegen.source import DrawnWorlds, SceneWorlds, Source, read_scenes
+from scenegen.source import DrawnWorlds, SceneWorlds, Source, read_scenes, world_files
+from scenegen.worlds import MAPS
 
 LEAST_SCENES = 3
 """Worlds that a folder holds at least: one a split."""
@@ -122,11 +123,13 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         )
         if not named and path.suffix == ".toml":
             recipe = read_recipe(path)
-        elif not named and (isinstance(what, Path) or path.is_dir() or path.suffix == ".xml"):
+        elif not named and (
+            isinstance(what, Path) or path.is_dir() or path.suffix in (".xml", *MAPS)
+        ):
             source = _scenes(path, seed)
             return Component(
                 label=label,
-                recipe=preset("scene"),
+                recipe=source.suited(preset("scene")),
                 source=source,
                 seed=seed,
                 split=split,
@@ -153,7 +156,7 @@ def _scenes(path: Path, seed: int) -> SceneWorlds:
     """The worlds of a file, all for training, or of a folder, dealt to all three splits."""
     counts = dict.fromkeys(SPLITS, 1)
     if path.is_dir():
-        if len(list(path.glob("*.xml"))) < LEAST_SCENES:
+        if len(world_files(path)) < LEAST_SCENES:
             raise SceneError(
                 f"{path}: fewer than {LEAST_SCENES} worlds, and a stream deals some to each "
                 f"split; add worlds, or "
@@ -174,6 +177,12 @@ class Mixture:
             raise RecipeError(
                 "stream: nothing to draw from; name a kind of world, such as 'pillar'"
             )
+        bounds = [one.recipe.known for one in components if one.recipe.known is not None]
+        if bounds:  # drawn worlds beside maps of real places say that they know all
+            components = [
+                replace(one, recipe=replace(one.recipe, known=one.recipe.known or bounds[0]))
+                for one in components
+            ]
         self.components = tuple(components)
         _check_alike(self.components)
         each = [component.viewpoints for component in components]
@@ -249,7 +258,7 @@ def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
 def _check_alike(components: Sequence[Component]) -> None:
     first, seen = components[0], dict[str, str]()
     for component in components:
-        for what in ("grid", "lidar", "mapping"):
+        for what in ("grid", "lidar", "mapping", "known"):
             theirs, ours = getattr(component.recipe, what), getattr(first.recipe, what)
             if theirs != ours:
                 raise RecipeError(

@@ -71,6 +71,7 @@ class Stream(Sequence[Sample]):
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
         self.mapping = mixture.components[0].recipe.mapping
+        self.known = mixture.components[0].recipe.known
         self.noises = tuple(
             dict.fromkeys(part.recipe.noise.spelled() for part in mixture.components)
         )

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
+from lidarsim.engines.voxels import VoxelMap
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
 from scenegen.dataset.parts import sensor_files
@@ -83,6 +84,7 @@ def warm_up() -> None:
     }
     recipe = make_recipe("pillar", tables, where="warm-up")
     sample = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples[0]
+    assert not isinstance(solids, VoxelMap)
     AnalyticEngine(solids).cast([[0.0, 0.0, 5.0]], lidar.directions_body[None], 10.0)
     blocks = signature(sample.occupancy)
     folds = np.stack([fold(sample.observed)] * 2)

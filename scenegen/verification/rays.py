@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from lidarsim import Engine, GridSpec, Lidar, ObservedGrid, Pose, Scan, Sensor, voxelize
+from lidarsim import GridSpec, Lidar, ObservedGrid, Pose, Scan, Sensor, voxelize
+from lidarsim.engines import Caster
+from lidarsim.engines.voxels import LEAST_CHORD_M, OCCUPIED, VoxelMap
 
 NUDGE_M = 1e-13
 """More than the last bits of a direction move a point of a ray of some ten metres."""
@@ -74,6 +76,50 @@ def _shell(reach: int) -> NDArray[np.int64]:
     return np.asarray(cells[np.abs(cells).max(axis=1) == reach])
 
 
+class MapAuditor:
+    """Casts rays through a map of voxels in another way than `lidarsim.engines.voxels`: where a ray
+    crosses planes between voxels is computed for all of them at once and sorted; the middle between
+    two crossings tells the voxel."""
+
+    def __init__(self, voxels: VoxelMap):
+        self._voxels = voxels
+
+    def cast(
+        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
+    ) -> NDArray[np.float64]:
+        """See `lidarsim.engines.Caster.cast`."""
+        pairs = zip(np.asarray(origins), np.asarray(directions), strict=True)
+        return np.stack([self._from(start, rays, max_range_m) for start, rays in pairs])
+
+    def _from(
+        self, start: NDArray[np.float64], rays: NDArray[np.float64], max_range_m: float
+    ) -> NDArray[np.float64]:
+        states, voxel_m = self._voxels.states, self._voxels.voxel_m
+        begin = (start - self._voxels.origin) / voxel_m
+        planes = np.arange(math.ceil(max_range_m / voxel_m) + 2)
+        beyond = 4 * len(planes) * voxel_m
+        found = np.full(len(rays), np.inf)
+        several = max(MOST_CROSSINGS // len(planes), 1)
+        for first in range(0, len(rays), several):
+            some = rays[first : first + several] / voxel_m  # voxels a metre
+            with np.errstate(divide="ignore", invalid="ignore"):
+                up = (np.floor(begin) + 1 - begin)[:, None] + planes
+                down = (begin - np.ceil(begin) + 1)[:, None] + planes
+                ahead = np.where(some[..., None] > 0, up, down) / np.abs(some)[..., None]
+            ends = np.where(np.isfinite(ahead), ahead, beyond).reshape(len(some), -1)
+            stops = np.sort(np.concatenate([np.zeros((len(some), 1)), ends], axis=1))
+            middle, way = (stops[:, 1:] + stops[:, :-1]) / 2, np.diff(stops)
+            cells = np.floor(begin + middle[..., None] * some[:, None]).astype(np.int64)
+            there = ((cells >= 0) & (cells < states.shape)).all(axis=2)
+            there[there] = states[tuple(cells[there].T)] == OCCUPIED
+            there &= (way >= LEAST_CHORD_M) & (middle <= max_range_m)
+            met = there.any(axis=1)
+            found[first : first + several][met] = middle[met, there[met].argmax(axis=1)]
+        return found
+
+
+MOST_CROSSINGS = 200_000
+"""Crossings along one axis that are computed at once."""
 TOLERANCE_M = 1e-6
 """How far a stored range may be from ours, and one part in 2^23 of it besides, which is what
 float32 keeps."""
@@ -122,7 +168,7 @@ def audit(
     ranges: NDArray[np.float32],
     position: NDArray[np.float64],
     quaternion: NDArray[np.float64],
-    engine: Engine,
+    engine: Caster,
     lidar: Sensor,
     *,
     solids: int,

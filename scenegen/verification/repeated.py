@@ -1,6 +1,7 @@
 """Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way
 from the seed."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -10,6 +11,8 @@ import numpy as np
 
 from lidarsim import Pose, Scan
 from lidarsim.engines import ENGINES
+from lidarsim.engines.voxels import VoxelMap
+from lidarsim.solids.shapes import Solids
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
@@ -23,7 +26,8 @@ from scenegen.verification.contract import Contract
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample, Shard, Worlds
-from scenegen.worlds.world import World, compile_world
+from scenegen.worlds.place import Place
+from scenegen.worlds.world import World, archived_world
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,9 +36,9 @@ class ArchivedWorlds(SceneWorlds):
 
     worlds: Worlds
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
         """See `Source.world`."""
-        return compile_world(*self.worlds.source(number))
+        return archived_world(*self.worlds.source(number))
 
 
 def regenerate(
@@ -132,7 +136,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
             scan.pose.quaternion,
             worlds.auditor(sample.world),
             lidar,
-            solids=len(solids.shape) + len(solids.triangles),
+            solids=_effort(solids, lidar.max_range_m),
             rng=sample.shard.rng,
         )
         wrong = disagrees(gap, found, lidar.max_range_m)
@@ -148,6 +152,13 @@ def _cast_again(sample: Sample, page: Page) -> None:
                 f"{scan.ranges[ray]} m, the solids of world {sample.world} are {found[n]:.7g} m "
                 f"away"
             )
+
+
+def _effort(solids: Solids | VoxelMap, max_range_m: float) -> int:
+    """How many solids an auditor tries for a ray, or as many as take its time."""
+    if isinstance(solids, VoxelMap):
+        return math.ceil(300 * max_range_m / solids.voxel_m)
+    return len(solids.shape) + len(solids.triangles)
 
 
 def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
@@ -268,7 +279,8 @@ CHECKS = (
         "those that another "
         "engine finds: for MuJoCo's the analytic one, with closed forms for primitives and the "
         "triangles of meshes and "
-        "height fields, for all others MuJoCo's; with noise, those of the clean scan are, of "
+        "height fields, for all others MuJoCo's, and for maps one that sorts the planes that a ray "
+        "crosses; with noise, those of the clean scan are, of "
         "which the same noise "
         "makes the stored ones; the directions of a raster are computed anew from "
         "[sensor.md](sensor.md).",

@@ -7,12 +7,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.engines.voxels import VoxelMap
 from lidarsim.jit import kernel
+from lidarsim.solids.shapes import Solids
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.verification.contract import Contract
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample, Worlds
+from scenegen.worlds.place import map_digest
 from scenegen.worlds.world import geometry_digest
 
 OCCUPIED_IOU = 0.9
@@ -178,7 +181,7 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
             digest = (
                 worlds.outlines[number]
                 if worlds.task.quick
-                else geometry_digest(worlds.compile(number))
+                else _solids_digest(worlds.compile(number))
             )
         except BrokenError as error:
             page.fault(str(error))
@@ -188,6 +191,10 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
     page.kept.append(
         (worlds.task.number, b"".join(digests), np.array(numbers, np.int32))
     )  # there may be millions
+
+
+def _solids_digest(solids: Solids | VoxelMap) -> bytes:
+    return map_digest(solids) if isinstance(solids, VoxelMap) else geometry_digest(solids)
 
 
 def _shared(contract: Contract, page: Page) -> list[tuple[int, bytes, int]]:

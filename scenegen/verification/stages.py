@@ -12,8 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import AnalyticEngine, Engine, MujocoEngine, ObservedGrid, Pose, Scan, fuse
-from lidarsim.engines import ENGINES, MUJOCO
+from lidarsim import AnalyticEngine, MujocoEngine, ObservedGrid, Pose, Scan, fuse
+from lidarsim.engines import ENGINES, MUJOCO, Caster
+from lidarsim.engines.voxels import VoxelMap
 from lidarsim.registry import Registry
 from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
@@ -22,10 +23,11 @@ from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.trust import Entry, GatheredEntry
 from scenegen.errors import SceneError, printable
 from scenegen.verification.contract import Contract
-from scenegen.verification.rays import as_rounded
+from scenegen.verification.rays import MapAuditor, as_rounded
 from scenegen.verification.report import BrokenError, Page
+from scenegen.worlds.place import Place, archived_place, named_map
 from scenegen.worlds.screen import screen
-from scenegen.worlds.world import World, compile_world, quiet_mujoco
+from scenegen.worlds.world import World, archived_world, quiet_mujoco
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 """Expensive checks look at this share of a shard's samples, and at this many at least."""
@@ -113,19 +115,27 @@ class SignedFile:
     sha256: str
 
 
-def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Solids:
-    """Compile an archived world that has been screened to its solids. Raises BrokenError, which
-    names `name`."""
+def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Solids | VoxelMap:
+    """Compile an archived world that has been screened to its solids, or read its map. Raises
+    BrokenError, which names `name`."""
     try:
+        if named_map(document):
+            return archived_place(document, assets, name).voxels
         with quiet_mujoco():
             return solids_of(mujoco.MjModel.from_xml_string(document.decode(), assets))
+    except SceneError as error:
+        raise BrokenError(str(error)) from None
     except (ValueError, MemoryError, mujoco.FatalError) as error:
         raise BrokenError(f"{name}: MuJoCo cannot compile it: {printable(error)[:200]}") from None
 
 
-def auditor(document: bytes, assets: dict[str, bytes], solids: Solids, *, made_with: str) -> Engine:
+def auditor(
+    document: bytes, assets: dict[str, bytes], solids: Solids | VoxelMap, *, made_with: str
+) -> Caster:
     """The engine that casts rays anew in a world whose `solids` have been compiled: never the one
     that the dataset was `made_with`, and always one of ours."""
+    if isinstance(solids, VoxelMap):
+        return MapAuditor(solids)
     if made_with == MUJOCO:
         return AnalyticEngine(solids)
     with quiet_mujoco():
@@ -142,8 +152,8 @@ class Worlds:
     outlines: dict[int, bytes]
     """What `screen` gives for each document."""
     assets: dict[str, bytes]
-    solids: dict[int, Solids] = field(default_factory=dict)
-    """The solids of every world that was compiled, by its number."""
+    solids: dict[int, Solids | VoxelMap] = field(default_factory=dict)
+    """The solids of every world that was compiled, or its map, by its number."""
 
     @classmethod
     def read(cls, task: Task, file: BufferedReader, name: str) -> "Worlds":
@@ -170,45 +180,43 @@ class Worlds:
         document = self.documents[number]
         return document, {name: self.assets[name] for name in referred(document, self.assets)}
 
-    def compile(self, number: int) -> Solids:
-        """Compile a world to its solids, which checks of samples are handed later. Raises
-        BrokenError."""
+    def compile(self, number: int) -> Solids | VoxelMap:
+        """Compile a world to its solids, or read its map, which checks of samples are handed later.
+        Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         self.solids[number] = compile_solids(*self.source(number), name)
         return self.solids[number]
 
     # Samples come world by world, so each of these keeps the last world alone.
 
-    def world(self, number: int) -> World:
+    def world(self, number: int) -> World | Place:
         """A world, compiled. Raises BrokenError."""
         return _world(self, number)
 
-    def engine(self, number: int) -> Engine:
+    def engine(self, number: int) -> Caster:
         """The dataset's own engine of a world, which is one of ours. Raises BrokenError."""
         return _engine(self, number)
 
-    def auditor(self, number: int) -> Engine:
+    def auditor(self, number: int) -> Caster:
         """What casts rays anew in a world that was compiled."""
         return _auditor(self, number)
 
 
 @functools.lru_cache(maxsize=1)
-def _world(worlds: Worlds, number: int) -> World:
+def _world(worlds: Worlds, number: int) -> World | Place:
     try:
-        return compile_world(*worlds.source(number))
+        return archived_world(*worlds.source(number))
     except SceneError as error:
         raise BrokenError(str(error)) from None
 
 
 @functools.lru_cache(maxsize=1)
-def _engine(worlds: Worlds, number: int) -> Engine:
-    world = worlds.world(number)
-    engine: Engine = ENGINES.find(worlds.task.contract.engine).of(world.model, world.data)
-    return engine
+def _engine(worlds: Worlds, number: int) -> Caster:
+    return worlds.world(number).caster(ENGINES.find(worlds.task.contract.engine).of)
 
 
 @functools.lru_cache(maxsize=1)
-def _auditor(worlds: Worlds, number: int) -> Engine:
+def _auditor(worlds: Worlds, number: int) -> Caster:
     made_with = worlds.task.contract.engine
     return auditor(*worlds.source(number), worlds.solids[number], made_with=made_with)
 
@@ -283,8 +291,9 @@ class Sample:
         return int(self.fields["world"])
 
     @property
-    def solids(self) -> Solids | None:
-        """The solids of its world; None where there is no such world, or it was not compiled."""
+    def solids(self) -> Solids | VoxelMap | None:
+        """The solids of its world, or its map; None where there is no such world, or it was not
+        compiled."""
         return self.shard.worlds.solids.get(self.world) if self.shard.worlds else None
 
     @functools.cached_property

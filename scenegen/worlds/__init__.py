@@ -1,4 +1,19 @@
-"""Worlds: what an MJCF document holds, where one may fly in it, and what stands where."""
+"""Worlds: what an MJCF document or a map holds, where one may fly in it, and what stands where."""
 
-MAPS = (".bt", ".ot")
+import zipfile
+from pathlib import Path
+
+MAPS = (".bt", ".ot", ".npz")
 """How the names of maps of real places end."""
+
+
+def is_map(path: Path) -> bool:
+    """Whether a file is a map of a real place by its name; an .npz file, which may be a scan, by
+    what it holds, too."""
+    if path.suffix != ".npz":
+        return path.suffix in MAPS
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "states.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False

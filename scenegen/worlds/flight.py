@@ -26,6 +26,7 @@ from scenegen.limits import (
 )
 from scenegen.worlds.clearance import CAP_M, Clearance
 from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.place import Place, PlaceClearance
 from scenegen.worlds.world import World
 
 GRAVITY = 9.81
@@ -36,6 +37,9 @@ LEAST_THRUST = 0.5
 
 TRIES = 50
 """Flights tried before a world counts as too narrow, where one pose is asked for."""
+
+Obstacles = Clearance | PlaceClearance
+"""What tells how far a point or a motion is from what one may not touch."""
 
 ou.noOutputHandler()
 
@@ -92,8 +96,16 @@ class Flight:
         return box
 
 
+def fly(
+    world: World | Place, flight: Flight, *, rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """A path through a world as `plan` gives it, or None."""
+    room = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
+    return plan(world.clearance, room, flight, rng=rng)
+
+
 def plan(
-    clearance: Clearance, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
+    clearance: Obstacles, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
     (2, 3), or None.
@@ -141,7 +153,7 @@ class _Motions(ob.MotionValidator):
     """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, to a millimetre between
     its ends."""
 
-    def __init__(self, information: ob.SpaceInformation, clearance: Clearance, radius_m: float):
+    def __init__(self, information: ob.SpaceInformation, clearance: Obstacles, radius_m: float):
         super().__init__(information)
         self._clearance, self._radius_m = clearance, radius_m
 
@@ -152,7 +164,7 @@ class _Motions(ob.MotionValidator):
 
 
 def _start_and_goal(
-    clearance: Clearance, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
+    clearance: Obstacles, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Two free points far enough apart, or None after a hundred draws."""
     apart = min(flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3)
@@ -258,7 +270,7 @@ def viewpoints(
 
 
 def poses_in_flight(
-    world: World, *, seed: int, every_m: float | None = None, flight: Flight | None = None
+    world: World | Place, *, seed: int, every_m: float | None = None, flight: Flight | None = None
 ) -> list[Pose]:
     """The viewpoints of a random flight through a world, in the order in which they are passed.
 
@@ -276,15 +288,15 @@ def poses_in_flight(
     return [found.pose(int(n)) for n in np.argsort(found.flown_m)]
 
 
-def pose_in_flight(world: World, *, seed: int) -> Pose:
+def pose_in_flight(world: World | Place, *, seed: int) -> Pose:
     """A random viewpoint of a random flight. Raises GenerationError where none fits."""
     return _flown(world, Flight(), seed).pose(0)
 
 
-def _flown(world: World, flight: Flight, seed: int) -> Viewpoints:
+def _flown(world: World | Place, flight: Flight, seed: int) -> Viewpoints:
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
-        path = plan(world.clearance, world.flight_bounds, flight, rng=rng)
+        path = fly(world, flight, rng=rng)
         if path is not None and len(found := viewpoints(path, flight.spacing_m, rng=rng)):
             return found
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")

@@ -49,8 +49,7 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
         voxel_m = float(said.get("res", "nan"))
     except ValueError:
         voxel_m = float("nan")
-    if not 1e-3 <= voxel_m <= 1e3:
-        raise SceneError(f"{name}: res is not a voxel's edge from 0.001 to 1000 metres")
+    check_voxel(voxel_m, name)
     fill = _fill_states if known[first.strip()] else _fill_log_odds
     data = np.frombuffer(tree, np.uint8)
     bounds = np.array([[2 * HALF] * 3, [0] * 3])
@@ -69,6 +68,12 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
     states = np.zeros(shape, np.uint8)
     fill(data, bounds, states)
     return VoxelMap(states, voxel_m, (bounds[0] - HALF) * voxel_m)
+
+
+def check_voxel(voxel_m: float, name: str) -> None:
+    """Raise SceneError, naming `name`, for what cannot be a voxel's edge."""
+    if not 1e-3 <= voxel_m <= 1e3:
+        raise SceneError(f"{name}: a voxel of {voxel_m:g} m; expected from 0.001 to 1000 metres")
 
 
 @kernel

@@ -14,7 +14,9 @@ from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
 from scenegen.errors import BrokenError, DatasetError, SceneError, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
+from scenegen.worlds import MAPS
 from scenegen.worlds.drawing import flatten, least_memory
+from scenegen.worlds.place import map_digest, named_map, read_place
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
 
@@ -31,7 +33,7 @@ as much again: what float32 vertices keep."""
 
 @dataclass(frozen=True)
 class Scene:
-    """One MJCF file, made self-contained."""
+    """One file, made self-contained: an MJCF document, or a map of a real place."""
 
     name: str
     mjcf: bytes
@@ -42,6 +44,11 @@ class Scene:
     """What was left out or taken otherwise than one might expect: a sentence each."""
     geometry: bytes = b""
     """What tells its solids from those of other worlds: their `geometry_digest`."""
+
+    @property
+    def is_map(self) -> bool:
+        """Whether it is a map of a real place."""
+        return bool(named_map(self.mjcf))
 
 
 @dataclass(frozen=True)
@@ -59,10 +66,21 @@ def read_file(path: Path, *, materials: bool = False) -> Reading:
     """Read one file; see `load_scene`. What is wrong with it is an outcome, too."""
     includes: frozenset[Path] = frozenset()
     try:
+        if path.suffix in MAPS:
+            return Reading(path, load_map(path), includes)
         is_world, includes = look_over(path)
         return Reading(path, load_scene(path, materials=materials) if is_world else None, includes)
     except SceneError as error:
         return Reading(path, error, includes)
+
+
+def load_map(path: Path) -> Scene:
+    """Read a map of a real place. Raises SceneError."""
+    try:
+        place = read_place(path)
+    except (DatasetError, FileNotFoundError) as error:
+        raise SceneError(str(error)) from None
+    return Scene(path.name, place.mjcf, place.assets, geometry=map_digest(place.voxels))
 
 
 def load_scene(path: Path, *, materials: bool = False) -> Scene:

@@ -12,12 +12,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim import Engine, GridSpec
+from lidarsim.engines import EngineFactory
+from lidarsim.noise.returns import albedo_of
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
 from scenegen.errors import SceneError, printable, short
+from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
+from scenegen.worlds.place import Place, archived_place, named_map
 
 
 @contextmanager
@@ -61,6 +66,42 @@ class World:
     def clearance(self) -> Clearance:
         """The collision check within the flight bounds."""
         return Clearance(self.solids, self.flight_bounds)
+
+    def room(
+        self, radius_m: float, length_m: float, *, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Where to plan the next flight, (2, 3) metres: the flight bounds."""
+        return self.flight_bounds
+
+    @property
+    def albedo(self) -> NDArray[np.float64]:
+        """What share of light every geom reflects, (ngeom,)."""
+        return albedo_of(self.model)
+
+    def caster(self, engine: EngineFactory) -> Engine:
+        """What casts rays in it, made by `engine`."""
+        return engine(self.model, self.data)
+
+    def truth(self, grid: GridSpec, origin: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
+        """The field of a sample that says what is there, `occupancy`."""
+        return {"occupancy": rasterize(self.solids, grid, origin)}
+
+
+def solid(world: World | Place, where: str) -> World:
+    """`world`, where solids are needed. Raises SceneError, naming `where`, for a map."""
+    if isinstance(world, Place):
+        raise SceneError(f"{where}: is a map of voxels, which has no solids to show")
+    return world
+
+
+def archived_world(
+    mjcf: bytes, assets: Mapping[str, bytes], *, name: str = "world"
+) -> World | Place:
+    """The world of an archived document, of solids or a map. Raises SceneError, naming `name`,
+    where it cannot serve as one."""
+    if named_map(mjcf):
+        return archived_place(mjcf, assets, name)
+    return compile_world(mjcf, assets, name=name)
 
 
 def compile_world(

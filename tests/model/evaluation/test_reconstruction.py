@@ -1,5 +1,7 @@
 """Metrics against hand-computed small maps and scipy, and their edge cases."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -11,7 +13,14 @@ from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS, measure
-from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_layers
+from scenegen.model.evaluation.visibility import (
+    CLASSES,
+    UNSCORED,
+    certain_distances,
+    classify,
+    scored_voxels,
+    walled,
+)
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field
 from tests.conftest import small_recipe
@@ -142,18 +151,18 @@ def test_nothing_below_the_ground_counts() -> None:
     recipe = small_recipe("geometric", flight={"altitude_m": (0.5, 1.0)})
     low = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples[0]
     grid, tables = recipe.grid, recipe.resolved()
-    scored = scored_layers(low, grid, tables)
+    scored = scored_voxels(low, grid, tables)
     heights = low.origin[2] + grid.voxel_m * (np.arange(grid.shape[2]) + 0.5)
     underside = -tables["world"]["ground_m"]
-    assert not scored[heights < underside - grid.voxel_m].any()
-    assert scored[heights > underside].all()
-    assert 0 < scored.sum() < len(scored)
+    assert not scored[..., heights < underside - grid.voxel_m].any()
+    assert scored[..., heights > underside].all()
+    assert 0 < scored.sum() < scored.size
     classes = classify(low, lidar=recipe.lidar, grid=grid, scored=scored)
-    np.testing.assert_array_equal(classes == UNSCORED, np.broadcast_to(~scored, grid.shape))
+    np.testing.assert_array_equal(classes == UNSCORED, ~scored)
     rng, rows = np.random.default_rng(0), []
     said = rng.random(grid.shape) < 0.2
     for below in (False, True):
-        said[..., ~scored] = below
+        said[~scored] = below
         far = np.where(said, np.float32(0), low.tudf)
         count = len(CLASSES)
         rows.append(
@@ -162,9 +171,38 @@ def test_nothing_below_the_ground_counts() -> None:
             )
         )
     np.testing.assert_array_equal(*rows)
-    assert scored_layers(low, grid, {"world": {"ground": "grass"}}).all()  # somebody's own kind
+    assert scored_voxels(low, grid, {"world": {"ground": "grass"}}).all()  # somebody's own kind
     tables["world"]["ground"] = False
-    assert scored_layers(low, grid, tables).all()
+    assert scored_voxels(low, grid, tables).all()
+
+
+def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans() -> None:
+    recipe = small_recipe("geometric")
+    drawn = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples[0]
+    grid, rng = recipe.grid, np.random.default_rng(0)
+    assert certain_distances(drawn, grid) is None
+    known = rng.random(grid.shape) < 0.9
+    sample = replace(drawn, known=known, ray_known=np.ones(drawn.ranges.shape, bool))
+    scored = scored_voxels(sample, grid, {})
+    np.testing.assert_array_equal(scored, known)
+    certain = certain_distances(sample, grid)
+    assert certain is not None
+    other = distance_field(drawn.occupancy | (~known & (rng.random(grid.shape) < 0.5)), grid)
+    np.testing.assert_array_equal(other[certain], drawn.tudf[certain])
+    classes, rows = np.where(scored, np.uint8(0), np.uint8(UNSCORED)), []
+    said, distance = drawn.occupancy.copy(), drawn.tudf.copy()
+    for wrong in (False, True):
+        said[~known], distance[~certain] = wrong, 9.0 * wrong
+        rows.append(
+            measure(
+                said, distance, drawn.occupancy, drawn.tudf,
+                classes=classes, class_count=1, config=PLAIN, certain=certain,
+            )
+        )  # fmt: skip
+    np.testing.assert_array_equal(*rows)
+    solid, gap = walled(drawn.occupancy, drawn.tudf, known, grid)
+    np.testing.assert_array_equal(solid, drawn.occupancy | ~known)
+    np.testing.assert_array_equal(gap, distance_field(solid, grid))
 
 
 def test_unlearned_methods_do_what_they_say() -> None:

@@ -272,7 +272,6 @@ def test_a_map_of_a_real_place_is_scanned_and_told_of(
     assert 0 < row["rays_through_unknown"] < row["rays"] / 2
     for words, expected in (
         ("--pose 1,2,1,0 --engine mujoco", "--engine"),
-        ("--flight", "--flight"),
         ("--pose 1,2,1,0 --noise intensity", "only stages that change ranges"),
     ):
         code, _, error = run(capsys, f"scan room.bt {words}")

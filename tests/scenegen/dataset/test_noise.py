@@ -198,7 +198,7 @@ def test_what_the_noise_cannot_have_done_is_found(noisy: Path, tmp_path: Path) -
             "labels: expected exactly where `fields` names those of labels",
         ),
         ({"version": 1.3}, "version = 1.3: expected 1.2 with noise"),
-        ({"version": 1.5}, "format version 1.5, this scenegen reads up to 1.4"),
+        ({"version": 1.6}, "format version 1.6, this scenegen reads up to 1.5"),
     ],
 )
 def test_a_strangers_word_is_not_trusted(

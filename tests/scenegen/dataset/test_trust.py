@@ -131,7 +131,7 @@ def test_what_is_wrong_in_a_manifest_is_said_in_our_words(
 @pytest.mark.parametrize(
     ("at", "value", "said"),
     [
-        (("version",), 1.5, "1.5"),
+        (("version",), 1.6, "1.6"),
         (("version",), "1.10", "1.10"),
         (("version",), 2, "2"),
         (("fields",), [*GROUPS[""], "intensity"], "intensity"),

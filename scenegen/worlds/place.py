@@ -1,0 +1,266 @@
+"""A real place as a world: its map of voxels, archived as the file that it came in, and flights
+through what is free there."""
+
+import functools
+import hashlib
+import io
+import math
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Scan
+from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
+from lidarsim.jit import kernel
+from scenegen.errors import SceneError, printable
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.truth.voxels import resample
+from scenegen.worlds.clearance import CAP_M, STEP_M
+from scenegen.worlds.octomap import check_voxel, parse_octomap
+
+DOCUMENT = (
+    '<mujoco model="map">\n  <custom>\n    <text name="voxel_map" data="{}"/>\n  </custom>\n'
+    "</mujoco>\n"
+)
+"""The MJCF of a map in an archive: an empty world that names the map's file."""
+NAMED = re.compile(re.escape(DOCUMENT).replace(r"\{\}", r"([0-9a-f]{16}\.(?:bt|ot|npz))").encode())
+TRIES = 1000
+"""Points tried to find one where a flight may be."""
+LOCAL = 1.5
+"""Flights keep within so many times their least length of that point: a map may be far larger."""
+PARTS: dict[str, tuple[np.dtype[Any], int]] = {
+    "states": (np.dtype("u1"), 3),
+    "voxel_m": (np.dtype("<f8"), 0),
+    "origin": (np.dtype("<f8"), 1),
+}
+"""The arrays of an .npz map: their types and dimensions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A map of a real place, for a sensor to fly through what is free in it: what is unknown counts
+    as solid there. It stands where a `scenegen.worlds.world.World` does."""
+
+    mjcf: bytes
+    """A document that names the map's file, for archives."""
+    assets: Mapping[str, bytes]
+    """That file."""
+    unseen: tuple[str, ...] = ()
+    """Nothing: a map has no geoms."""
+    albedo: None = None
+    """A map does not know what reflects how much."""
+
+    @property
+    def voxels(self) -> VoxelMap:
+        """The map itself; a process keeps the last two."""
+        ((name, content),) = self.assets.items()
+        return _parsed(content, name)
+
+    @cached_property
+    def flight_bounds(self) -> NDArray[np.float64]:
+        """(2, 3): least and greatest corner of the box around the free voxels, metres."""
+        voxels = self.voxels
+        return np.asarray(voxels.origin + _free_box(voxels.states) * voxels.voxel_m)
+
+    @property
+    def clearance(self) -> "PlaceClearance":
+        """The collision check."""
+        return PlaceClearance(self.voxels)
+
+    def room(
+        self, radius_m: float, length_m: float, *, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Where to plan the next flight, (2, 3) metres: about a random free point, as far as a
+        flight of `length_m` may need."""
+        bounds, clearance = self.flight_bounds, self.clearance
+        for point in rng.uniform(bounds[0], bounds[1], (TRIES, 3)):
+            if clearance.at(*point) >= radius_m:
+                reach = LOCAL * length_m
+                return np.clip([point - reach, point + reach], *bounds)
+        return bounds
+
+    def caster(self, engine: object) -> VoxelEngine:
+        """What casts rays: a `VoxelEngine`, whatever `engine` others are cast by."""
+        return VoxelEngine(self.voxels)
+
+    def truth(self, grid: GridSpec, origin: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
+        """The fields of a sample that say what is there: `occupancy` and `known`."""
+        return dict(zip(("occupancy", "known"), resample(self.voxels, grid, origin), strict=True))
+
+    def unknown_m(self, scan: Scan) -> NDArray[np.float64]:
+        """Metres of unknown space that each ray of a scan crosses before it returns, (*rays)."""
+        engine, reach = VoxelEngine(self.voxels), scan.lidar.max_range_m
+        return engine.cross(scan.pose.position[None], scan.directions[None], reach)[1][0]
+
+
+def read_place(path: str | Path) -> Place:
+    """The place of a map file: OctoMap's `.bt` and `.ot`, or an `.npz` of `states`, `voxel_m` and
+    `origin`, as in `VoxelMap`. Raises SceneError for a file that holds no map, or nothing free."""
+    path = Path(path)
+    content = read_bounded(path, MOST_ASSET_BYTES)
+    name = f"{hashlib.sha256(content).hexdigest()[:16]}{path.suffix}"
+    found = Place(DOCUMENT.format(name).encode(), {name: content})
+    try:
+        nothing = _free_box(found.voxels.states)[1, 0] == 0
+    except SceneError as error:
+        raise SceneError(str(error).replace(name, str(path), 1)) from None
+    if nothing:
+        raise SceneError(f"{path}: nothing in it is free, so that no sensor can be there")
+    return found
+
+
+def named_map(document: bytes) -> str:
+    """The file that a document of an archive names as its map; "" for a world of solids."""
+    found = NAMED.fullmatch(document)
+    return found[1].decode() if found else ""
+
+
+def archived_place(document: bytes, assets: Mapping[str, bytes], where: str) -> Place:
+    """The place of a document for which `named_map` has a name. Raises SceneError, naming `where`,
+    where its file is missing or holds no map."""
+    name = named_map(document)
+    if name not in assets:
+        raise SceneError(f"{where}: its map {name} is missing")
+    _parsed(assets[name], name)
+    return Place(document, {name: assets[name]})
+
+
+def map_digest(voxels: VoxelMap) -> bytes:
+    """SHA-256 of what a map says, whatever file it came in."""
+    digest = hashlib.sha256(np.array([voxels.voxel_m, *voxels.origin], "<f8").tobytes())
+    digest.update(repr(voxels.states.shape).encode())
+    digest.update(np.ascontiguousarray(voxels.states).data)
+    return digest.digest()
+
+
+@functools.lru_cache(maxsize=2)  # a large one takes 200 MB
+def _parsed(content: bytes, name: str) -> VoxelMap:
+    return parse_map(content, name[name.rindex(".") :], name)
+
+
+def parse_map(content: bytes, suffix: str, name: str) -> VoxelMap:
+    """The map in a file of such a `suffix`. Raises SceneError, naming `name`."""
+    return parse_npz(content, name) if suffix == ".npz" else parse_octomap(content, name)
+
+
+def parse_npz(content: bytes, name: str) -> VoxelMap:
+    """The map in an .npz file's arrays `states` (uint8, 0 unknown, 1 free, 2 occupied), `voxel_m`
+    and `origin`. Raises SceneError, naming `name`."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            found = {part: _member(archive, part) for part in PARTS}
+    except SceneError as error:
+        raise SceneError(f"{name}: {error}") from None
+    except Exception as error:  # zipfile's, zlib's, and what else a crafted file may bring forth
+        raise SceneError(
+            f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
+            f"{', '.join(PARTS)}"
+        ) from None
+    states, voxel_m, origin = found["states"], float(found["voxel_m"]), found["origin"]
+    check_voxel(voxel_m, name)
+    if origin.shape != (3,) or not np.isfinite(origin).all() or states.max(initial=0) > OCCUPIED:
+        raise SceneError(
+            f"{name}: expected states of 0, 1 and 2, and an origin of three finite numbers"
+        )
+    return VoxelMap(states, voxel_m, origin)
+
+
+def _member(archive: zipfile.ZipFile, part: str) -> NDArray[Any]:
+    """An array of an .npz file, in no more memory than a map may take."""
+    dtype, dimensions = PARTS[part]
+    with archive.open(f"{part}.npy") as file:
+        np.lib.format.read_magic(file)
+        shape, fortran, found = np.lib.format.read_array_header_1_0(file)
+        count = math.prod(shape)
+        if found != dtype or len(shape) != dimensions or fortran or count <= 0:
+            raise SceneError(f"{part} is {found} {shape}, expected {dtype} of {dimensions} axes")
+        if count > MOST_PLACE_VOXELS:
+            raise SceneError(f"{count} voxels, expected {MOST_PLACE_VOXELS} at most")
+        data = file.read(count * dtype.itemsize + 1)
+    if len(data) != count * dtype.itemsize:
+        raise SceneError(f"{part} holds {len(data)} bytes, expected {count * dtype.itemsize}")
+    return np.frombuffer(data, dtype).reshape(shape)
+
+
+@kernel
+def _free_box(states):
+    """The first of the free voxels along each axis, and one more than the last, (2, 3); zeros where
+    none is free."""
+    nx, ny, nz = states.shape
+    box = np.zeros((2, 3), np.int64)
+    box[0] = nx, ny, nz
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if states[i, j, k] == FREE:
+                    for axis, at in enumerate((i, j, k)):
+                        box[0, axis] = min(box[0, axis], at)
+                        box[1, axis] = max(box[1, axis], at + 1)
+    return box if box[1, 0] > 0 else np.zeros((2, 3), np.int64)
+
+
+class PlaceClearance:
+    """See `scenegen.worlds.clearance.Clearance`: distances to the voxels that are not free."""
+
+    def __init__(self, voxels: VoxelMap):
+        self._arguments = voxels.states, voxels.voxel_m, voxels.origin
+
+    def at(self, x: float, y: float, z: float) -> float:
+        """Distance in metres from a point to the nearest voxel that is not free, at most `CAP_M`; 0
+        in one."""
+        return float(_clearance(x, y, z, *self._arguments))
+
+    def motion_is_free(
+        self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float
+    ) -> bool:
+        """See `Clearance.motion_is_free`."""
+        return bool(_motion_is_free(p, q, radius_m, *self._arguments))
+
+
+@kernel
+def _clearance(x, y, z, states, voxel_m, origin):
+    nx, ny, nz = states.shape
+    sx, sy, sz = (x - origin[0]) / voxel_m, (y - origin[1]) / voxel_m, (z - origin[2]) / voxel_m
+    nearest = CAP_M / voxel_m
+    i, j, k = math.floor(sx), math.floor(sy), math.floor(sz)
+    # shells of voxels around the point's own, until the next one is farther than what was found
+    for shell in range(math.ceil(nearest) + 1):
+        if shell - 1 >= nearest:
+            break
+        for a in range(i - shell, i + shell + 1):
+            for b in range(j - shell, j + shell + 1):
+                side = abs(a - i) == shell or abs(b - j) == shell
+                step = 1 if side or shell == 0 else 2 * shell
+                for c in range(k - shell, k + shell + 1, step):
+                    inside = 0 <= a < nx and 0 <= b < ny and 0 <= c < nz
+                    if inside and states[a, b, c] == FREE:
+                        continue
+                    u = max(max(a - sx, sx - (a + 1)), 0.0)
+                    v = max(max(b - sy, sy - (b + 1)), 0.0)
+                    w = max(max(c - sz, sz - (c + 1)), 0.0)
+                    nearest = min(nearest, math.sqrt(u * u + v * v + w * w))
+    return nearest * voxel_m
+
+
+@kernel
+def _motion_is_free(p, q, radius, states, voxel_m, origin):
+    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    t = 0.0
+    while True:
+        s = min(t / length, 1.0) if length > 0.0 else 1.0
+        x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
+        free = _clearance(x, y, z, states, voxel_m, origin) - radius
+        if free < 0.0:
+            return False
+        if s >= 1.0:
+            return True
+        t = min(t + max(free, STEP_M), length)

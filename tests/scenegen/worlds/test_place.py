@@ -1,0 +1,215 @@
+"""Maps of real places as worlds: what is free, what is flown through, and datasets of them."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scenegen
+from lidarsim import Lidar, Pose, cast
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
+from scenegen.dataset.build import build
+from scenegen.dataset.generation import plan_generation
+from scenegen.errors import SceneError
+from scenegen.verification import verify
+from scenegen.verification.rays import MapAuditor
+from scenegen.worlds.flight import Flight, fly
+from scenegen.worlds.place import Place, parse_npz, read_place
+from tests.command_line import run
+
+VOXEL_M, ORIGIN = 0.25, (-3.0, 2.0, 0.0)
+
+
+def hall(seed: int = 0) -> np.ndarray:
+    """A hall of 24 × 24 × 6 m with columns, closed but for its ceiling, of whose one corner nothing
+    is known."""
+    rng = np.random.default_rng(seed)
+    states = np.full((96, 96, 24), FREE, np.uint8)
+    for x, y in rng.integers(4, 90, (25, 2)):
+        states[x : x + 3, y : y + 3] = OCCUPIED
+    states[:, :, 0] = states[0] = states[-1] = states[:, 0] = states[:, -1] = OCCUPIED
+    states[70:95, 70:95, 1:] = UNKNOWN
+    return states
+
+
+def write_map(path: Path, states: np.ndarray, **other: object) -> Path:
+    given = {"states": states, "voxel_m": np.float64(VOXEL_M), "origin": np.array(ORIGIN)}
+    np.savez(path, **given | other)  # type: ignore[arg-type]
+    return path
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
+    return read_place(write_map(tmp_path_factory.mktemp("map") / "hall.npz", hall()))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Maps and one MJCF file, dealt to the three splits."""
+    folder = tmp_path_factory.mktemp("places")
+    for seed in range(3):
+        write_map(folder / f"hall-{seed}.npz", hall(seed))
+    (folder / "room.xml").write_text(
+        "<mujoco><worldbody><geom type='plane' size='0 0 1'/><geom type='box' size='1 9 3' "
+        "pos='9 0 3'/><geom type='box' size='9 1 3' pos='0 9 3'/></worldbody></mujoco>"
+    )
+    plan = plan_generation(
+        None, 20, val=5, test=5, scene=folder, out=folder / "data", shard_samples=10
+    )
+    build(plan, workers=1)
+    return folder / "data"
+
+
+def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place: Place) -> None:
+    rng = np.random.default_rng(0)
+    states = place.voxels.states
+    cells = np.argwhere(np.pad(states, 6) != FREE) - 6  # beyond the map, nothing is free
+    low = np.array(ORIGIN) + cells * VOXEL_M
+    for point in rng.uniform(*place.voxels.bounds, (200, 3)):
+        gaps = np.maximum(np.maximum(low - point, point - low - VOXEL_M), 0.0)
+        expected = min(float(np.sqrt((gaps**2).sum(axis=1).min())), 1.0)
+        assert place.clearance.at(*point) == pytest.approx(expected, abs=1e-9)
+
+
+def test_flights_keep_their_clearance_and_stay_near(place: Place) -> None:
+    rng, flown = np.random.default_rng(0), 0
+    flight = Flight(robot_radius_m=0.3)
+    for _ in range(10):
+        path = fly(place, flight, rng=rng)
+        if path is None:
+            continue
+        flown += 1
+        assert (np.ptp(path, axis=0) <= 2 * 1.5 * flight.min_distance_m).all()
+        for a, b in pairwise(path):
+            for share in np.linspace(0, 1, 50):
+                assert place.clearance.at(*(a + share * (b - a))) >= 0.3 - 1e-3
+    assert flown >= 5
+
+
+def test_flight_bounds_are_those_of_the_free_voxels(place: Place) -> None:
+    low, high = place.flight_bounds
+    assert low == pytest.approx(np.array(ORIGIN) + VOXEL_M)
+    assert high == pytest.approx(np.array(ORIGIN) + VOXEL_M * np.array([95, 95, 24]))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.31])
+def test_another_way_to_cast_finds_the_same_ranges(place: Place, scale: float) -> None:
+    lidar, rng = Lidar(max_range_m=20 * scale), np.random.default_rng(1)
+    for point in rng.uniform(*place.voxels.bounds, (20, 3)):
+        pose = Pose.level(point, float(rng.uniform(0, 7)))
+        scan = cast(place.caster(None), lidar, pose)
+        rays, ranges = scan.directions.reshape(1, -1, 3), scan.ranges.reshape(-1)
+        again = MapAuditor(place.voxels).cast(point[None], rays, lidar.max_range_m)[0]
+        met = np.isfinite(ranges)
+        assert (met == np.isfinite(again)).all()
+        assert ranges[met] == pytest.approx(again[met], abs=1e-5)
+
+
+def test_a_dataset_of_maps_passes_every_check(dataset: Path) -> None:
+    report = verify(dataset)
+    assert report.ok, [check.detail for check in report.checks]
+    counts = {check.name: check.counts for check in report.checks}
+    assert counts["occupancy"]["samples"] == 30
+    assert counts["rays"]["rays"] == counts["known"]["samples"] * 1920 > 0
+
+
+def test_samples_say_what_is_known(dataset: Path) -> None:
+    shares = []
+    for split in ("train", "val", "test"):
+        for sample in scenegen.load(dataset, split=split):
+            assert sample.known is not None
+            assert sample.ray_known is not None
+            assert (sample.known | ~sample.occupancy).all()
+            assert sample.ray_known.mean() >= 0.65
+            shares.append(sample.known.mean())
+    assert min(shares) >= 0.05
+    assert min(shares) < 0.6
+    assert max(shares) == 1.0, "all of the MJCF file's world is known"
+
+
+def test_the_same_bits_however_they_are_made(dataset: Path, tmp_path: Path) -> None:
+    plan = plan_generation(
+        None, 20, val=5, test=5, scene=dataset.parent, out=tmp_path / "again", shard_samples=5
+    )
+    build(plan, workers=2)
+    digests = {scenegen.Dataset(folder).manifest.digest for folder in (dataset, plan.folder)}
+    assert len(digests) == 1
+
+
+def test_a_stream_mixes_maps_with_drawn_worlds(dataset: Path) -> None:
+    mixed = scenegen.stream([str(dataset.parent / "hall-0.npz"), "pillar"], seed=0, samples=10)
+    known = [sample.known for sample in mixed]
+    assert all(one is not None for one in known)
+    assert {bool(one.all()) for one in known if one is not None} == {True, False}
+
+
+def test_bench_scores_what_is_known(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bench"
+    code, _, error = run(
+        capsys, "bench", dataset, "--quick", "--method", "truth", "--split", "train",
+        "--method", "extrude", "-o", out, "--workers", 1,
+    )  # fmt: skip
+    assert code == 0, error
+    report = json.loads((out / "report.json").read_text())
+    assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.9
+    assert report["reconstruction"]["scene"]["truth"]["iou"]["mean"] == 1.0
+    assert report["reconstruction"]["scene"]["extrude"]["iou"]["mean"] < 1.0
+    assert run(capsys, "bench", dataset, "--study", "-o", out)[0] == 1
+    code, _, error = run(capsys, "train", dataset, "-o", tmp_path / "run")
+    assert code
+    assert "do not know all" in error
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--labels", "class"], "has no solids"),
+        (["--engine", "mujoco"], "no engine but its own"),
+    ],
+)
+def test_what_a_map_lacks_ends_in_a_line(
+    dataset: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    said: str,
+) -> None:
+    world = dataset.parent / "hall-0.npz"
+    code, _, error = run(capsys, "generate", "--scene", world, *options, "-o", tmp_path / "no")
+    assert code
+    assert said in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"states": np.full((4, 4, 4), 3, np.uint8)}, "0, 1 and 2"),
+        ({"states": np.ones((4, 4), np.uint8)}, "expected uint8 of 3 axes"),
+        ({"states": np.ones((4, 4, 4))}, "expected uint8"),
+        ({"voxel_m": np.float64(0)}, "a voxel of 0 m"),
+        ({"origin": np.array([0.0, np.nan, 0.0])}, "finite"),
+        ({"origin": np.array([0.0, 0.0])}, "three finite"),
+        ({"states": np.zeros((4, 4, 4), np.uint8)}, "nothing in it is free"),
+    ],
+)
+def test_a_damaged_npz_map_ends_in_a_line(
+    tmp_path: Path, changed: dict[str, np.ndarray], said: str
+) -> None:
+    path = write_map(tmp_path / "map.npz", **{"states": hall()} | changed)
+    with pytest.raises(SceneError, match=said) as raised:
+        read_place(path)
+    assert "\n" not in str(raised.value)
+    assert "map.npz" in str(raised.value)
+
+
+def test_an_npz_of_something_else_is_no_map(tmp_path: Path) -> None:
+    np.savez(tmp_path / "scan.npz", points=np.zeros((4, 3)))
+    for content in ((tmp_path / "scan.npz").read_bytes(), b"", b"PK\x03\x04" * 9):
+        with pytest.raises(SceneError, match=r"not an \.npz map"):
+            parse_npz(content, "scan.npz")
