@@ -169,6 +169,11 @@ def channels(
     return {name: input_called(name).of(seen, grid, sensor) for name in names}
 
 
+def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan:
+    """What the points of a sample of one scan tell of its map."""
+    return PointScan(points=sample.points(sensor), position=sample.position, grid=grid)
+
+
 def centres(observed: NDArray[np.bool_], grid: GridSpec) -> PointScan:
     """A scan that observes just the voxels `observed` (*grid.shape): a point at the centre of each,
     metres from the map's centre, where the sensor is."""

@@ -166,6 +166,7 @@ class Weighted(click.ParamType):
     TrainConfig,
     panel="Training",
     augment="Turn maps about the sensor at random, and mirror them where its rays allow it.",
+    points_share="Share of maps shown as points alone: rays without a return free nothing.",
     precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
     compile="Run the network through torch.compile.",
 )

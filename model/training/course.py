@@ -12,7 +12,7 @@ from scenegen.model.config import LossConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, measure_whole
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
-from scenegen.model.training.data import Maps, TudfOf, epoch_batches, load, stream_batch
+from scenegen.model.training.data import Maps, TudfOf, Views, epoch_batches, load, stream_batch
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
 
@@ -87,6 +87,7 @@ class Course:
 
     def __init__(self, maps: Maps, config: TrainConfig):
         self._maps, self._config = maps, config
+        self._views = Views(augment=config.augment, points_share=config.points_share)
         self.batch = min(config.batch, len(maps))
         """Maps a step."""
         self._pass = len(maps) // self.batch
@@ -151,7 +152,7 @@ class Course:
         if self._order is not None:
             numbers = range(first, first + count)
             return [
-                stream_batch(self._order, self._maps, n, seed=config.seed, augment=config.augment)
+                stream_batch(self._order, self._maps, n, seed=config.seed, views=self._views)
                 for n in numbers
             ]
         while len(found) < count:
@@ -161,7 +162,7 @@ class Course:
                 batch=config.batch,
                 seed=config.seed,
                 epoch=epoch,
-                augment=config.augment,
+                views=self._views,
             )
             found += keys[step : step + count - len(found)]
         return found

@@ -4,6 +4,7 @@ where the batch is."""
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
 
@@ -18,7 +19,7 @@ from lidarsim import GridSpec, Sensor
 from scenegen.dataset.gather import check_disjoint
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
-from scenegen.model.inputs import SYMMETRIES, channels, turned
+from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.sample import Sample
 from scenegen.streams.batches import Batches
 from scenegen.streams.mixture import fraction, parts_of
@@ -111,7 +112,8 @@ class Maps(Dataset):
     """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`,
     (*grid.shape) each, and the true ``occupancy``, by name.
 
-    ``maps[n, s]`` is the same turned by symmetry `s`. `split` is what the samples are called in
+    ``maps[n, v]`` is the same turned by symmetry `v` % 8, and from 8 on shown as points alone, as
+    `complete` sees a scan of points. `split` is what the samples are called in
     errors. Raises DatasetError for sources that do not go together.
     """
 
@@ -152,12 +154,14 @@ class Maps(Dataset):
         return int(self.starts[-1])
 
     def __getitem__(self, key: int | tuple[int, int]) -> Batch:
-        index, symmetry = key if isinstance(key, tuple) else (key, 0)
+        index, view = key if isinstance(key, tuple) else (key, 0)
         source, row = self._place(index)
         sample = source[row]
-        maps = channels(self.inputs, sample, source.grid, source.lidar)
+        seen = sample if view < SYMMETRIES else points_of(sample, source.grid, source.lidar)
+        maps = channels(self.inputs, seen, source.grid, source.lidar)
         maps["occupancy"] = sample.occupancy
-        return {name: torch.from_numpy(turned(one, symmetry)) for name, one in maps.items()}
+        turn = view % SYMMETRIES
+        return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}
 
     def order(self, batch: int) -> Batches | None:
         """The batches of a stream, whose maps come in its own order; None for datasets, which are
@@ -229,8 +233,35 @@ def is_mirrored(sensor: Sensor) -> bool:
     return bool((KDTree(rays).query(rays * (1, -1, 1))[0] < SAME_RAY).all())
 
 
+@dataclass(frozen=True, kw_only=True)
+class Views:
+    """How maps are shown in training."""
+
+    augment: bool = False
+    """Whether they are turned, and mirrored where the sensor's rays allow it."""
+    points_share: float = 0.0
+    """Share of them that are shown as points alone."""
+
+    def of(
+        self, indices: list[int], maps: Maps, *, rng: np.random.Generator
+    ) -> list[tuple[int, int]]:
+        """Every index with a view that is drawn; 0 is the map as it is."""
+        count = len(indices)
+        turns = rng.integers(SYMMETRIES, size=count) if self.augment else np.zeros(count, int)
+        if maps.grid.shape[0] != maps.grid.shape[1]:
+            turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
+        if not maps.mirrored:
+            turns = turns % (SYMMETRIES // 2)
+        if self.points_share:  # drawn last, so that the turns of other runs stay
+            turns = turns + SYMMETRIES * (rng.random(count) < self.points_share)
+        return list(zip(indices, turns.tolist(), strict=True))
+
+
+PLAIN = Views()
+
+
 def epoch_batches(
-    maps: Maps, *, batch: int, seed: int, epoch: int, augment: bool = False
+    maps: Maps, *, batch: int, seed: int, epoch: int, views: Views = PLAIN
 ) -> list[list[tuple[int, int]]]:
     """The batches of a training epoch: keys of `Maps`, in an order that depends on `seed` and
     `epoch` alone.
@@ -241,7 +272,7 @@ def epoch_batches(
     order = rng.permutation(len(maps))
     if maps.shares is not None:
         order = np.concatenate(_weighted(maps, seed=seed, epoch=epoch))[order]
-    keys = _turned(order.tolist(), maps, augment, rng=rng)
+    keys = views.of(order.tolist(), maps, rng=rng)
     count = max(len(keys) // batch, 1)
     return [keys[n * batch : (n + 1) * batch] for n in range(count)]
 
@@ -264,29 +295,12 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
 
 
 def stream_batch(
-    order: Batches, maps: Maps, number: int, *, seed: int, augment: bool
+    order: Batches, maps: Maps, number: int, *, seed: int, views: Views
 ) -> list[tuple[int, int]]:
-    """Batch `number` of a stream's order: keys of `maps`, whose symmetries depend on `seed` and
+    """Batch `number` of a stream's order: keys of `maps`, whose views depend on `seed` and
     `number` alone."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 0)))
-    return _turned(order[number], maps, augment, rng=rng)
-
-
-def _turned(
-    indices: list[int], maps: Maps, augment: bool, *, rng: np.random.Generator
-) -> list[tuple[int, int]]:
-    """Every index with a symmetry that is drawn, or, unless `augment`, with that which changes
-    nothing."""
-    turns = (
-        rng.integers(SYMMETRIES, size=len(indices))
-        if augment
-        else np.zeros(len(indices), dtype=int)
-    )
-    if maps.grid.shape[0] != maps.grid.shape[1]:
-        turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
-    if not maps.mirrored:
-        turns = turns % (SYMMETRIES // 2)
-    return list(zip(indices, turns.tolist(), strict=True))
+    return views.of(order[number], maps, rng=rng)
 
 
 def load(

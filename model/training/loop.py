@@ -257,6 +257,14 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
     except ValueError as error:
         raise DatasetError(f"{maps.sources[0].name}: {error}") from None
     check_alike([checks.sources[0], maps.sources[0]])
+    if (
+        config.points_share
+        and (mapping := getattr(maps.sources[0], "mapping", Mapper())) != Mapper()
+    ):
+        raise DatasetError(
+            f"{maps.sources[0].name}: points_share = {config.points_share} shows the points of one "
+            f"scan in the middle of a map, and these maps are made by {mapping}; leave it at 0"
+        )
     batch = min(config.batch, len(maps))
     if batch % processes:
         raise TrainingError(

@@ -14,7 +14,7 @@ from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.course import Course
-from scenegen.model.training.data import epoch_batches
+from scenegen.model.training.data import Views, epoch_batches
 from tests.model.training.runs import SMALL, train
 
 TINY = dataclasses.replace(SMALL, network=NetworkConfig(width=1, heads=1, variant="occ"), batch=12)
@@ -79,7 +79,8 @@ def test_a_budget_in_maps_replaces_passes() -> None:
 def test_rounds_see_the_passes_one_after_the_other(interval: int | None) -> None:
     of = course(count=83, maps=400, interval=interval)
     passes = [
-        epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, augment=True) for epoch in range(5)
+        epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, views=Views(augment=True))
+        for epoch in range(5)
     ]  # type: ignore[arg-type]
     seen = [of.batches(first, min(of.round, 50 - first)) for first in range(0, 50, of.round)]
     assert list(itertools.chain(*seen)) == list(itertools.chain(*passes))

@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch")
 from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, Sensor, cast, voxelize  # noqa: E402
 from lidarsim.sensors import SENSORS  # noqa: E402
 from scenegen.model.inputs import turned  # noqa: E402
-from scenegen.model.training.data import TudfOf, epoch_batches, is_mirrored  # noqa: E402
+from scenegen.model.training.data import TudfOf, Views, epoch_batches, is_mirrored  # noqa: E402
 
 ALL = range(8)
 SQUARE = GridSpec(shape=(8, 8, 4))
@@ -191,7 +191,9 @@ class Counted:
 def test_an_epoch_is_full_batches_of_maps_seen_once(count: int, batch: int, augment: bool) -> None:
     """Of what is too little for one batch, it is that one."""
     for epoch in range(4):
-        batches = epoch_batches(Counted(count), batch=batch, seed=3, epoch=epoch, augment=augment)
+        batches = epoch_batches(
+            Counted(count), batch=batch, seed=3, epoch=epoch, views=Views(augment=augment)
+        )
         assert [len(keys) for keys in batches] == ([batch] * (count // batch) or [count])
         indices = [index for keys in batches for index, _ in keys]
         assert len(set(indices)) == len(indices)
@@ -203,7 +205,11 @@ def test_seed_and_epoch_decide_alone(augment: bool) -> None:
     """And each of them matters: seed 0 at epoch 1 is not seed 1 at epoch 0."""
 
     def drawn(seed: int, epoch: int) -> str:
-        return repr(epoch_batches(Counted(40), batch=8, seed=seed, epoch=epoch, augment=augment))
+        return repr(
+            epoch_batches(
+                Counted(40), batch=8, seed=seed, epoch=epoch, views=Views(augment=augment)
+            )
+        )
 
     pairs = list(itertools.product(range(5), repeat=2))
     first = [drawn(*pair) for pair in pairs]
@@ -242,7 +248,10 @@ def test_symmetries_that_fit_the_map_occur_about_as_often(
     """A map as long as it is wide has eight, another has those that keep its shape; half of them
     where rays are no mirror image; each map draws its own."""
     maps = Counted(800, GridSpec(shape=shape), mirrored=mirrored)
-    epochs = [epoch_batches(maps, batch=8, seed=0, epoch=epoch, augment=True) for epoch in range(2)]
+    epochs = [
+        epoch_batches(maps, batch=8, seed=0, epoch=epoch, views=Views(augment=True))
+        for epoch in range(2)
+    ]
     drawn = [symmetry for keys in epochs[0] for _, symmetry in keys]
     assert sorted(set(drawn)) == list(allowed)
     counts = np.bincount(drawn)[list(allowed)]
