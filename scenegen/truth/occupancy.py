@@ -9,7 +9,12 @@ from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CYLINDER, Solids
 from scenegen.truth.shapes import distance, touches, within
-from scenegen.truth.triangles import inside_columns, triangle_touches
+from scenegen.truth.triangles import (
+    inside_columns,
+    meets_square,
+    plane_slopes,
+    triangle_touches,
+)
 
 SLACK_M = 1e-6
 """A cube touches a solid within this distance, so that a return stored in float32 lies in an
@@ -181,7 +186,11 @@ def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
 
 @kernel
 def _fill_surface(triangles, origin, voxel_m, occupancy):
-    """Mark the voxels that triangles (T, 3, 3) pass through."""
+    """Mark the voxels that triangles (T, 3, 3) pass through.
+
+    Columns whose square the triangle misses are left out, and of the others all voxels that its
+    plane misses by more than one.
+    """
     half = 0.5 * voxel_m
     nx, ny, nz = occupancy.shape
     for n in range(len(triangles)):
@@ -189,11 +198,21 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
         i0, i1 = span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), origin[0], voxel_m, nx)
         j0, j1 = span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), origin[1], voxel_m, ny)
         k0, k1 = span(min(a[2], b[2], c[2]), max(a[2], b[2], c[2]), origin[2], voxel_m, nz)
+        slope_x, slope_y, upright = plane_slopes(a, b, c)
+        reach = half * (abs(slope_x) + abs(slope_y)) + half
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):
                 y = origin[1] + (j + 0.5) * voxel_m
-                for k in range(k0, k1):
+                u, v = (a[0] - x, b[0] - x, c[0] - x), (a[1] - y, b[1] - y, c[1] - y)
+                if not meets_square(u[0], v[0], u[1], v[1], u[2], v[2], half, SLACK_M):
+                    continue
+                first, end = k0, k1
+                if not upright:
+                    height = a[2] + slope_x * (x - a[0]) + slope_y * (y - a[1])
+                    low, high = span(height - reach, height + reach, origin[2], voxel_m, nz)
+                    first, end = max(first, low - 1), min(end, high + 1)
+                for k in range(first, end):
                     if not occupancy[i, j, k]:
                         z = origin[2] + (k + 0.5) * voxel_m
                         if triangle_touches(a, b, c, x, y, z, half, SLACK_M):

@@ -7,48 +7,74 @@ import numpy as np
 
 from lidarsim.jit import kernel
 
+STEEP = 1e3
+"""Triangles that rise more than so many metres a metre count as upright."""
+
 
 @kernel
 def triangle_touches(a, b, c, x, y, z, half, slack):
     """Whether the closed cube about (x, y, z) comes within `slack` metres of the triangle abc.
 
     Separating axes (Akenine-Moller 2001): the triangle's normal, the cube's faces, and the products
-    of their edges.
+    of their edges, which are tests in the three planes of the axes.
     """
-    p = np.empty((3, 3))
-    for i in range(3):
-        centre = x if i == 0 else (y if i == 1 else z)
-        p[0, i] = a[i] - centre
-        p[1, i] = b[i] - centre
-        p[2, i] = c[i] - centre
-        if (
-            min(p[0, i], p[1, i], p[2, i]) > half + slack
-            or max(p[0, i], p[1, i], p[2, i]) < -half - slack
-        ):
-            return False
-    ux, uy, uz = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
-    vx, vy, vz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
+    ax, ay, az = a[0] - x, a[1] - y, a[2] - z
+    bx, by, bz = b[0] - x, b[1] - y, b[2] - z
+    cx, cy, cz = c[0] - x, c[1] - y, c[2] - z
+    reach = half + slack
+    if min(ax, bx, cx) > reach or max(ax, bx, cx) < -reach:
+        return False
+    if min(ay, by, cy) > reach or max(ay, by, cy) < -reach:
+        return False
+    if min(az, bz, cz) > reach or max(az, bz, cz) < -reach:
+        return False
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    if (
-        abs(nx * p[0, 0] + ny * p[0, 1] + nz * p[0, 2])
-        > half * (abs(nx) + abs(ny) + abs(nz)) + slack * length
-    ):
+    reach = half * (abs(nx) + abs(ny) + abs(nz)) + slack * length
+    if abs(nx * ax + ny * ay + nz * az) > reach:
         return False
-    for e in range(3):
-        f = (e + 1) % 3
-        for i in range(
-            3
-        ):  # the axis is unit vector i x edge: components j, k of the edge, swapped, one negated
-            j, k = (i + 1) % 3, (i + 2) % 3
-            dj, dk = p[f, j] - p[e, j], p[f, k] - p[e, k]
-            q0 = p[0, k] * dj - p[0, j] * dk
-            q1 = p[1, k] * dj - p[1, j] * dk
-            q2 = p[2, k] * dj - p[2, j] * dk
-            reach = half * (abs(dj) + abs(dk)) + slack * math.sqrt(dj * dj + dk * dk)
-            if min(q0, q1, q2) > reach or max(q0, q1, q2) < -reach:
-                return False
-    return True
+    return (
+        meets_square(ax, ay, bx, by, cx, cy, half, slack)
+        and meets_square(ay, az, by, bz, cy, cz, half, slack)
+        and meets_square(az, ax, bz, bx, cz, cx, half, slack)
+    )
+
+
+@kernel
+def meets_square(ax, ay, bx, by, cx, cy, half, slack):
+    """Whether no edge of the triangle abc in a plane has it more than `slack` metres apart from the
+    square about the origin."""
+    return not (
+        _apart(ax, ay, bx, by, cx, cy, half, slack)
+        or _apart(bx, by, cx, cy, ax, ay, half, slack)
+        or _apart(cx, cy, ax, ay, bx, by, half, slack)
+    )
+
+
+@kernel
+def _apart(ax, ay, bx, by, cx, cy, half, slack):
+    """Whether the line of the edge ab has the triangle abc on one side and the square on the
+    other."""
+    dx, dy = bx - ax, by - ay
+    reach = half * (abs(dx) + abs(dy)) + slack * math.sqrt(dx * dx + dy * dy)
+    edge, corner = ay * dx - ax * dy, cy * dx - cx * dy
+    # rounding leaves an edge through the square's only point within reach
+    reach += 1e-14 * (abs(ay * dx) + abs(ax * dy) + abs(cy * dx) + abs(cx * dy))
+    return min(edge, corner) > reach or max(edge, corner) < -reach
+
+
+@kernel
+def plane_slopes(a, b, c):
+    """How the height of the plane through abc rises along x and along y, and whether it is too
+    steep to say."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    if abs(nz) * STEEP <= abs(nx) + abs(ny):
+        return 0.0, 0.0, True
+    return -nx / nz, -ny / nz, False
 
 
 @kernel
@@ -144,7 +170,11 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):
-                sign, height = crossing(a, b, c, x, origin[1] + (j + 0.5) * voxel_m)
+                y = origin[1] + (j + 0.5) * voxel_m
+                u, v = (a[0] - x, b[0] - x, c[0] - x), (a[1] - y, b[1] - y, c[1] - y)
+                if not meets_square(u[0], v[0], u[1], v[1], u[2], v[2], 0.0, 0.0):
+                    continue  # most columns, by a cheaper test
+                sign, height = crossing(a, b, c, x, y)
                 if sign != 0:
                     k = max(math.ceil((height - origin[2]) / voxel_m - 0.5), 0)
                     if k < nz:
