@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
-from lidarsim.solids.shapes import BOX
 from scenegen.recipes.kind import Range, WorldKind, attitudes
 from scenegen.recipes.parts import Parts, count, height_at, hilly
+from scenegen.recipes.pieces import stone
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
@@ -108,12 +108,7 @@ class Cave(WorldKind):
         places = self._places(self.rock_density, area, rng=rng)
         turns = attitudes(len(places), 1.0, rng=rng).tolist()
         for (x, y), turn in zip(places, turns, strict=True):
-            low, (a, b, c, flat) = height_at(floor, self.size_m, x, y), rng.random(4).tolist()
-            size3 = (0.15 + 0.6 * a, 0.15 + 0.5 * b, 0.1 + 0.4 * c)
-            if flat < 0.5:
-                parts.solid("rock", BOX, size3, (x, y, low + 0.1), turn)
-            else:
-                parts.ball("rock", (x, y, low + 0.1), size3, turn)
+            stone(parts.at(x, y, height_at(floor, self.size_m, x, y)), turn, rng=rng)
         parts.add_to(spec)
 
     def _places(

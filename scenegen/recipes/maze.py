@@ -8,7 +8,7 @@ import numpy as np
 
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Range, WorldKind
-from scenegen.recipes.parts import Parts
+from scenegen.recipes.parts import Joined, Parts, Span
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
@@ -89,21 +89,13 @@ class Maze(WorldKind):
             for axis, step in enumerate(STEPS)
             if cell[axis] + step[axis] < shape[axis]
         ]
-        home = {cell: cell for cell in np.ndindex(*shape)}
-
-        def root(cell: tuple[int, ...]) -> tuple[int, ...]:
-            while home[cell] != cell:
-                home[cell] = home[home[cell]]
-                cell = home[cell]
-            return cell
-
-        chances = rng.random((len(walls), 8)).tolist()
+        ways, chances = Joined(), rng.random((len(walls), 8)).tolist()
         for n in rng.permutation(len(walls)).tolist():
             axis, cell = walls[n]
             other = tuple(a + b for a, b in zip(cell, STEPS[axis], strict=True))
-            joined = chances[n][0] < self.loop_share or root(cell) != root(other)
+            joined = chances[n][0] < self.loop_share or ways.apart(cell, other)
             if joined:
-                home[root(cell)] = root(other)
+                ways.join(cell, other)
             if not (joined and chances[n][1] < self.open_share):
                 low = [a * b for a, b in zip(cell, edges.tolist(), strict=True)]
                 self._wall(parts, axis, low, edges.tolist(), half, joined, chances[n][2:])
@@ -124,25 +116,16 @@ class Maze(WorldKind):
         slit, shelf, a, b, c, d = chances
         of_class = "ceiling" if axis == 2 else "wall"
         least, most = self.window_m
-        spans = []
+        window: list[Span] = []
         for n, (size, place) in zip(across, ((a, b), (c, d)), strict=True):
             wide = min(least + size * (most - least), edges[n] - 0.2)
             if axis < 2 and slit < self.slit_share:
                 wide = edges[2] if n == 2 else least
             begin = low[n] + place * (edges[n] - wide)
-            spans.append((begin, begin + wide) if joined else (low[n] + edges[n],) * 2)
-        (u0, u1), (v0, v1) = spans
-        u, v = across
+            window.append((begin, begin + wide))
         ends = [low[n] + edges[n] for n in range(3)]
-        pieces = [((low[u], u0), (low[v], ends[v])), ((u1, ends[u]), (low[v], ends[v]))]
-        pieces += [((u0, u1), (low[v], v0)), ((u0, u1), (v1, ends[v]))]
-        for one, other in pieces:
-            if one[1] - one[0] > 1e-6 and other[1] - other[0] > 1e-6:
-                corner, opposite = [0.0] * 3, [0.0] * 3
-                corner[axis], opposite[axis] = ends[axis] - half, ends[axis] + half
-                corner[u], opposite[u] = one
-                corner[v], opposite[v] = other
-                parts.box(of_class, corner, opposite)
+        whole = [(low[n], ends[n]) for n in across]
+        parts.wall(of_class, axis, ends[axis], half, whole, window if joined else None)
         if not joined and axis < 2 and shelf < self.shelf_share:
             corner, opposite = list(low), list(ends)
             corner[axis] = ends[axis] - 0.4 - 0.8 * a

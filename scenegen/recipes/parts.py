@@ -3,6 +3,7 @@ ground; and counts by density."""
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,10 @@ from scenegen.worlds.drawing import UPRIGHT, Drawing
 
 Point = Sequence[float]
 """Three numbers, metres."""
+Span = tuple[float, float]
+"""From where to where along an axis, metres."""
+Rectangle = tuple[float, float, float, float]
+"""Least x and y, greatest x and y, metres."""
 MOST_CELLS = 500_000
 """The most points of a lattice of noise or of heights."""
 
@@ -47,6 +52,28 @@ class Parts:
         middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
         half = [(b - a) / 2 for a, b in zip(low, high, strict=True)]
         self.solid(of_class, BOX, half, middle)
+
+    def wall(
+        self,
+        of_class: str,
+        axis: int,
+        at: float,
+        half: float,
+        whole: Sequence[Span],
+        opening: Sequence[Span] | None,
+    ) -> None:
+        """A wall across an axis at `at`, twice `half` thick, with at most one rectangular opening.
+        `whole` and `opening` are spans along the two other axes."""
+        (u0, u1), (v0, v1) = whole
+        (a0, a1), (b0, b1) = opening or ((u1, u1), (v0, v0))
+        pieces = [((u0, a0), (v0, v1)), ((a1, u1), (v0, v1))]
+        pieces += [((a0, a1), (v0, b0)), ((a0, a1), (b1, v1))]
+        for one, other in pieces:
+            if one[1] - one[0] > 1e-6 and other[1] - other[0] > 1e-6:
+                low, high = [one[0], other[0]], [one[1], other[1]]
+                low.insert(axis, at - half)
+                high.insert(axis, at + half)
+                self.box(of_class, low, high)
 
     def rod(
         self, of_class: str, start: Point, end: Point, radius: float, shape: int = CYLINDER
@@ -104,6 +131,59 @@ class Parts:
                 np.where(np.abs(values) < 1e-9, 0.0, values) for values in map(np.array, numbers)
             )
             spec.add_geoms(shapes, sizes, centres, quats, classes=classes)
+
+
+class Joined:
+    """Which things are joined, directly or by others (union and find, Galler and Fischer 1964)."""
+
+    def __init__(self) -> None:
+        self._home: dict[Any, Any] = {}
+
+    def _root(self, one: Any) -> Any:
+        while (home := self._home.get(one, one)) != one:
+            one = home
+        return one
+
+    def apart(self, one: Any, other: Any) -> bool:
+        """Whether two things are not joined."""
+        return bool(self._root(one) != self._root(other))
+
+    def join(self, one: Any, other: Any) -> None:
+        """Join two things."""
+        self._home[self._root(one)] = self._root(other)
+
+
+def divided(
+    room: Rectangle, edges_m: Sequence[float], *, rng: np.random.Generator
+) -> list[Rectangle]:
+    """Rectangles that fill a rectangle: one with an edge longer than those between `edges_m` is
+    divided, none becomes shorter."""
+    x0, y0, x1, y1 = room
+    longer, (least, most) = max(x1 - x0, y1 - y0), edges_m
+    if longer < 2 * least or longer <= rng.uniform(max(2 * least, least + 1), most):
+        return [room]
+    at = rng.uniform(least, longer - least)
+    if x1 - x0 >= y1 - y0:
+        halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
+    else:
+        halves = ((x0, y0, x1, y0 + at), (x0, y0 + at, x1, y1))
+    return [part for one in halves for part in divided(one, edges_m, rng=rng)]
+
+
+def shared_edges(
+    rooms: Sequence[Rectangle],
+) -> list[tuple[int, float, float, float, int, int]]:
+    """Where rectangles touch: the axis across the edge, where on it, from where to where along the
+    other, and the two rectangles' numbers."""
+    found = []
+    for (a, one), (b, other) in itertools.combinations(enumerate(rooms), 2):
+        for axis in (0, 1):
+            across = 1 - axis
+            low, high = max(one[across], other[across]), min(one[across + 2], other[across + 2])
+            for first, second in ((one, other), (other, one)):
+                if first[axis + 2] == second[axis] and high - low > 1e-9:
+                    found.append((axis, second[axis], low, high, a, b))
+    return found
 
 
 def noise_field(

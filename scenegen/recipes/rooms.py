@@ -1,21 +1,18 @@
 """A storey of a building: rooms and corridors with doors, windows, ceilings and furniture."""
 
 from dataclasses import dataclass
-from itertools import combinations
 from typing import ClassVar
 
 import numpy as np
 
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Range, WorldKind
-from scenegen.recipes.parts import Parts
+from scenegen.recipes.parts import Joined, Parts, Rectangle, divided, shared_edges
+from scenegen.recipes.pieces import PIECES, furniture, stairs
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
-Rectangle = tuple[float, float, float, float]
-"""Least x and y, greatest x and y, metres."""
 QUARTER = np.pi / 2
-PIECES = ("table", "chair", "shelf", "cupboard", "sofa")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +91,8 @@ class Rooms(WorldKind):
         corridor = (0.0, low, x_m, low + wide)
         rooms = [
             corridor,
-            *self._divided((0.0, 0.0, x_m, low), rng=rng),
-            *self._divided((0.0, low + wide, x_m, y_m), rng=rng),
+            *divided((0.0, 0.0, x_m, low), self.room_m, rng=rng),
+            *divided((0.0, low + wide, x_m, y_m), self.room_m, rng=rng),
         ]
         doors = self._add_walls(parts, rooms, height, half, rng=rng)
         density = rng.uniform(*self.furniture_density)
@@ -105,19 +102,6 @@ class Rooms(WorldKind):
             if n > 0:
                 self._furnish(parts, room, doors[n], height, density, rng=rng)
         parts.add_to(spec)
-
-    def _divided(self, room: Rectangle, *, rng: np.random.Generator) -> list[Rectangle]:
-        """Rooms that fill a rectangle."""
-        x0, y0, x1, y1 = room
-        longer, least = max(x1 - x0, y1 - y0), self.room_m[0]
-        if longer < 2 * least or longer <= rng.uniform(max(2 * least, least + 1), self.room_m[1]):
-            return [room]
-        at = rng.uniform(least, longer - least)
-        if x1 - x0 >= y1 - y0:
-            halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
-        else:
-            halves = ((x0, y0, x1, y0 + at), (x0, y0 + at, x1, y1))
-        return [part for one in halves for part in self._divided(one, rng=rng)]
 
     def _add_walls(
         self,
@@ -129,22 +113,9 @@ class Rooms(WorldKind):
         rng: np.random.Generator,
     ) -> list[list[tuple[float, float]]]:
         """Walls between rooms and around all; the doors' places, by room."""
-        shared = []
-        for (a, one), (b, other) in combinations(enumerate(rooms), 2):
-            for axis in (0, 1):
-                across = 1 - axis
-                low, high = max(one[across], other[across]), min(one[across + 2], other[across + 2])
-                for first, second in ((one, other), (other, one)):
-                    if first[axis + 2] == second[axis] and high - low > 1e-9:
-                        shared.append((axis, second[axis], low, high, a, b))
-        home = list(range(len(rooms)))
+        shared = shared_edges(rooms)
+        joined = Joined()
         doors: list[list[tuple[float, float]]] = [[] for _ in rooms]
-
-        def root(n: int) -> int:
-            while home[n] != n:
-                n = home[n]
-            return n
-
         for n in rng.permutation(len(shared)).tolist():
             axis, at, low, high, a, b = shared[n]
             width, top = rng.uniform(*self.door_width_m), min(self.door_height_m, height)
@@ -152,45 +123,26 @@ class Rooms(WorldKind):
             if wider < self.open_share and high - low > 2 * width + 4 * half:
                 width, top = 2 * width, height
             opening = None
-            if high - low > width + 4 * half and (root(a) != root(b) or chance < self.loop_share):
-                home[root(a)] = root(b)
+            if high - low > width + 4 * half and (joined.apart(a, b) or chance < self.loop_share):
+                joined.join(a, b)
                 begin = low + 2 * half + place * (high - low - width - 4 * half)
-                opening = (begin, begin + width, 0.0, top)
+                opening = ((begin, begin + width), (0.0, top))
                 middle = (at, begin + width / 2)
                 for one in (a, b):
                     doors[one].append(middle if axis == 0 else middle[::-1])
-            self._wall(parts, axis, at, (low - half, high + half), height, half, opening)
+            span = ((low - half, high + half), (0.0, height))
+            parts.wall("wall", axis, at, half, span, opening)
         for room in rooms:
             for axis, side in ((0, 0), (0, 2), (1, 1), (1, 3)):
                 if room[side] in (0.0, self.size_m[axis]):
                     low, high = room[1 - axis], room[3 - axis]
                     sill, width = rng.uniform(0.7, 1.1), rng.uniform(0.3, 0.7) * (high - low)
                     begin = (low + high - width) / 2
-                    window = (begin, begin + width, sill, min(2.2, height - 0.1))
+                    window = ((begin, begin + width), (sill, min(2.2, height - 0.1)))
                     opening = window if rng.random() < self.window_share else None
-                    self._wall(parts, axis, room[side], (low, high), height, half, opening)
+                    span = ((low, high), (0.0, height))
+                    parts.wall("wall", axis, room[side], half, span, opening)
         return doors
-
-    def _wall(
-        self,
-        parts: Parts,
-        axis: int,
-        at: float,
-        span: tuple[float, float],
-        height: float,
-        half: float,
-        opening: tuple[float, float, float, float] | None,
-    ) -> None:
-        """A wall across `axis` with at most one opening: from, to, sill and lintel."""
-        begin, end, sill, top = opening or (span[1], span[1], 0.0, 0.0)
-        pieces = [(span[0], begin, 0.0, height), (end, span[1], 0.0, height)]
-        pieces += [(begin, end, 0.0, sill), (begin, end, top, height)]
-        for low, high, bottom, above in pieces:
-            if high - low > 1e-6 and above - bottom > 1e-6:
-                one, other = (at - half, low, bottom), (at + half, high, above)
-                if axis == 1:
-                    one, other = (low, at - half, bottom), (high, at + half, above)
-                parts.box("wall", one, other)
 
     def _furnish(
         self,
@@ -208,45 +160,11 @@ class Rooms(WorldKind):
         for px, py in rng.uniform(*inside, (max(pieces, 0), 2)).tolist():
             kind, turn = rng.integers(0, len(PIECES)), rng.integers(0, 4)
             if all((px - x) ** 2 + (py - y) ** 2 > 1.7 for x, y in doors):
-                _piece(parts.at(px, py, 0.0, turn * QUARTER), PIECES[kind], rng=rng)
-        stairs, columns = rng.random(2).tolist()
-        if stairs < self.stairs_share and x1 - x0 > 5 and y1 - y0 > 3:
-            for n in range(min(int(height / 0.17), int((x1 - x0 - 2) / 0.28))):
-                low = (x0 + 1 + 0.28 * n, y0 + 0.2, max(0.17 * n - 0.2, 0.0))
-                parts.box("stairs", low, (low[0] + 0.3, y0 + 1.3, 0.17 * (n + 1)))
+                furniture(parts.at(px, py, 0.0, turn * QUARTER), PIECES[kind], rng=rng)
+        rising, columns = rng.random(2).tolist()
+        if rising < self.stairs_share and x1 - x0 > 5 and y1 - y0 > 3:
+            stairs(parts, (x0 + 1, y0 + 0.2, 0.0), x1 - x0 - 2, height)
         if columns < self.column_share and min(x1 - x0, y1 - y0) > 4:
             radius = rng.uniform(0.12, 0.3)
             for x in np.arange(x0 + 2, x1 - 1, 4.0).tolist():
                 parts.rod("column", (x, (y0 + y1) / 2, 0), (x, (y0 + y1) / 2, height), radius)
-
-
-def _piece(parts: Parts, kind: str, *, rng: np.random.Generator) -> None:
-    """A piece of furniture around the origin of a frame."""
-    a, b, c = rng.random(3).tolist()
-    if kind == "table":
-        x, y, z = 0.6 + 0.4 * a, 0.35 + 0.2 * b, 0.72 + 0.06 * c
-        parts.box("furniture", (-x, -y, z - 0.04), (x, y, z))
-        _legs(parts, x, y, z - 0.04)
-    elif kind == "chair":
-        parts.box("furniture", (-0.22, -0.22, 0.41), (0.22, 0.22, 0.45))
-        parts.box("furniture", (-0.22, 0.18, 0.45), (0.22, 0.22, 0.85 + 0.2 * a))
-        _legs(parts, 0.22, 0.22, 0.41)
-    elif kind == "shelf":
-        x, y, z = 0.4 + 0.4 * a, 0.15 + 0.08 * b, 1.2 + 0.9 * c
-        for side in (-x, x):
-            parts.box("shelf", (side - 0.02, -y, 0), (side + 0.02, y, z))
-        for level in np.linspace(0.1, z, 5).tolist():
-            parts.box("shelf", (-x, -y, level - 0.03), (x, y, level))
-    elif kind == "cupboard":
-        parts.box("furniture", (-0.4 - 0.4 * a, -0.3, 0), (0.4 + 0.4 * a, 0.3, 0.8 + 1.3 * c))
-    else:
-        x = 0.7 + 0.5 * a
-        parts.box("furniture", (-x, -0.45, 0), (x, 0.45, 0.42))
-        parts.box("furniture", (-x, 0.25, 0.42), (x, 0.45, 0.85))
-        for side in (-x, x - 0.15):
-            parts.box("furniture", (side, -0.45, 0.42), (side + 0.15, 0.45, 0.62))
-
-
-def _legs(parts: Parts, x: float, y: float, z: float) -> None:
-    for dx, dy in ((-x, -y), (-x, y - 0.05), (x - 0.05, -y), (x - 0.05, y - 0.05)):
-        parts.box("furniture", (dx, dy, 0), (dx + 0.05, dy + 0.05, z))

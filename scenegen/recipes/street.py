@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from lidarsim.solids.shapes import BOX
 from scenegen.recipes.kind import Range, WorldKind
 from scenegen.recipes.parts import Parts
+from scenegen.recipes.pieces import balcony, cable, car, gable_roof, tree
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
@@ -99,7 +99,7 @@ class Street(WorldKind):
             self._pavement(here, road / 2, pavement, rng=rng)
             for x in np.arange(0.5, x_m - 5.0, 6.2).tolist():
                 if rng.random() < self.car_share:
-                    _car(here.at(x + 2.5, road / 2 - 1.1), rng=rng)
+                    car(here.at(x + 2.5, road / 2 - 1.1), rng=rng)
         parts.add_to(spec)
 
     def _houses(self, parts: Parts, front: float, *, rng: np.random.Generator) -> None:
@@ -136,17 +136,10 @@ class Street(WorldKind):
             parts.box("building", (0, relief / 2, z + 0.7), (width, relief, z + 0.95))
             parts.box("building", (0, -0.1, z + STOREY_M - 0.25), (width, relief, z + STOREY_M))
             for n in np.flatnonzero(rng.random(bays) < self.balcony_share * (storey > 0)).tolist():
-                _balcony(parts.at(n * each + pier / 2, 0, z), each - pier, rng=rng)
+                balcony(parts.at(n * each + pier / 2, 0, z), each - pier, rng=rng)
         over = rng.uniform(0.2, 0.8)
         if gable < self.gable_share:
-            rise = rng.uniform(0.5, 0.9)
-            half = float(np.sqrt(1 + rise * rise)) * (deep + 2 * over) / 4
-            cosine = float(np.sqrt((1 + 1 / np.sqrt(1 + rise * rise)) / 2))
-            sine = float(np.sqrt(1 - cosine * cosine))
-            for side, turn in ((0.25, sine), (0.75, -sine)):
-                y = (deep + 2 * over) * side - over
-                size, up = (width / 2 + 0.2, half, 0.1), rise * (deep + 2 * over) / 4
-                parts.solid("roof", BOX, size, (width / 2, y, top + up), (cosine, turn, 0.0, 0.0))
+            gable_roof(parts.at(0.0, -over, top), width, deep + 2 * over, rng.uniform(0.5, 0.9))
         else:
             parts.box("roof", (0, -over, top), (width, deep, top + 0.3))
 
@@ -163,9 +156,7 @@ class Street(WorldKind):
         if wired:
             for one, other in pairwise(posts):
                 for z in (height - 0.1, height - 0.6):
-                    middle = ((one + other) / 2, kerb + 0.4, z - 0.3)
-                    parts.limb("cable", (one, kerb + 0.4, z), middle, 0.025)
-                    parts.limb("cable", middle, (other, kerb + 0.4, z), 0.025)
+                    cable(parts, (one, kerb + 0.4, z), (other, kerb + 0.4, z))
         for x, out in rng.uniform((0.0, 0.5), (x_m, wide), (int(rng.integers(0, 5)), 2)).tolist():
             parts.rod("pole", (x, kerb + out, 0), (x, kerb + out, 2.4), 0.04)
             parts.box("sign", (x - 0.35, kerb + out - 0.05, 1.9), (x + 0.35, kerb + out, 2.6))
@@ -177,38 +168,3 @@ class Street(WorldKind):
             high = rng.uniform(0.5, 1.6)
             low = (x, kerb + wide - 0.8, 0.0)
             parts.box("vegetation", low, (min(x + long, x_m), kerb + wide - 0.1, high))
-
-
-def tree(parts: Parts, height: float, *, rng: np.random.Generator) -> None:
-    """A tree of this height at the origin of a frame: a trunk under a crown of ellipsoids."""
-    bole = height * rng.uniform(0.3, 0.5)
-    parts.limb("trunk", (0, 0, 0), (0.02 * height, 0, bole + 0.2 * height), 0.025 * height)
-    spread = 0.22 * height
-    for _ in range(int(rng.integers(3, 7))):
-        x, y, z, size, flat = rng.uniform(-1.0, 1.0, 5).tolist()
-        radius = spread * (0.8 + 0.3 * size)
-        middle = (spread * x, spread * y, (bole + height) / 2 + (height - bole) * 0.3 * z)
-        parts.ball("vegetation", middle, (radius, radius, radius * (0.8 + 0.2 * flat)))
-
-
-def _balcony(parts: Parts, width: float, *, rng: np.random.Generator) -> None:
-    out = rng.uniform(0.8, 1.4)
-    parts.box("building", (0, -out, -0.15), (width, 0, 0.0))
-    if rng.random() < 0.5:
-        parts.box("fence", (0, -out, 0), (width, -out + 0.08, 1.0))
-    else:
-        parts.limb("fence", (0, -out, 1.0), (width, -out, 1.0), 0.03)
-        for x in np.linspace(0.0, width, 5).tolist():
-            parts.limb("fence", (x, -out, 0), (x, -out, 1.0), 0.02)
-
-
-def _car(parts: Parts, *, rng: np.random.Generator) -> None:
-    """A car along x: body, cabin and wheels."""
-    long, wide, high = rng.uniform((3.8, 1.65, 1.4), (4.8, 1.9, 1.9)).tolist()
-    body, shift = 0.55 * high, rng.uniform(-0.3, 0.3)
-    parts.box("vehicle", (-long / 2, -wide / 2, 0.22), (long / 2, wide / 2, body))
-    cabin = (shift - 0.27 * long, -0.45 * wide, body), (shift + 0.27 * long, 0.45 * wide, high)
-    parts.box("vehicle", *cabin)
-    for x in (-0.32 * long, 0.32 * long):
-        for y in (-wide / 2, wide / 2 - 0.2):
-            parts.rod("tyre", (x, y, 0.31), (x, y + 0.2, 0.31), 0.31)
