@@ -240,8 +240,8 @@ class TrainConfig:
     """Whether maps are turned about the sensor at random, and mirrored where its rays allow it
     (ours)."""
     points_share: float = number(0.0, least=0, most=1)
-    """Share of maps that are shown as points alone, so that rays without a return free nothing
-    (ours)."""
+    """Share of maps that are shown as points alone, so that rays without a return free nothing;
+    maps of several scans stay as they are (ours)."""
     seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"

@@ -169,9 +169,12 @@ def channels(
     return {name: input_called(name).of(seen, grid, sensor) for name in names}
 
 
-def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan:
-    """What the points of a sample of one scan tell of its map."""
-    return PointScan(points=sample.points(sensor), position=sample.position, grid=grid)
+def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:
+    """What the points of a sample tell of its map; None where it is not of one scan in its
+    middle."""
+    scan = PointScan(points=sample.points(sensor), position=sample.position, grid=grid)
+    alone = sample.earlier_ranges is None and np.array_equal(scan.origin, sample.origin)
+    return scan if alone else None
 
 
 def centres(observed: NDArray[np.bool_], grid: GridSpec) -> PointScan:

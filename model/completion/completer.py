@@ -246,6 +246,14 @@ def unlike(
 
     Networks of earlier commits name none: they learned from the paper's, without noise.
     """
+    ways = about, *about.get("also", ())  # sensors and maps of several ways, each with its noise
+    said = [_unlike(name, way, lidar, mapping, noise) for way in ways]
+    return said[0] if all(said) else ""
+
+
+def _unlike(
+    name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None, noise: str
+) -> str:
     plain = {"mapping": described(Mapper())}
     learned = (
         about.get("lidar") or sensor_entry(Lidar()),

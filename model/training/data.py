@@ -72,7 +72,8 @@ class SplitSamples:
         self.weight = weight
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
         self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
-        self.mapping, self.noises = dataset.manifest.mapping, (dataset.manifest.noise_stages,)
+        self.mapping = dataset.manifest.mapping
+        self.settings = ((self.lidar, self.mapping, dataset.manifest.noise_stages),)
         self.known = dataset.manifest.known
         self._split = dataset.split(split)
         self._count = len(self._split)
@@ -134,7 +135,8 @@ class Maps(Dataset):
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
         self.grid = sources[0].grid
-        self.mirrored = is_mirrored(sources[0].lidar)
+        self.settings = [one for source in sources for one in settings_of(source)]
+        self.mirrored = all(is_mirrored(lidar) for lidar in {one for one, _, _ in self.settings})
         """Whether a map's mirror image is one, too, that the sensor could have seen."""
         self.starts = np.cumsum([0, *map(len, sources)])
         """The index of each source's first map."""
@@ -157,8 +159,9 @@ class Maps(Dataset):
         index, view = key if isinstance(key, tuple) else (key, 0)
         source, row = self._place(index)
         sample = source[row]
-        seen = sample if view < SYMMETRIES else points_of(sample, source.grid, source.lidar)
-        maps = channels(self.inputs, seen, source.grid, source.lidar)
+        sensor = getattr(sample, "lidar", None) or source.lidar
+        seen = sample if view < SYMMETRIES else points_of(sample, source.grid, sensor) or sample
+        maps = channels(self.inputs, seen, source.grid, sensor)
         maps["occupancy"] = sample.occupancy
         turn = view % SYMMETRIES
         return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}
@@ -203,9 +206,16 @@ class Maps(Dataset):
         return self.sources[number], index - int(self.starts[number])
 
 
+def settings_of(source: Samples) -> tuple[tuple[Sensor, Mapper, str], ...]:
+    """Sensor, mapping and noise of every part of a source: of samples of a user's own, their
+    sensor, one scan a map, and none."""
+    plain = (source.lidar, getattr(source, "mapping", Mapper()), "")
+    found: tuple[tuple[Sensor, Mapper, str], ...] = getattr(source, "settings", (plain,))
+    return found
+
+
 def check_alike(sources: Sequence[Samples]) -> None:
-    """Raise DatasetError unless all `sources` have one grid and one sensor, make maps of scans in
-    one way, and know all of their truth."""
+    """Raise DatasetError unless all `sources` have one grid, and know all of their truth."""
     first = sources[0]
     for one in sources:
         if getattr(one, "known", None) is not None:
@@ -214,13 +224,11 @@ def check_alike(sources: Sequence[Samples]) -> None:
                 "losses count every voxel; train on drawn worlds"
             )
     for other in sources[1:]:
-        for what in ("grid", "lidar", "mapping"):
-            there, here = (getattr(one, what, Mapper()) for one in (first, other))
-            if here != there:
-                raise DatasetError(
-                    f"{other.name}: its {what} is {here}, that of {first.name} is {there}; "
-                    f"one network takes one {what}: train on datasets that share it"
-                )
+        if other.grid != first.grid:
+            raise DatasetError(
+                f"{other.name}: its grid is {other.grid}, that of {first.name} is {first.grid}; "
+                f"one network takes one grid: train on datasets that share it"
+            )
 
 
 def is_mirrored(sensor: Sensor) -> bool:

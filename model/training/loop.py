@@ -46,7 +46,6 @@ from scenegen.model.training.device import (
 )
 from scenegen.model.training.run_folder import LEVEL, Progress, RunFolder
 from scenegen.run.software import commit, installed, software
-from scenegen.worlds.mapping import Mapper
 
 PACKAGES = ("torch", "safetensors")
 """What a trained network depends on, besides what a dataset does."""
@@ -257,14 +256,6 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
     except ValueError as error:
         raise DatasetError(f"{maps.sources[0].name}: {error}") from None
     check_alike([checks.sources[0], maps.sources[0]])
-    if (
-        config.points_share
-        and (mapping := getattr(maps.sources[0], "mapping", Mapper())) != Mapper()
-    ):
-        raise DatasetError(
-            f"{maps.sources[0].name}: points_share = {config.points_share} shows the points of one "
-            f"scan in the middle of a map, and these maps are made by {mapping}; leave it at 0"
-        )
     batch = min(config.batch, len(maps))
     if batch % processes:
         raise TrainingError(
@@ -297,13 +288,18 @@ def origin(maps: Maps, command: str, device: torch.device) -> dict[str, Any]:
     """What a network remembers of where it comes from, besides its settings."""
     versions = software() | {"python": platform.python_version()}
     versions |= {name: installed(name) for name in PACKAGES}
-    source = maps.sources[0]
-    about = {"command": command, "commit": commit(), "versions": versions}
-    about |= {"device": device_name(device), "lidar": sensor_entry(source.lidar)}
-    noises = {noise for one in maps.sources for noise in getattr(one, "noises", ("",))}
-    about |= {"noise": sorted(noises)} if any(noises) else {}
-    mapping = mapping_entry(getattr(source, "mapping", Mapper()))
-    return about | ({} if mapping is None else {"mapping": mapping})
+    about: dict[str, Any] = {"command": command, "commit": commit(), "versions": versions}
+    about["device"] = device_name(device)
+    ways: dict[tuple[Any, Any], set[str]] = {}
+    for lidar, mapping, noise in maps.settings:
+        ways.setdefault((lidar, mapping), set()).add(noise)
+    first, *others = [
+        {"lidar": sensor_entry(lidar)}
+        | ({"noise": sorted(noises)} if any(noises) else {})
+        | ({} if (entry := mapping_entry(mapping)) is None else {"mapping": entry})
+        for (lidar, mapping), noises in ways.items()
+    ]
+    return about | first | ({"also": others} if others else {})
 
 
 def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device) -> None:

@@ -1,8 +1,11 @@
 """A dataset of several kinds of worlds: its components, by weight, and the shards of each."""
 
 import dataclasses
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +25,7 @@ from scenegen.tables import read_toml
 MIXED = "mixed"
 """The kind that stands for several."""
 MOST_WEIGHT = 1e6
-Component = tuple[Recipe, float]
+Component = tuple[Recipe, Fraction]
 """A recipe, and its weight: samples come in proportion to it."""
 
 
@@ -45,7 +48,7 @@ class MixedSpec(ShardSpec):
 def is_mixed(path: Path) -> bool:
     """Whether a recipe file is one of several kinds. Raises RecipeError."""
     tables = read_toml(path)
-    return tables.get("kind") == MIXED or "component" in tables
+    return tables.get("kind") == MIXED or bool({"component", "domain"} & set(tables))
 
 
 def read_components(
@@ -62,7 +65,9 @@ def read_components(
         path: A recipe file with ``kind = "mixed"`` and tables ``[[component]]`` of a `kind`, a
             `weight`, and tables of their own, such as ``[component.world]``. Tables of the file
             itself are common to all. Without a file, or without components, every kind that comes
-            with scenegen has the same weight.
+            with scenegen has the same weight. A table ``[domain.TABLE]`` beside them gives
+            parameters of that table lists of values: a component is then as many, one for every
+            combination, which share its weight.
         lidar: The sensor of all.
         noise: The stages of noise of all.
         mapping: Parameters of how all maps are made.
@@ -72,8 +77,8 @@ def read_components(
         RecipeError: A component is none, or only some have weights.
     """
     common, where = ({}, "") if path is None else (read_toml(path), printable(path))
-    common.pop("kind", None)
-    every = [{"kind": name} for name in kind_names()]
+    kind = common.pop("kind", MIXED)
+    every = [{"kind": name} for name in (kind_names() if kind == MIXED else [kind])]
     listed = common.pop("component", every)
     if not isinstance(listed, list) or not 0 < len(listed) <= MOST_SOURCES:
         raise RecipeError(
@@ -104,8 +109,41 @@ def read_components(
             for name in dict.fromkeys((*common, *own))
         }
         folder = Path() if path is None else path.parent
-        made = make_recipe(kind, tables | given, where=at, folder=folder, sensor=lidar)
-        found.append((made, float(weight)))
+        each = _combinations(tables.pop("domain", {}), at)
+        for values in each:
+            chosen = {name: {**(tables.get(name) or {}), **one} for name, one in values.items()}
+            whole = tables | chosen | given
+            made = make_recipe(kind, whole, where=at, folder=folder, sensor=lidar)
+            found.append((made, Fraction(str(weight)) / len(each)))
+    return found
+
+
+def _combinations(domain: Any, at: str) -> list[dict[str, dict[str, Any]]]:
+    """Every combination of the values that a domain lists, as tables. Raises RecipeError."""
+    if not (isinstance(domain, dict) and all(isinstance(one, dict) for one in domain.values())):
+        raise RecipeError(
+            f"{at}: domain: expected tables of lists, such as [domain.lidar] with a line "
+            'sensor = ["raster", "ouster-os1-64"]'
+        )
+    named = [
+        (table, name, values) for table, rows in domain.items() for name, values in rows.items()
+    ]
+    for table, name, values in named:
+        if not isinstance(values, list) or not values:
+            raise RecipeError(
+                f"{at}: domain.{table}.{name} = {short(values)}: expected a list of values"
+            )
+    count = math.prod(len(values) for _, _, values in named)
+    if count > MOST_SOURCES:
+        raise RecipeError(
+            f"{at}: domain: {count} combinations, expected {MOST_SOURCES} at most; list fewer"
+        )
+    found = []
+    for chosen in itertools.product(*(values for _, _, values in named)):
+        tables: dict[str, dict[str, Any]] = {}
+        for (table, name, _), value in zip(named, chosen, strict=True):
+            tables.setdefault(table, {})[name] = value
+        found.append(tables)
     return found
 
 
@@ -153,7 +191,7 @@ def plan_mixed(
     return Plan(folder=folder, parameters=given, shards=tuple(shards), lidar=plans[0].lidar)
 
 
-def _shares(count: int, weights: Sequence[float]) -> list[int]:
+def _shares(count: int, weights: Sequence[Fraction]) -> list[int]:
     """`count` in parts by weight: whole numbers, the largest remainders rounded up."""
     exact = [count * weight / sum(weights) for weight in weights]
     found = [int(part) for part in exact]

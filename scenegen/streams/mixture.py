@@ -171,8 +171,8 @@ class Mixture:
     """Components by weight. A *slot* is the number of a unit in the mixture's own order."""
 
     def __init__(self, components: Sequence[Component], weights: Sequence[Any]):
-        """Raises RecipeError for no component, one that is there twice, ones of different grids or
-        sensors, and weights that are no proportions."""
+        """Raises RecipeError for no component, one that is there twice, ones of different grids,
+        and weights that are no proportions."""
         if not components:
             raise RecipeError(
                 "stream: nothing to draw from; name a kind of world, such as 'pillar'"
@@ -252,13 +252,15 @@ def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
             f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to "
             f"{MOST_WEIGHT}"
         )
-    return Fraction(str(weight if isinstance(weight, int) else float(weight)))
+    if isinstance(weight, int | Fraction):
+        return Fraction(weight)
+    return Fraction(str(float(weight)))
 
 
 def _check_alike(components: Sequence[Component]) -> None:
     first, seen = components[0], dict[str, str]()
     for component in components:
-        for what in ("grid", "lidar", "mapping", "known"):
+        for what in ("grid", "known"):
             theirs, ours = getattr(component.recipe, what), getattr(first.recipe, what)
             if theirs != ours:
                 raise RecipeError(

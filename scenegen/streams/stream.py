@@ -20,7 +20,7 @@ from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample
 from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
 from scenegen.streams.batches import Batches, Place
-from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
+from scenegen.streams.mixture import Component, Mixture, component_of, fraction, parts_of
 
 KEPT_BYTES = 256 << 20
 """Packed units that a process keeps in memory, those asked for last; with default maps, these are
@@ -64,26 +64,28 @@ class Stream(Sequence[Sample]):
         ]
         self.digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
         """What tells this stream from all others that give other samples, or in another order."""
-        self.grid, self.lidar = (
-            mixture.components[0].recipe.grid,
-            mixture.components[0].recipe.lidar,
+        first = mixture.components[0].recipe
+        self.grid, self.lidar, self.known = first.grid, first.lidar, first.known
+        self.settings = tuple(
+            (part.recipe.lidar, part.recipe.mapping, part.recipe.noise.spelled())
+            for part in mixture.components
         )
+        """Sensor, mapping and noise, as manifests spell it, of every part; `lidar` and `mapping`
+        are those of the first."""
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
-        self.mapping = mixture.components[0].recipe.mapping
-        self.known = mixture.components[0].recipe.known
-        self.noises = tuple(
-            dict.fromkeys(part.recipe.noise.spelled() for part in mixture.components)
-        )
-        """That of every part, as manifests spell it."""
-        self._schema = schema_of(mixture.components[0].recipe)
-        self._record = record_type(self._schema)
+        self.mapping = first.mapping
+        self._schemas = [schema_of(part.recipe) for part in mixture.components]
+        self._records = [record_type(schema) for schema in self._schemas]
         caches = (
             ()
             if cache is None
-            else tuple(self._cache(Path(cache), part) for part in mixture.components)
+            else tuple(
+                self._cache(Path(cache), part, record)
+                for part, record in zip(mixture.components, self._records, strict=True)
+            )
         )
-        self._make = Maker(mixture, caches, self._record)
+        self._make = Maker(mixture, caches, self._records)
         self._units: dict[int, Unit] = {}
         self._coming: Iterator[int] | None = None
         self._ahead: Ahead[int, Unit] | None = None
@@ -106,7 +108,12 @@ class Stream(Sequence[Sample]):
         once."""
         places = [self.mixture.place(self._checked(index)) for index in indices]
         self._prepare(dict.fromkeys(slot for slot, _ in places))
-        return [unpack(self._unit(slot)[view], self._record, self._schema) for slot, view in places]
+        found = []
+        for slot, view in places:
+            part, _ = self.mixture.unit(slot)
+            packed = self._unit(slot)[view]
+            found.append(unpack(packed, self._records[part], self._schemas[part]))
+        return found
 
     def __iter__(self) -> "Reader":
         return Reader(self)
@@ -123,8 +130,9 @@ class Stream(Sequence[Sample]):
         return part, unit * self.mixture.components[part].viewpoints + view
 
     def describe(self) -> dict[str, dict[str, Any]]:
-        """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
-        return self._schema.describe()
+        """What a sample of the first part holds: name of each field to its `dtype`, `shape`, `unit`
+        and `meaning`."""
+        return self._schemas[0].describe()
 
     def expect(self, indices: Iterable[int]) -> None:
         """Say which samples will be asked for next, in this order: workers then make these ahead of
@@ -140,13 +148,13 @@ class Stream(Sequence[Sample]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_units": {}, "_ahead": None, "_coming": None}
 
-    def _cache(self, folder: Path, part: Component) -> Cache:
+    def _cache(self, folder: Path, part: Component, record: np.dtype) -> Cache:
         """Where a part's units are kept. Raises DatasetError where that cannot be."""
         if folder.exists() and not folder.is_dir():
             raise DatasetError(
                 f"{folder}: is a file, expected a folder for the cache; choose another one"
             )
-        most = part.viewpoints * (2 * self._record.itemsize + 1024)
+        most = part.viewpoints * (2 * record.itemsize + 1024)
         return Cache(folder, part.fingerprint(software=True), part.split, most)
 
     def _checked(self, index: int) -> int:
@@ -222,7 +230,8 @@ class Maker:
     mixture: Mixture
     caches: tuple[Cache, ...]
     """That of each part, or none."""
-    record: np.dtype
+    records: Sequence[np.dtype]
+    """That of a sample of each part."""
 
     def __call__(self, slot: int) -> Unit:
         """The unit of a slot. Raises GenerationError, and DatasetError where the cache's disk
@@ -231,7 +240,7 @@ class Maker:
 
         def drawn() -> Unit:
             return tuple(
-                pack(sample, self.record)
+                pack(sample, self.records[part])
                 for sample in self.mixture.components[part].draw(unit).samples
             )
 
@@ -302,7 +311,8 @@ def _unmixed(what: Any, weight: Any) -> list[tuple[Any, Any]]:
     file = Path(what) if isinstance(what, str | Path) and str(what).endswith(".toml") else None
     if what != MIXED and (file is None or not is_mixed(file)):
         return [(what, weight)]
-    return [(recipe, weight * share) for recipe, share in read_components(file)]
+    whole = fraction(weight, str(what))
+    return [(recipe, whole * share) for recipe, share in read_components(file)]
 
 
 def _whole(name: str, value: Any, least: int, most: int) -> int:

@@ -8,12 +8,24 @@ import numpy as np
 import pytest
 import torch
 
+from lidarsim import Lidar
 from scenegen.dataset.build import build
 from scenegen.dataset.choose import Choice
 from scenegen.dataset.gather import plan_take
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.training.data import LoaderError, Maps, TudfOf, epoch_batches, load, opened
+from scenegen.model.completion.completer import unlike
+from scenegen.model.inputs import SYMMETRIES
+from scenegen.model.training.data import (
+    LoaderError,
+    Maps,
+    TudfOf,
+    Views,
+    epoch_batches,
+    load,
+    opened,
+)
+from scenegen.model.training.loop import origin
 from tests.model.conftest import COUNTS, make_dataset
 
 
@@ -103,19 +115,39 @@ def test_a_loader_process_that_dies_is_named(
 
 def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_path: Path) -> None:
     other_grid = make_dataset(tmp_path / "grid", grid={"shape": (16, 16, 16)})
-    other_sensor = make_dataset(tmp_path / "sensor", lidar={"rows": 4})
-    fused = make_dataset(tmp_path / "fused", mapping={"scans": 2})
-    refused = {
-        other_grid: "its grid",
-        other_sensor: "its lidar",
-        fused: "its mapping",
-        folders[0]: "the same samples",
-    }
+    refused = {other_grid: "its grid", folders[0]: "the same samples"}
     for wrong, named in refused.items():
         with pytest.raises(DatasetError, match=named):
             Maps(opened([folders[0], wrong], "train"), "train")
     with pytest.raises(DatasetError, match="no dataset given"):
         Maps([], "train")
+
+
+def test_sensors_and_mappings_may_differ_and_are_remembered(
+    folders: list[Path], tmp_path: Path
+) -> None:
+    few = make_dataset(tmp_path / "sensor", lidar={"rows": 4, "columns": 30})
+    fused = make_dataset(tmp_path / "fused", mapping={"scans": 2})
+    maps = Maps(opened([folders[0], few, fused], "train"), "train", ("observed", "ahead"))
+    assert {tuple(maps[n]["ahead"].shape) for n in range(len(maps))} == {maps.grid.shape}
+    about = origin(maps, "", torch.device("cpu"))
+    assert [one["lidar"]["rows"] for one in about["also"]] == [4, about["lidar"]["rows"]]
+    for dataset in map(Dataset, (folders[0], few, fused)):
+        assert unlike("net", about, dataset.lidar, dataset.manifest.mapping) == ""
+    assert "another sensor" in unlike("net", about, Lidar(rows=5))
+
+
+def test_points_alone_free_less_and_hold_the_same_returns(folders: list[Path]) -> None:
+    maps = Maps(opened(folders[:1], "train"), "train", ("observed", "free"))
+    fewer = 0
+    for n in range(len(maps)):
+        whole, points = maps[n], maps[n, SYMMETRIES]
+        assert (whole["observed"] == points["observed"]).all()
+        assert not (points["free"] & ~whole["free"] & ~whole["observed"]).any()
+        fewer += int((whole["free"] & ~points["free"]).sum())
+    assert fewer
+    keys = Views(points_share=0.5).of(list(range(400)), maps, rng=np.random.default_rng(0))
+    assert 150 < sum(view >= SYMMETRIES for _, view in keys) < 250
 
 
 def passes(maps: Maps, count: int, *, seed: int = 0) -> list[list[int]]:

@@ -3,6 +3,7 @@ and what is wrong in one line."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import scenegen
@@ -138,6 +139,14 @@ def test_without_components_every_kind_has_the_same_weight() -> None:
         ('kind = "clutter"\n', "", "component 2: names no kind"),
         ('"clutter"', '"cluter"', "clutter"),
         ("density = [0.06, 0.06]", "density = [2, 1]", "[world] density = [2, 1]"),
+        ("[component.world]", "[domain.lidar]\nrows = 4\n[component.world]", "a list of values"),
+        ("[component.world]", "[domain]\nrows = [4]\n[component.world]", "tables of lists"),
+        ("[component.world]", "[domain.flight]\nx = [4]\n[component.world]", "x"),
+        (
+            "[component.world]",
+            f"[domain.flight]\nviewpoints = {list(range(1, 20_000))}\n[component.world]",
+            "combinations",
+        ),
         ("[component.world]", "[component.lidar]\nrows = 4\n[component.world]", "lidar.rows"),
     ],
 )
@@ -147,3 +156,41 @@ def test_a_bad_mixture_ends_in_one_line(tmp_path: Path, old: str, new: str, told
         plan_generation(recipe=tmp_path / "r.toml", out=tmp_path / "d", **COUNTS)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+DOMAIN = """
+[domain.lidar]
+rows = [2, 3]
+[domain.mapping]
+scans = [1, 2]
+[domain.noise]
+stages = ["", "dropout:0.5"]
+"""
+
+
+def test_a_domain_draws_with_every_combination_of_what_it_lists(tmp_path: Path) -> None:
+    (tmp_path / "r.toml").write_text(RECIPE.replace("[[component]]", DOMAIN + "[[component]]", 1))
+    components = read_components(tmp_path / "r.toml")
+    assert len(components) == 3 * 8
+    assert [sum(weight for _, weight in components[n : n + 8]) for n in (0, 8, 16)] == [3, 1, 1]
+    stream = scenegen.stream(str(tmp_path / "r.toml"), samples=80)
+    shapes, dropped = set(), {True: 0, False: 0}
+    for n in range(len(stream)):
+        lidar, mapping, noise = stream.settings[stream.part(n)[0]]
+        sample = stream[n]
+        assert sample.lidar == lidar
+        assert sample.ranges.shape == lidar.shape
+        assert (sample.earlier_ranges is not None) == (mapping.scans == 2)
+        shapes.add((lidar.rows, mapping.scans, noise))
+        dropped[bool(noise)] += np.isfinite(sample.ranges).sum() / sample.ranges.size
+    assert len(shapes) == 8
+    assert dropped[True] < 0.8 * dropped[False]
+
+
+def test_a_domain_of_one_kind_needs_no_component(tmp_path: Path) -> None:
+    text = 'kind = "pillar"\n[domain.flight]\naltitude_m = [[0.5, 1.0], [2.0, 4.0]]\n'
+    (tmp_path / "r.toml").write_text(text)
+    dataset = scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "d", n=20, val=0, test=0)
+    heights = [sample.position[2] for sample in dataset.split("train")]
+    assert sum(height <= 1.0 for height in heights) == 10
+    assert sum(2.0 <= height <= 4.0 for height in heights) == 10
