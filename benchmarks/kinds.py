@@ -66,12 +66,15 @@ def main() -> None:
         )
     print(
         "\n| kind | clearance · visibility, m | dispersion · passage, m | tortuosity · "
-        "traversability |\n|---|---|---|---|"
+        "traversability · gap | obstruction · occlusion · turning |\n|---|---|---|---|---|"
     )
     for kind, row in found.items():
-        one, two, three, four, five, six = (row[name] for name in Difficulty._fields)
-        cells = f"{one:.2f} · {two:.2f} | {three:.2f} · {four:.2f} | {five:.3f} · {six:.2f}"
-        print(f"| `{kind}` | {cells} |")
+        cells = (
+            "{clearance_m:.2f} · {visibility_m:.2f} | {dispersion:.2f} · {passage_m:.2f} | "
+            "{tortuosity:.3f} · {traversability:.2f} · {gap:.2f} | "
+            "{obstruction:.2f} · {occlusion:.2f} · {turning:.3f}"
+        )
+        print(f"| `{kind}` | {cells.format(**row)} |")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ class Maze(WorldKind):
     wall between joined cells is left out, or has a window or a slit; shelves stand out of some of
     the others. Narrow passages by design: windows are 2 to 4 times as wide as the robot."""
 
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     graded: ClassVar[dict[str, dict[str, object]]] = {
         "easy": {
             "cell_m": (5.5, 7.5),
@@ -32,9 +32,9 @@ class Maze(WorldKind):
         },
         "hard": {
             "cell_m": (3.8, 4.8),
-            "window_m": (1.2, 2.0),
+            "window_m": (1.5, 2.1),
             "open_share": 0.2,
-            "loop_share": 0.3,
+            "loop_share": 0.4,
             "shelf_share": 0.4,
         },
     }

@@ -21,7 +21,7 @@ class Rooms(WorldKind):
     a door. Measures are those that building codes and furniture makers use (doors .9 m wide and
     2.0 m high, tables .72 to .78 m, seats .45 m, steps of .17 m)."""
 
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     graded: ClassVar[dict[str, dict[str, object]]] = {
         "easy": {
             "room_m": (5.0, 14.0),
@@ -32,8 +32,9 @@ class Rooms(WorldKind):
         "hard": {
             "room_m": (3.0, 6.5),
             "door_width_m": (0.8, 1.0),
-            "open_share": 0.05,
-            "furniture_density": (0.15, 0.35),
+            "open_share": 0.1,
+            "loop_share": 0.5,
+            "furniture_density": (0.12, 0.28),
         },
     }
     crowded_by: ClassVar[tuple[str, ...]] = ("furniture_density",)

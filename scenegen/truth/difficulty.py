@@ -2,8 +2,9 @@
 
 The five figures of BARN (Perille et al. 2020, arXiv 2008.13315), which are planar there, in three
 dimensions and around the map's middle, where the sensor is unless a recipe puts the map elsewhere;
-and the traversability of AvoidBench (Yu et al. 2023, arXiv 2301.07430). All are exact for the
-voxels: nothing is sampled at random.
+the traversability and the relative gap size of AvoidBench (Yu et al. 2023, arXiv 2301.07430); and
+FlightBench's three (`scenegen.truth.guides`). All are exact for the voxels: nothing is sampled at
+random.
 """
 
 import heapq
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.jit import kernel
+from scenegen.truth.guides import hardness
 
 STEP_M = 0.6
 """The lattice on which ways are looked for: the paper's planner's."""
@@ -49,6 +51,15 @@ class Difficulty(NamedTuple):
     traversability: float
     """Mean over the free nodes and the eight level directions of the way to an occupied voxel or
     the map's edge, in diameters of the robot."""
+    gap: float
+    """Mean over the free nodes of the shortest way from obstacle to obstacle through the node, of
+    those along the four level axes, in diameters of the robot; map edges count as obstacles."""
+    obstruction: float
+    """See `scenegen.truth.guides.Hardness`."""
+    occlusion: float
+    """See there."""
+    turning: float
+    """See there."""
 
 
 def difficulty(
@@ -63,20 +74,44 @@ def difficulty(
     """
     middle = tuple(edge // 2 for edge in occupancy.shape)
     if occupancy[middle]:
-        return Difficulty(0.0, *[math.nan] * 5)
+        return Difficulty(0.0, *[math.nan] * 9)
     ways, blocked = _look(occupancy, np.array(middle), DIRECTIONS)
     lengths = voxel_m * ways * np.sqrt((DIRECTIONS**2).sum(axis=1))
     near, far = _neighbours()
     step = max(round(STEP_M / voxel_m), 1)
-    way = _mean_way(occupancy, np.array(middle), step, DIRECTIONS[DIRECTIONS[:, 2] == 0])
+    way, gap = _mean_ways(occupancy, np.array(middle), step, DIRECTIONS[DIRECTIONS[:, 2] == 0])
+    centre = np.array(middle)
+    length, _ = _ways_out(occupancy, centre, step)
+    guides = _guides(*_ways_out(occupancy | (tudf < BODY_M / 2), centre, step))
+    paths = [centre + step * (nodes - centre // step) for nodes in guides]
     return Difficulty(
         clearance_m=float(tudf[middle]),
         visibility_m=float(lengths.mean()),
         dispersion=float((blocked[near] != blocked[far]).mean()),
         passage_m=float((lengths + lengths[::-1]).min()),
-        tortuosity=float(_tortuosity(occupancy, np.array(middle), step)),
+        tortuosity=float(_tortuosity(length, np.array(middle) // step)),
         traversability=float(way) * voxel_m / BODY_M,
+        gap=float(gap) * voxel_m / BODY_M,
+        **hardness(paths, occupancy, tudf, voxel_m)._asdict(),
     )
+
+
+def _guides(length: NDArray[np.float64], before: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Nodes (n, 3) from the start to the nearest node of each lateral face that can be reached."""
+    found = []
+    for axis, side in itertools.product((0, 1), (0, -1)):
+        face = length.take(side, axis)
+        if not np.isfinite(face).any():
+            continue
+        end = list(np.unravel_index(int(face.argmin()), face.shape))
+        end.insert(axis, side % length.shape[axis])
+        node = int(np.ravel_multi_index(tuple(end), length.shape))
+        nodes = [node]
+        while (node := int(before.flat[node])) >= 0:
+            nodes.append(node)
+        if len(nodes) > 1:
+            found.append(np.stack(np.unravel_index(nodes[::-1], length.shape), axis=1))
+    return found
 
 
 def _neighbours() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -112,30 +147,34 @@ def _look(occupancy, middle, directions):
 
 
 @kernel
-def _mean_way(occupancy, middle, step, directions):
-    """The mean way, in voxels, from the free nodes of the middle's lattice."""
+def _mean_ways(occupancy, middle, step, directions):
+    """Means over the free nodes of the middle's lattice, in voxels: of the way in a direction, and
+    of the shortest way there and back. The n-th direction and the n-th last are opposite."""
     nx, ny, nz = occupancy.shape
-    total, count = 0.0, 0
+    total, gaps, count = 0.0, 0.0, 0
+    ways = np.empty(len(directions))
     for x in range(middle[0] % step, nx, step):
         for y in range(middle[1] % step, ny, step):
             for z in range(middle[2] % step, nz, step):
                 if not occupancy[x, y, z]:
                     for n in range(len(directions)):
                         dx, dy, dz = directions[n]
-                        ways = _way(occupancy, x, y, z, dx, dy, dz)[0]
-                        total += ways * math.sqrt(dx * dx + dy * dy + dz * dz)
-                        count += 1
-    return total / count if count else np.nan
+                        steps = _way(occupancy, x, y, z, dx, dy, dz)[0]
+                        ways[n] = steps * math.sqrt(dx * dx + dy * dy + dz * dz)
+                    total += ways.mean()
+                    gaps += (ways + ways[::-1]).min()
+                    count += 1
+    return (total / count, gaps / count) if count else (np.nan, np.nan)
 
 
 @kernel
-def _tortuosity(occupancy, middle, step):
-    """The mean over reached nodes of the lateral faces of the shortest way over that in an empty
-    map (Dijkstra 1959)."""
+def _ways_out(occupancy, middle, step):
+    """The length of the shortest way from the middle to every node of its lattice (Dijkstra 1959),
+    in steps, and the node before it on the way; infinite and -1 where there is none."""
     first = middle % step
     counts = (np.array(occupancy.shape) - 1 - first) // step + 1
     na, nb, nc = counts
-    length = np.full((na, nb, nc), np.inf)
+    length, before = np.full((na, nb, nc), np.inf), np.full((na, nb, nc), -1)
     start = middle // step
     length[start[0], start[1], start[2]] = 0.0
     heap = [(0.0, start[0], start[1], start[2])]
@@ -152,8 +191,16 @@ def _tortuosity(occupancy, middle, step):
                         first[0] + step * i, first[1] + step * j, first[2] + step * k
                     ]
                     if free and there < length[i, j, k] - 1e-9:
-                        length[i, j, k] = there
+                        length[i, j, k], before[i, j, k] = there, (a * nb + b) * nc + c
                         heapq.heappush(heap, (there, i, j, k))
+    return length, before
+
+
+@kernel
+def _tortuosity(length, start):
+    """The mean over reached nodes of the lateral faces of the shortest way over that in an empty
+    map."""
+    na, nb, nc = length.shape
     total, count = 0.0, 0
     for a in range(na):
         for b in range(nb):
