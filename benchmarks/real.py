@@ -1,146 +1,166 @@
-"""How completions of real places compare with those of drawn worlds, by one measure.
+"""How completions of real places compare with those of drawn worlds.
 
-    python benchmarks/real.py campus.bt:15 geb079.bt:5 forest0.bt:3     # docs/results/real.md
+    python benchmarks/real.py MAPS                          # docs/results/real.md
+    python benchmarks/real.py MAPS --network runs/mine --data /tmp/real
 
-A file is an OctoMap; the number behind it says how many metres apart poses are at least. The
-paper's sensor is put into free space, .8 to 2.8 m above something, .6 m from all that is occupied.
-A pose is kept where a quarter of the rays return and fewer than 35 % cross more than .6 m of
-unknown space. Scores are over known voxels alone. Drawn worlds are made maps of .2 m first, all of
-it known, and are seen from their own flights.
+MAPS is a folder with the maps of `PLACES`, which says where each comes from; one that is missing is
+left out, one with other bytes is refused. The paper's sensor looks from free space along flights of
+its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand beside them.
 """
 
-from collections.abc import Iterator
+import dataclasses
+import hashlib
+import sys
+import tempfile
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import measuring
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Pose, cast, voxelize
-from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
-from lidarsim.pose import rotate
-from scenegen.draw import draw_unit
-from scenegen.model.completion.completer import Completer
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
 from scenegen.model.completion.unlearned import Extrude
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.evaluation.methods import Completed, Method, Truth
+from scenegen.model.evaluation.pretrained import Pretrained
+from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.evaluation.visibility import scored_voxels
 from scenegen.recipe import preset
-from scenegen.source import DrawnWorlds
-from scenegen.truth import rasterize
-from scenegen.truth.voxels import resample
-from scenegen.worlds.octomap import read_octomap
-from scenegen.worlds.world import solid
+from scenegen.source import DrawnWorlds, Source, read_scenes
 
 PAGE = Path(__file__).parents[1] / "docs" / "results" / "real.md"
 NETWORKS = ("columns", "proposed", "occ")
 KINDS = ("pillar", "geometric")
 THRESHOLDS = np.arange(1, 20) / 20
-BELOW_M, AWAY_M, UNKNOWN_M = (0.8, 2.8), 0.6, 0.6
-RETURNED, THROUGH_UNKNOWN = 0.25, 0.35
-TRIES = 200_000
-"""Free voxels that are tried, at most."""
+
+
+class Place(NamedTuple):
+    """A map of a place, by the name of its file."""
+
+    sha256: str
+    source: str
+
+
+FOREST = "`ethz-asl/forest_gen`, BSD"
+PLACES = {
+    "geb079.bt": Place(
+        "7663c2466e2fe335a27d1d592f91766c8154511e63a9615aeecdad1defb04d3b",
+        "`octomap/share/data` of OctoMap, or Debian's `liboctomap-dev`, New BSD",
+    ),
+    "fr_campus.bt": Place(
+        "7a23e0ac87d65690dae95611c9bedd8156611e266f36a69972a619c37b80c589",
+        "the OctoMap data sets of the University of Freiburg, CC BY 3.0",
+    ),
+    "forest_big.bt": Place(
+        "ea7fdbcfe807f24c64b282b3e2b53b01fb4055c72083865ef255d75899d3d3e2", FOREST
+    ),
+}
 
 
 def main() -> None:
-    """Score every place, and write the table."""
+    """Score every place, and write the tables."""
     parser = measuring.options(__doc__)
-    parser.add_argument("maps", nargs="*", help="an OctoMap and metres between poses: campus.bt:15")
-    parser.add_argument("--poses", type=int, default=24, help="of each map, at most")
-    parser.add_argument("--worlds", type=int, default=24, help="of each drawn kind, a pose each")
+    parser.add_argument("maps", type=Path, nargs="?", help="folder of the maps")
+    parser.add_argument("--poses", type=int, default=48, help="of each place, at most")
+    parser.add_argument("--trials", type=int, default=400, help="planning trials of each place")
     parser.add_argument("--network", action="append", help="a bundled one's name, or a run")
+    parser.add_argument("--data", type=Path, help="folder for the datasets")
     parser.add_argument("--page", type=Path, default=PAGE)
-    given = measuring.parse(parser, poses=2, worlds=2, network=["columns"])
-    methods = {"extrude": Extrude()} | {
-        Path(name).name: Completer.from_pretrained(name) for name in given.network or NETWORKS
-    }
-    places = {kind: drawn(kind, given.worlds) for kind in KINDS[: 1 if given.smoke else None]}
-    for words in given.maps:
-        name, _, apart = words.rpartition(":")
-        rng = np.random.default_rng(0)
-        places[Path(name).stem] = views(read_octomap(Path(name)), float(apart), given.poses, rng)
-    rows = []
-    for place, found in places.items():
-        scores = measured(list(found), methods)
-        cells = [str(len(next(iter(scores.values()))))]
-        for name, values in scores.items():
-            best = int(values.mean(axis=0).argmax())
-            own = figure(values[:, best], range(len(values)))
-            at = "" if name == "extrude" else f" at {THRESHOLDS[best]:g}"
-            cells.append(f"{own['mean']:.2f} {interval(own, '.2f')}{at}")
-        rows.append(line(f"`{place}`", cells))
-        print(f"{place}: " + ", ".join(f"{n} {c}" for n, c in zip(scores, cells[1:], strict=True)))
-    said = given.page.read_text().partition("<!-- table -->")[0] if given.page.exists() else ""
+    given = measuring.parse(parser, poses=2, trials=4, network=["columns"])
+    with tempfile.TemporaryDirectory() as spare:
+        folder = given.data or Path(spare)
+        places = {f"`{kind}`": drawn(kind, folder / kind, given.poses) for kind in KINDS}
+        for name, place in PLACES.items() if given.maps else ():
+            file = next(given.maps.rglob(name), None)
+            if file is None:
+                print(f"{name}: is not there; it comes from {place.source}", file=sys.stderr)
+            elif hashlib.sha256(file.read_bytes()).hexdigest() != place.sha256:
+                sys.exit(f"{file}: is another map than was measured; it comes from {place.source}")
+            else:
+                places[file.stem] = real(file, folder / file.stem, given.poses)
+        networks = [Pretrained(name) for name in given.network or NETWORKS]
+        tables = scored(places, [Completed(Extrude()), *networks], given.trials)
+    print("\n".join(tables))
     if not given.smoke:
-        table = "\n".join([*head(("poses", *methods)), *rows])
-        given.page.write_text(f"{said}<!-- table -->\n\n{table}\n")
+        said = given.page.read_text().partition("<!-- tables -->")[0]
+        given.page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables) + "\n")
 
 
-def drawn(kind: str, worlds: int) -> Iterator[tuple[VoxelMap, Pose]]:
-    """A pose in each of some worlds of a kind, as a map."""
-    recipe = preset(kind)
-    for number in range(worlds):
-        unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="test", unit=number)
-        (sample, *_), half = unit.samples, recipe.grid.extent_m / 2
-        low = np.floor((sample.position - half) / recipe.grid.voxel_m - 1) * recipe.grid.voxel_m
-        nx, ny, nz = recipe.grid.shape
-        around = GridSpec(shape=(nx + 3, ny + 3, nz + 3), voxel_m=recipe.grid.voxel_m)
-        filled = rasterize(solid(unit.world, "drawn").solids, around, low)
-        states = np.where(filled, OCCUPIED, FREE).astype(np.uint8)
-        yield VoxelMap(states, around.voxel_m, low), Pose(sample.position, sample.quaternion)
+def drawn(kind: str, folder: Path, poses: int) -> Dataset:
+    """Test maps of a kind of worlds, one a flight."""
+    return made(folder, preset(kind), DrawnWorlds(preset(kind)), "test", poses)
 
 
-def views(
-    voxels: VoxelMap, apart_m: float, most: int, rng: np.random.Generator
-) -> Iterator[tuple[VoxelMap, Pose]]:
-    """Poses from which a sensor sees enough of what is known."""
-    lidar, engine, kept = preset("pillar").lidar, VoxelEngine(voxels), list[NDArray[np.float64]]()
-    free = np.flatnonzero(voxels.states == FREE)
-    for at in rng.permutation(free)[:TRIES] if len(free) else ():
-        cell = np.array(np.unravel_index(at, voxels.states.shape))
-        position = voxels.origin + (cell + 0.5) * voxels.voxel_m
-        if any(((position - other) ** 2).sum() < apart_m**2 for other in kept):
+def real(file: Path, folder: Path, poses: int) -> Dataset:
+    """Maps of a place, one a flight."""
+    counts = {"train": poses, "val": 0, "test": 0}
+    return made(folder, preset("scene"), read_scenes(file, counts, seed=0), "train", poses)
+
+
+def made(folder: Path, recipe: Any, source: Source, split: str, poses: int) -> Dataset:
+    """A dataset in `folder` with so many samples in a split, each of a flight of its own."""
+    recipe = dataclasses.replace(recipe, flight=dataclasses.replace(recipe.flight, viewpoints=1))
+    recipe = source.suited(recipe) if hasattr(source, "suited") else recipe
+    counts = {"train": 0, "val": 0, "test": 0} | {split: poses}
+    build(plan_dataset(folder, recipe, source, seed=0, counts=counts))
+    return Dataset(folder)
+
+
+def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> list[str]:
+    """The lines of the tables."""
+    splits = {name: "test" if len(one.split("test")) else "train" for name, one in places.items()}
+    curves = {
+        name: {one.name: curve(one, dataset, splits[name]) for one in methods}
+        for name, dataset in places.items()
+    }
+    away = [name for name in places if not name.startswith("`")] or list(places)
+    best = {
+        one.name: int(np.mean([curves[name][one.name].mean(axis=0) for name in away], 0).argmax())
+        for one in methods
+    }
+    titles = [f"{one.name} at {THRESHOLDS[best[one.name]]:g}" for one in methods]
+    lines = ["", "## IoU", "", *head(("maps", *titles))]
+    for name, found in curves.items():
+        cells = [str(len(next(iter(found.values()))))]
+        for method, values in found.items():
+            own = figure(values[:, best[method]], range(len(values)))
+            cells.append(f"{own['mean']:.2f} {interval(own, '.2f')}")
+        lines.append(line(name, cells))
+    means = [
+        np.mean([curves[name][one.name][:, best[one.name]].mean() for name in away])
+        for one in methods
+    ]
+    lines.append(line("mean of the places", ["", *(f"{mean:.3f}" for mean in means)]))
+    lines += ["", "## Success of planning, edges checked", "", *head(("trials", *titles, "truth"))]
+    for name, dataset in places.items():
+        config = BenchConfig(split=splits[name], trials=trials, plan=PlanConfig(edge_check=True))  # type: ignore[arg-type]
+        result = bench(dataset, [*methods, Truth()], config)
+        cells = [str(len(result.trial_worlds))]
+        for measured in result.methods.values():
+            success = [one.success for one in measured.trials]
+            own = figure(success, result.trial_worlds, "outcome")
+            cells.append(f"{own['mean']:.2f} {interval(own, '.2f')}")
+        lines.append(line(name, cells))
+    return lines
+
+
+def curve(method: Method, dataset: Dataset, split: str) -> NDArray[np.float64]:
+    """IoU over the voxels that are scored, (maps, thresholds)."""
+    found, samples = [], dataset.split(split)
+    for n, sample in enumerate(samples):
+        scored_here = scored_voxels(sample, dataset.grid, samples.home(n).tables)
+        truth = sample.occupancy[scored_here]
+        said = method.completion(sample, samples).occupancy_probability
+        if said is None:  # distances alone
+            found.append(np.full(len(THRESHOLDS), np.nan))
             continue
-        if len(kept) == most:
-            return
-        if not stands(voxels, cell):
-            continue
-        pose = Pose.level(position, rng.uniform(-np.pi, np.pi))
-        rays = rotate(pose.quaternion, lidar.directions_body)[None]
-        ranges, unknown_m = engine.cross(position[None], rays, lidar.max_range_m)
-        if np.isfinite(ranges).mean() < RETURNED:
-            continue
-        if (unknown_m > UNKNOWN_M).mean() < THROUGH_UNKNOWN:
-            kept.append(position)
-            yield voxels, pose
-
-
-def stands(voxels: VoxelMap, cell: NDArray[np.int64]) -> bool:
-    """Whether a voxel has something below it, and nothing too near."""
-    x, y, z = cell.tolist()
-    low, high = (round(metres / voxels.voxel_m) for metres in BELOW_M)
-    if not (voxels.states[x, y, max(z - high, 0) : max(z - low, 0)] == OCCUPIED).any():
-        return False
-    away = int(np.ceil(AWAY_M / voxels.voxel_m))
-    near = tuple(slice(max(at - away, 0), at + away + 1) for at in (x, y, z))
-    return not (voxels.states[near] == OCCUPIED).any()
-
-
-def measured(
-    places: list[tuple[VoxelMap, Pose]], methods: dict[str, Extrude | Completer]
-) -> dict[str, NDArray[np.float64]]:
-    """IoU over known voxels, (poses, thresholds), of every method."""
-    grid, lidar = preset("pillar").grid, preset("pillar").lidar
-    scores: dict[str, list[NDArray[np.float64]]] = {name: [] for name in methods}
-    for voxels, pose in places:
-        scan = cast(VoxelEngine(voxels), lidar, pose)
-        seen = voxelize(scan, grid)
-        truth, known = resample(voxels, grid, seen.origin)
-        for name, method in methods.items():
-            found = method.complete(seen.observed, seen.free, grid=grid)
-            said = np.asarray(found.occupancy_probability)[known]
-            occupied = said >= THRESHOLDS[:, None]
-            both, either = occupied & truth[known], occupied | truth[known]
-            scores[name].append(both.sum(axis=1) / either.sum(axis=1))
-    return {name: np.array(values) for name, values in scores.items()}
+        occupied = said[scored_here] >= THRESHOLDS[:, None]
+        both, either = (occupied & truth).sum(axis=1), (occupied | truth).sum(axis=1)
+        found.append(both / np.maximum(either, 1))
+    return np.array(found)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,9 @@ THRESHOLD = Thresholds().probability
 
 Loss = Callable[[Output, Mapping[str, Tensor]], dict[str, Tensor]]
 """From what a network says of a batch, and the batch itself (its inputs, and the true ``occupancy``
-and ``tudf``), to scalars: what is minimised, as ``loss``, and its terms by name."""
+and ``tudf``), to scalars: what is minimised, as ``loss``, and its terms by name. A batch with maps
+of real places has ``known``, too, the voxels whose occupancy counts, and ``certain``, those whose
+distance does."""
 
 
 def at_least_one(count: Tensor) -> Tensor:
@@ -65,43 +67,70 @@ class Coupled:
     def __call__(self, output: Output, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Scalars; see `Loss`."""
         config, occupancy, tudf, parts = self.config, batch["occupancy"], batch["tudf"], {}
+        known, certain = batch.get("known"), batch.get("certain")
         total = torch.zeros((), device=occupancy.device)
         if output.logits is not None:
             weight = config.occupied_weight
-            parts["occupancy"] = occupancy_loss(output.logits, occupancy, occupied_weight=weight)
+            parts["occupancy"] = occupancy_loss(
+                output.logits, occupancy, known, occupied_weight=weight, divisor=self.divisor
+            )
             occupancy_total = parts["occupancy"]
             if config.lovasz:
-                parts["lovasz"] = lovasz_loss(output.logits, occupancy)
+                parts["lovasz"] = lovasz_loss(output.logits, occupancy, known)
                 occupancy_total = occupancy_total + config.lovasz * parts["lovasz"]
             total = total + config.occupancy * occupancy_total
         if output.tudf is not None:
             near = {name: getattr(config, name) for name in ("near_m", "near_weight", "beta_m")}
-            parts["regression"] = regression_loss(output.tudf, tudf, **near)
+            parts["regression"] = regression_loss(
+                output.tudf, tudf, certain, **near, divisor=self.divisor
+            )
             space = {"voxel_m": self.grid.voxel_m, "truncation_m": self.grid.truncation_m}
-            parts["eikonal"] = eikonal_loss(output.tudf, tudf, **space, divisor=self.divisor)
+            parts["eikonal"] = eikonal_loss(
+                output.tudf, tudf, certain, **space, divisor=self.divisor
+            )
             total = total + config.tudf * (parts["regression"] + config.eikonal * parts["eikonal"])
         return {"loss": total, **parts}
 
 
-def occupancy_loss(logits: Tensor, occupancy: Tensor, *, occupied_weight: float) -> Tensor:
-    """Eq. 8: binary cross-entropy over all voxels, occupied ones weighted; `occupancy` is bool.
+def _mean(loss: Tensor, over: Tensor | None, divisor: Callable[[Tensor], Tensor]) -> Tensor:
+    """The mean over all voxels, or `over` those that count; 0 over none."""
+    if over is None:
+        return loss.mean()
+    return torch.where(over, loss, 0).sum() / divisor(over.sum())
+
+
+def occupancy_loss(
+    logits: Tensor,
+    occupancy: Tensor,
+    known: Tensor | None = None,
+    *,
+    occupied_weight: float,
+    divisor: Callable[[Tensor], Tensor] = at_least_one,
+) -> Tensor:
+    """Eq. 8: binary cross-entropy over all voxels, or the `known` ones, occupied ones weighted;
+    `occupancy` is bool.
 
     -[w o log p + (1 - o) log(1 - p)] with log p = -softplus(-logit): no probability is ever rounded
     to 0 or 1.
     """
     logits = logits.float()
     loss = F.softplus(torch.where(occupancy, -logits, logits))
-    return torch.where(occupancy, occupied_weight * loss, loss).mean()
+    return _mean(torch.where(occupancy, occupied_weight * loss, loss), known, divisor)
 
 
-def lovasz_loss(logits: Tensor, occupancy: Tensor) -> Tensor:
-    """The Lovász hinge of every map's IoU (Berman, Triki and Blaschko 2018), in the mean.
+def lovasz_loss(logits: Tensor, occupancy: Tensor, known: Tensor | None = None) -> Tensor:
+    """The Lovász hinge of every map's IoU (Berman, Triki and Blaschko 2018), over all its voxels or
+    the `known` ones, in the mean.
 
     Logits are counted from that of the probability above which the paper's protocol holds a voxel
     occupied. A voxel whose logit is less than 1 on the right side has an error; each counts by what
     it takes from the IoU, 1 at first, once all voxels of larger errors are wrong.
     """
-    margins = (logits.float() - math.log(THRESHOLD / (1 - THRESHOLD))).flatten(1)
+    margins = logits.float() - math.log(THRESHOLD / (1 - THRESHOLD))
+    if known is not None:  # what is not known is free, and has no error
+        margins = torch.where(known, margins, -torch.inf)
+        occupancy = occupancy & known
+    margins = margins.flatten(1)
     return torch.stack(
         [_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]
     ).mean()
@@ -122,16 +151,25 @@ def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
 
 
 def regression_loss(
-    predicted: Tensor, tudf: Tensor, *, near_m: float, near_weight: float, beta_m: float
+    predicted: Tensor,
+    tudf: Tensor,
+    certain: Tensor | None = None,
+    *,
+    near_m: float,
+    near_weight: float,
+    beta_m: float,
+    divisor: Callable[[Tensor], Tensor] = at_least_one,
 ) -> Tensor:
-    """Eq. 9: Smooth-L1 over all voxels, those within `near_m` of a surface weighted; metres."""
+    """Eq. 9: Smooth-L1 over all voxels, or those whose distance is `certain`, those within `near_m`
+    of a surface weighted; metres."""
     loss = F.smooth_l1_loss(predicted.float(), tudf, beta=beta_m, reduction="none")
-    return torch.where(tudf <= near_m, near_weight * loss, loss).mean()
+    return _mean(torch.where(tudf <= near_m, near_weight * loss, loss), certain, divisor)
 
 
 def eikonal_loss(
     predicted: Tensor,
     tudf: Tensor,
+    certain: Tensor | None = None,
     *,
     voxel_m: float,
     truncation_m: float,
@@ -152,5 +190,6 @@ def eikonal_loss(
     squares = squares + (d[:, :-1, :-1, 1:] - here).square()
     slope = (squares / voxel_m**2 + ROOT_EPSILON).sqrt()
     mask = (tudf > 0) & (tudf < truncation_m)
+    mask = mask if certain is None else mask & certain
     mask = mask[:, :-1, :-1, :-1]
     return torch.where(mask, (slope - 1).abs(), 0).sum() / divisor(mask.sum())

@@ -181,17 +181,21 @@ def measure_whole(
     true_occupancy: NDArray[np.bool_],
     true_distance: NDArray[np.float32],
     grid: GridSpec,
+    known: NDArray[np.bool_] | None = None,
+    certain: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
-    """The metrics of one map over all its voxels, (len(METRICS),), at the paper's thresholds."""
+    """The metrics of one map over all its voxels, or the `known` ones, and over all distances or
+    the `certain` ones, (len(METRICS),), at the paper's thresholds."""
     at = Thresholds()
     return measure(
         said.occupied(at),
         said.distance(at, grid),
         true_occupancy,
         true_distance,
-        classes=np.zeros(grid.shape, np.uint8),
+        classes=np.zeros(grid.shape, np.uint8) if known is None else (~known).astype(np.uint8),
         class_count=1,
         config=ReconstructionConfig(),
+        certain=certain,
     )[0]
 
 

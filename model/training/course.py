@@ -41,7 +41,7 @@ def validate(
     sums, counts, largest = defaultdict[str, float](float), Counter[str](), 0.0
     for read in load(maps, batches[group.rank :: group.size], workers=workers, pinned=False):
         true, there = read["occupancy"], {name: values.to(device) for name, values in read.items()}
-        tudf = there["tudf"] = tudf_of(there["occupancy"])
+        tudf_of.complete(there)
         with autocast(device, precision):
             output = Output(*network(there))
         for name, value in loss_in(output, there).items():
@@ -52,11 +52,15 @@ def validate(
         )
         distance = None if output.tudf is None else output.tudf.float().cpu().numpy()
         largest = max(largest, 0.0 if probability is None else float(probability.max()))
-        for n, true_distance in enumerate(tudf.cpu().numpy()):
+        sure = [
+            there[name].cpu().numpy() if name in there else None for name in ("known", "certain")
+        ]
+        for n, true_distance in enumerate(there["tudf"].cpu().numpy()):
             said = Prediction(
                 *(None if part is None else part[n] for part in (probability, distance))
             )
-            measured = measure_whole(said, true[n].numpy(), true_distance, grid)
+            known, certain = (None if part is None else part[n] for part in sure)
+            measured = measure_whole(said, true[n].numpy(), true_distance, grid, known, certain)
             for name, value in zip(METRICS, measured.tolist(), strict=True):
                 if math.isfinite(value):  # a map without such voxels says nothing of them
                     sums[name] += value

@@ -35,7 +35,8 @@ SAME_RAY = 1e-6
 """How far two rays of one direction may be apart, as unit vectors: what rounding takes."""
 
 Batch = dict[str, Tensor]
-"""A named batch: the network's inputs and the true ``occupancy``, (B, *grid.shape) each."""
+"""A named batch: the network's inputs and the true ``occupancy``, (B, *grid.shape) each; where maps
+of real places are among them, what is ``known``."""
 
 
 class LoaderError(DatasetError):
@@ -136,6 +137,8 @@ class Maps(Dataset):
         self.sources, self.inputs = tuple(sources), tuple(inputs)
         self.grid = sources[0].grid
         self.settings = [one for source in sources for one in settings_of(source)]
+        self.partly_known = any(getattr(source, "known", None) is not None for source in sources)
+        """Whether some are of maps of real places; then all say what is ``known`` of them."""
         self.mirrored = all(is_mirrored(lidar) for lidar in {one for one, _, _ in self.settings})
         """Whether a map's mirror image is one, too, that the sensor could have seen."""
         self.starts = np.cumsum([0, *map(len, sources)])
@@ -163,6 +166,9 @@ class Maps(Dataset):
         seen = sample if view < SYMMETRIES else points_of(sample, source.grid, sensor) or sample
         maps = channels(self.inputs, seen, source.grid, sensor)
         maps["occupancy"] = sample.occupancy
+        if self.partly_known:
+            known = getattr(sample, "known", None)
+            maps["known"] = np.ones(source.grid.shape, np.bool_) if known is None else known
         turn = view % SYMMETRIES
         return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}
 
@@ -215,14 +221,8 @@ def settings_of(source: Samples) -> tuple[tuple[Sensor, Mapper, str], ...]:
 
 
 def check_alike(sources: Sequence[Samples]) -> None:
-    """Raise DatasetError unless all `sources` have one grid, and know all of their truth."""
+    """Raise DatasetError unless all `sources` have one grid."""
     first = sources[0]
-    for one in sources:
-        if getattr(one, "known", None) is not None:
-            raise DatasetError(
-                f"{one.name}: its samples are of maps of real places, which do not know all, and "
-                "losses count every voxel; train on drawn worlds"
-            )
     for other in sources[1:]:
         if other.grid != first.grid:
             raise DatasetError(
@@ -355,6 +355,13 @@ class TudfOf:
             fields = [distance_field(one, self.grid) for one in occupancy.numpy()]
             return torch.from_numpy(np.stack(fields))
         return self.by_minima(occupancy)
+
+    def complete(self, batch: Batch) -> None:
+        """Add the true ``tudf`` to a batch on its device, and which of it is ``certain`` where not
+        all is known: nothing unknown is nearer than what is known to be occupied."""
+        batch["tudf"] = self(batch["occupancy"])
+        if "known" in batch:
+            batch["certain"] = batch["tudf"] <= self(~batch["known"])
 
     def by_minima(self, occupancy: Tensor) -> Tensor:
         """The same on any device: squared distances in voxels, lowered along one axis after the

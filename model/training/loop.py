@@ -205,7 +205,7 @@ class Step:
 
     def _learn(self, batch: Batch) -> dict[str, float]:
         batch = {name: values.to(self.device, non_blocking=True) for name, values in batch.items()}
-        batch["tudf"] = self._tudf_of(batch["occupancy"])
+        self._tudf_of.complete(batch)
         self.optimizer.zero_grad(set_to_none=True)
         with autocast(self.device, self.precision):
             output = Output(*self._model(batch))
@@ -309,7 +309,7 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     if not (is_own(variant) or is_own(objective)):
         return
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
-    batch["tudf"] = TudfOf(maps.grid)(batch["occupancy"])
+    TudfOf(maps.grid).complete(batch)
     with torch.no_grad():
         output = network.eval()(batch)
         parts = output if isinstance(output, tuple) else (output,)

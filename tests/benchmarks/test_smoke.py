@@ -54,7 +54,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "mutants": ((), (r"N of 1 killed",)),
     "points": ((DATA,), (r"sample +iou N recall N", r"voxels alone +iou N recall N near_rmse N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
-    "real": ((), (r"pillar: extrude N .* columns N .* at N\n",)),
+    "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),
     "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
     "stream": ((), (r"generate --compact +N \(1\.00\) +N", r"cache read +N \(N\) +N")),
     "study": (("--draw", STUDY, "--out", "out"), (r"out/(c)laims\.png", r"out/(l)earning\.png")),

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+import torch.nn.functional as F  # noqa: N812 (its usual name)
 
 import scenegen
 from lidarsim import Lidar, Pose, cast
@@ -13,6 +15,11 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
 from scenegen.errors import SceneError
+from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.losses import Coupled
+from scenegen.model.network import Output
+from scenegen.model.training.data import Maps, TudfOf, load, opened
+from scenegen.model.training.loop import train
 from scenegen.verification import verify
 from scenegen.verification.rays import MapAuditor
 from scenegen.worlds.flight import Flight, fly
@@ -159,9 +166,34 @@ def test_bench_scores_what_is_known(
     assert report["reconstruction"]["scene"]["truth"]["iou"]["mean"] == 1.0
     assert report["reconstruction"]["scene"]["extrude"]["iou"]["mean"] < 1.0
     assert run(capsys, "bench", dataset, "--study", "-o", out)[0] == 1
-    code, _, error = run(capsys, "train", dataset, "-o", tmp_path / "run")
-    assert code
-    assert "do not know all" in error
+
+
+def test_networks_learn_from_what_is_known(dataset: Path, tmp_path: Path) -> None:
+    maps = Maps(opened([dataset], "train"), "train")
+    batch = next(load(maps, [[0, 1]], workers=0, pinned=False))
+    TudfOf(maps.grid).complete(batch)
+    known, certain = batch["known"], batch["certain"]
+    assert known.float().mean() < 0.9
+    assert (certain & known).any()
+    rng = torch.Generator().manual_seed(0)
+    said = [torch.randn(known.shape, generator=rng, requires_grad=True) for _ in range(2)]
+    terms = Coupled(LossConfig(lovasz=1.0), maps.grid)(Output(*said), batch)
+    terms["loss"].backward()
+    assert not said[0].grad[~known].any()
+    assert said[0].grad[known].all()
+    beside = F.max_pool3d(certain[:, None].float(), 3, 1, 1)[:, 0] > 0  # slopes see neighbours
+    assert not said[1].grad[~beside].any()
+    everything = {**batch, "known": torch.ones_like(known), "certain": torch.ones_like(known)}
+    plain = {name: batch[name] for name in ("observed", "occupancy", "tudf")}
+    both = [
+        Coupled(LossConfig(lovasz=1.0), maps.grid)(Output(*said), b) for b in (everything, plain)
+    ]
+    for name in both[0]:
+        torch.testing.assert_close(both[0][name], both[1][name])
+    config = TrainConfig(network=NetworkConfig(variant="occ", width=4), epochs=1, batch=2)
+    checks = opened([dataset], "val")
+    (row,) = train(opened([dataset], "train"), checks, config, tmp_path / "run", device="cpu")
+    assert 0 <= row["val_iou"] <= 1
 
 
 @pytest.mark.parametrize(
