@@ -198,6 +198,8 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
         i0, i1 = span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), origin[0], voxel_m, nx)
         j0, j1 = span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), origin[1], voxel_m, ny)
         k0, k1 = span(min(a[2], b[2], c[2]), max(a[2], b[2], c[2]), origin[2], voxel_m, nz)
+        if k0 >= k1:
+            continue
         slope_x, slope_y, upright = plane_slopes(a, b, c)
         reach = half * (abs(slope_x) + abs(slope_y)) + half
         for i in range(i0, i1):

@@ -161,6 +161,7 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
     if i_low >= i_high or j_low >= j_high or triangles[:, :, 2].max() < origin[2]:
         return
     winding = np.zeros((i_high - i_low, j_high - j_low, nz), np.int32)
+    first = np.full(winding.shape[:2], nz, np.int32)  # the lowest voxel of a column that changes
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
         i0 = _first_column(min(a[0], b[0], c[0]), origin[0], voxel_m)
@@ -179,10 +180,11 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
                     k = max(math.ceil((height - origin[2]) / voxel_m - 0.5), 0)
                     if k < nz:
                         winding[i - i_low, j - j_low, k] += sign
+                        first[i - i_low, j - j_low] = min(first[i - i_low, j - j_low], k)
     for i in range(i_low, i_high):
         for j in range(j_low, j_high):
             total = 0
-            for k in range(nz):
+            for k in range(first[i - i_low, j - j_low], nz):
                 total += winding[i - i_low, j - j_low, k]
                 if total != 0:
                     occupancy[i, j, k] = True
