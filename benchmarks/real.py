@@ -141,7 +141,8 @@ def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> li
         cells = [str(len(result.trial_worlds))]
         for measured in result.methods.values():
             success = [one.success for one in measured.trials]
-            own = figure(success, result.trial_worlds, "outcome")
+            # one flight a map, and one world a place: maps are what is drawn anew
+            own = figure(success, [map_ for map_, _ in result.trial_places], "outcome")
             cells.append(f"{own['mean']:.2f} {interval(own, '.2f')}")
         lines.append(line(name, cells))
     return lines
