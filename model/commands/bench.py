@@ -20,13 +20,14 @@ from scenegen.cli.options import (
     options_of,
     out_option,
     quiet_option,
+    taken,
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
 from scenegen.cli.types import Named
 from scenegen.errors import DatasetError, ScenegenError, needs
 from scenegen.model.commands.weights import Weights
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.run import LOCAL, executor
 
 if TYPE_CHECKING:
@@ -86,8 +87,14 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 )
 @options_of(
     BenchConfig,
-    study="Study planning and errors besides, with pictures: slower. See docs/bench.md.",
+    study="Study probabilities, bounds and risks besides: slower. See docs/bench.md.",
     seed="Decides the goals.",
+)
+@options_of(
+    PlanConfig,
+    edge_check="Let A* ask that the way between two nodes be free, too.",
+    field="What paths are refined on: predicted distances, or the transform of the occupancy.",
+    clearance_weight="λ_c, of clearance against smoothness.",
 )
 @workers_option
 @on_option
@@ -115,6 +122,7 @@ def bench(
         command=shlex.join(["scenegen", *sys.argv[1:]]),
         progress=lambda label: Progress(label, shown=talk),
         warn=note if talk else lambda line: None,
+        plan=PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)}),
         **options,
     )
     if as_json:
@@ -282,15 +290,11 @@ def network_row(weights: str) -> "Method":
 
 def show_tables(report: dict[str, Any]) -> None:
     """Both tables: means, at the paper's thresholds."""
-    from scenegen.model.evaluation.metrics import PLAN_METRICS
-    from scenegen.model.evaluation.report import reconstruction_table
+    from scenegen.model.evaluation.report import tables
     from scenegen.model.evaluation.statistics import caution, threshold
 
     for kind, about in report["datasets"].items():
-        for table, (names, rows) in (
-            ("reconstruction", reconstruction_table(report["reconstruction"][kind])),
-            ("planning", (PLAN_METRICS, report["planning"][kind])),
-        ):
+        for table, names, rows, _ in tables(report, kind):
             cells = {
                 method: [
                     f"{row[name]['mean']:.3f}{threshold(row[name])}" if row[name]["n"] else "–"

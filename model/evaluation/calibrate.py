@@ -30,8 +30,7 @@ from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
 from scenegen.model.evaluation.pretrained import Pretrained
-from scenegen.model.evaluation.run import check_middle, check_whole
-from scenegen.model.evaluation.tuning import spread
+from scenegen.model.evaluation.run import check_middle, check_whole, spread
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run.workers import run as run_workers
 from scenegen.sample import Sample

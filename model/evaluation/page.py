@@ -10,9 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scenegen.model.evaluation import paper
-from scenegen.model.evaluation.metrics import PLAN_METRICS, Metric
-from scenegen.model.evaluation.report import reconstruction_table
+from scenegen.model.evaluation.metrics import Metric
+from scenegen.model.evaluation.report import tables
 from scenegen.model.evaluation.shown import CAUSES
 from scenegen.model.evaluation.statistics import caution, interval, spread, threshold
 
@@ -75,23 +74,10 @@ def to_html(
             "paper's.</i></p>"
         )
         body.append(f"<p>{few}.</p>" if (few := caution(held["worlds"])) else "")
-        for title, name, (metrics, rows), reference in (
-            (
-                "Reconstruction",
-                "reconstruction",
-                reconstruction_table(report["reconstruction"][kind]),
-                paper.RECONSTRUCTION.get(kind, {}),
-            ),
-            (
-                "Planning",
-                "planning",
-                (PLAN_METRICS, report["planning"][kind]),
-                paper.PLANNING.get(kind, {}),
-            ),
-        ):
-            body.append(f"<h3>{title}</h3>{_table(rows, metrics, reference)}<div class='charts'>")
-            body += [_chart(rows, metrics[one], one, reference) for one in CHARTS[name]]
-            body.append("</div>")
+        for name, metrics, rows, reference in tables(report, kind):
+            body.append(f"<h3>{name.capitalize()}</h3>{_table(rows, metrics, reference)}")
+            charts = (_chart(rows, metrics[one], one, reference) for one in CHARTS[name])
+            body.append(f"<div class='charts'>{''.join(charts)}</div>")
         body.append(_failures(report["planning"][kind]))
         shown = (pictures or {}).get(kind, ())
         images = (

@@ -4,7 +4,7 @@ for people."""
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation import paper
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import (
     Scale,
@@ -27,7 +27,7 @@ from scenegen.model.evaluation.statistics import (
     spread,
     summarize,
 )
-from scenegen.model.evaluation.study.report import study_lines, study_of
+from scenegen.model.evaluation.study import study_lines, study_of
 from scenegen.model.evaluation.visibility import CLASSES, DESCRIPTORS
 
 BEST_IOU, UNITS = "best_iou", {"probability": "", "distance_m": " m"}
@@ -73,7 +73,10 @@ def build_report(
         }
         report["tests"][result.kind] = _tests(result, rng) if tests else []
         if result.config.study:
-            report.setdefault("study", {})[result.kind] = study_of(result)
+            report.setdefault("study", {})[result.kind] = {
+                name: study_of(found.studies, found.careful, result.worlds, result.trial_worlds)
+                for name, found in methods
+            }
     return finite(report)
 
 
@@ -104,26 +107,25 @@ def _reconstruction(found: MethodResult, result: DatasetResult) -> dict[str, Any
 
 
 def _planning(found: MethodResult, result: DatasetResult) -> dict[str, Any]:
-    metrics = PLAN_METRICS | PLAN_READINGS
-    columns = {name: _of_trials(metric, found) for name, metric in metrics.items()}
-    on_paths = [name for name, metric in metrics.items() if metric.needs == "path"]
-    succeeded = np.array([trial.success for trial in found.trials], dtype=bool)
+    on_paths = {name: one for name, one in PLAN_METRICS.items() if one.needs == "path"}
 
-    def figures(names: Sequence[str], chosen: np.ndarray) -> dict[str, Any]:
-        rows = {name: np.where(chosen, columns[name], np.nan) for name in names}
+    def figures(metrics: Mapping[str, Metric], chosen: Any) -> dict[str, Any]:
         return {
-            name: figure(values, result.trial_worlds, metrics[name].scale)
-            for name, values in rows.items()
+            name: figure(
+                np.where(chosen, _of_trials(metric, found), np.nan),
+                result.trial_worlds,
+                metric.scale,
+            )
+            for name, metric in metrics.items()
         }
 
-    learned = [other for other in result.methods.values() if other.learned] or list(
-        result.methods.values()
-    )
-    everywhere = np.all([[trial.success for trial in other.trials] for other in learned], axis=0)
+    rows = result.methods.values()
+    learned = [other for other in rows if other.learned] or rows
+    succeeded = [[trial.success for trial in other.trials] for other in (found, *learned)]
     return {
-        **figures(tuple(columns), np.ones(len(succeeded), dtype=bool)),
-        "successes": figures(on_paths, succeeded),
-        "all_succeed": figures(on_paths, everywhere),
+        **figures(PLAN_METRICS, True),
+        "successes": figures(on_paths, succeeded[0]),
+        "all_succeed": figures(on_paths, np.all(succeeded[1:], axis=0)),
         "failures": dict(Counter(trial.cause for trial in found.trials if trial.cause is not None)),
     }
 
@@ -160,10 +162,14 @@ def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, An
     ]
 
 
-def reconstruction_table(rows: Mapping[str, Any]) -> tuple[dict[str, Metric], dict[str, Any]]:
-    """What a table of reconstruction shows of the report's `rows`: the metrics and the rows, in
-    both of them IoU at the row's best threshold beside IoU. Where that is not the paper's, the
-    figure says where it lies: `at`."""
+def tables(
+    report: Mapping[str, Any], kind: str
+) -> Iterator[tuple[str, Mapping[str, Metric], Mapping[str, Any], Mapping[str, Any]]]:
+    """Both tables of a kind: their name in the report, metrics, rows, and the paper's rows.
+
+    Beside IoU stands IoU at the row's best threshold. Where that is not the paper's, the figure
+    says where it lies: `at`.
+    """
     metrics, usual = dict[str, Metric](), dataclasses.asdict(Thresholds())
     for name, metric in METRICS.items():
         metrics[name] = metric
@@ -171,13 +177,14 @@ def reconstruction_table(rows: Mapping[str, Any]) -> tuple[dict[str, Metric], di
             metrics[BEST_IOU] = dataclasses.replace(
                 metric, title="IoU at its best threshold", paper=False
             )
-    shown = {}
-    for method, row in rows.items():
+    rows = {}
+    for method, row in report["reconstruction"][kind].items():
         tuned = row["tuned"]
         places = ((tuned["thresholds"][name], unit, usual[name]) for name, unit in UNITS.items())
         at = "".join(f"{value:g}{unit}" for value, unit, papers in places if value != papers)
-        shown[method] = {**row, BEST_IOU: {**tuned["iou"], "at": at}}
-    return metrics, shown
+        rows[method] = {**row, BEST_IOU: {**tuned["iou"], "at": at}}
+    yield "reconstruction", metrics, rows, paper.RECONSTRUCTION.get(kind, {})
+    yield "planning", PLAN_METRICS, report["planning"][kind], paper.PLANNING.get(kind, {})
 
 
 def to_markdown(report: Mapping[str, Any]) -> str:
@@ -206,17 +213,10 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             *head(DESCRIPTORS),
             line("truth", map(cell, about["difficulty"].values())),
         ]
-        for title, (metrics, table), reference in (
-            (
-                "Reconstruction",
-                reconstruction_table(report["reconstruction"][kind]),
-                paper.RECONSTRUCTION,
-            ),
-            ("Planning", (PLAN_METRICS, report["planning"][kind]), paper.PLANNING),
-        ):
-            lines += ["", f"### {title}", "", *head(metrics)]
+        for title, metrics, table, reference in tables(report, kind):
+            lines += ["", f"### {title.capitalize()}", "", *head(metrics)]
             lines += [line(name, (cell(row[m]) for m in metrics)) for name, row in table.items()]
-            for name, row in reference.get(kind, {}).items():
+            for name, row in reference.items():
                 cells = (
                     f"*{spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items()
                 )

@@ -15,9 +15,8 @@ from scenegen.display.look import Guess, Guesses, Route, look_into
 from scenegen.errors import DatasetError
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
-from scenegen.model.evaluation.planning.astar import Lattice, plan_path
-from scenegen.model.evaluation.planning.measure import judge
-from scenegen.model.evaluation.planning.refine import refine
+from scenegen.model.evaluation.planning.astar import Lattice
+from scenegen.model.evaluation.planning.measure import judge, plan_refined
 from scenegen.model.evaluation.run import DatasetResult, trials_of
 from scenegen.sample import Sample
 
@@ -80,8 +79,7 @@ def route_to(
 ) -> Route:
     """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the
     truth; see `scenegen.model.evaluation.planning.measure.run_trial`."""
-    plan = plan_path(occupied, goal, grid, config)
-    refined = None if plan.waypoints is None else refine(plan.waypoints, tudf, grid, config)
+    plan, refined = plan_refined(occupied, tudf, goal, grid, config)
     measured = judge(plan, refined, sample.occupancy, sample.tudf, grid, config)
     lattice = Lattice(grid, config.step_voxels)
     told = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"

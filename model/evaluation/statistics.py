@@ -194,6 +194,11 @@ def cell(figure: Mapping[str, Any]) -> str:
     return f"{spread(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
 
 
+def brief(figure: Mapping[str, Any]) -> str:
+    """A mean and its interval; a dash where nothing was measured."""
+    return f"{figure['mean']:.3f} {interval(figure, '.3f')}" if figure["n"] else "–"
+
+
 def threshold(figure: Mapping[str, Any]) -> str:
     """At which threshold a figure stands, where that is its own."""
     return f" at {figure['at']}" if figure.get("at") else ""

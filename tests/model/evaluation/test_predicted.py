@@ -13,7 +13,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Predicted
-from scenegen.model.evaluation.tuning import tune
+from scenegen.model.evaluation.run import tune
 from tests.model.evaluation.test_bench import report_of, write_predictions
 
 
@@ -150,4 +150,4 @@ def test_predictions_of_one_split_say_nothing_of_another(dataset: Dataset, tmp_p
     predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
     with pytest.raises(KeyError):
         predicted.completion(dataset.split("val")[0], dataset.split("val"))
-    assert tune(predicted, dataset, most=4, thresholds=Thresholds()) == Thresholds()
+    assert tune(predicted, dataset, thresholds=Thresholds()) == Thresholds()

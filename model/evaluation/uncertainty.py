@@ -94,11 +94,15 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
             total = maps.sum(axis=0)
             if not total[:, 0].any():
                 continue
-            figures = {}
-            for name, of in SCORES.items():
-                score = estimate(maps.reshape(len(maps), -1), worlds, of)
-                low, high = score.ends
-                figures[name] = {"mean": score.value, "low": low, "high": high}
+            scores = {
+                name: estimate(maps.reshape(len(maps), -1), worlds, of)
+                for name, of in SCORES.items()
+            }
+            figures = {
+                name: {"mean": one.value, "low": one.ends[0], "high": one.ends[1]}
+                for name, one in scores.items()
+            }
+            ece = figures.pop("ece")
             bins = [
                 {
                     "from": b / BINS,
@@ -110,7 +114,6 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
                 for b, (voxels, p, o, *_) in enumerate(total.tolist())
                 if voxels
             ]
-            ece = figures.pop("ece")
             found.setdefault(region, {})[reading] = {
                 "ece": ece.pop("mean"),
                 **ece,
@@ -159,24 +162,19 @@ def judge_bounds(
 ) -> tuple[NDArray[np.float64], float]:
     """By risk, region and figure, (risks, PARTS, JUDGED), what the bounds of a prediction whose
     distances are `distance` are worth on one map; and its area under the sparsification error, of
-    the bounds nearest to `RISK`. NaN over no voxels."""
-    assert said.uncertainty is not None
-    risks, inside = (
-        said.uncertainty.risks,
-        [(bits >> REGIONS.index(part) & 1).astype(bool) for part in PARTS],
-    )
+    the bounds nearest to `RISK`. NaN over no voxels, and without bounds."""
+    risks = () if said.uncertainty is None else said.uncertainty.risks
+    inside = [(bits >> REGIONS.index(part) & 1).astype(bool) for part in PARTS]
     found = np.full((len(risks), len(PARTS), len(JUDGED)), np.nan)
     sparse = np.nan
-    usual = int(np.argmin([abs(risk - RISK) for risk in risks]))
+    usual = min(risks, key=lambda risk: abs(risk - RISK), default=None)
     for n, risk in enumerate(risks):
         low = said.low(risk)
         for p, part in enumerate(inside):
             if part.any():
-                found[n, p] = (
-                    (true[part] >= low[part] - 1e-4).mean(),
-                    (distance[part] - low[part]).mean(),
-                )
-        if n == usual and inside[0].any():
+                covers = true[part] >= low[part] - 1e-4
+                found[n, p] = covers.mean(), (distance[part] - low[part]).mean()
+        if risk == usual and inside[0].any():
             sparse = ause(np.abs(distance - true)[inside[0]], (distance - low)[inside[0]])
     return found, sparse
 
