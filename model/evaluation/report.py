@@ -28,7 +28,8 @@ from scenegen.model.evaluation.statistics import (
     summarize,
 )
 from scenegen.model.evaluation.study import study_lines, study_of
-from scenegen.model.evaluation.visibility import CLASSES, DESCRIPTORS
+from scenegen.model.evaluation.visibility import CLASSES
+from scenegen.truth.difficulty import Difficulty
 
 BEST_IOU, UNITS = "best_iou", {"probability": "", "distance_m": " m"}
 """A column of the tables, and the units of the thresholds at which it stands."""
@@ -62,7 +63,7 @@ def build_report(
             "excluded": dict(result.excluded),
             "difficulty": {
                 name: figure(result.difficulty[:, n], result.worlds)
-                for n, name in enumerate(DESCRIPTORS)
+                for n, name in enumerate(Difficulty._fields)
             },
         }
         report["reconstruction"][result.kind] = {
@@ -210,7 +211,7 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             "",
             "### Difficulty",
             "",
-            *head(DESCRIPTORS),
+            *head(about["difficulty"]),
             line("truth", map(cell, about["difficulty"].values())),
         ]
         for title, metrics, table, reference in tables(report, kind):

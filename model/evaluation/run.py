@@ -27,7 +27,6 @@ from scenegen.model.evaluation.visibility import (
     UNOBSERVED,
     certain_distances,
     classify,
-    describe,
     scored_voxels,
     seen_occupancy,
     walled,
@@ -36,6 +35,7 @@ from scenegen.run import Executor
 from scenegen.run.workers import Local
 from scenegen.sample import Sample
 from scenegen.truth import distance_field
+from scenegen.truth.difficulty import Difficulty, difficulty
 
 CHUNK = 10
 """Samples a task of a worker."""
@@ -83,7 +83,7 @@ class DatasetResult:
     excluded: Counter[str]
     """Drawn trials that are not valid, by reason."""
     difficulty: NDArray[np.float64]
-    """(N, descriptors) of the samples."""
+    """(N, figures) of the samples: see `Difficulty`."""
     methods: dict[str, MethodResult]
 
 
@@ -93,7 +93,7 @@ class _Found:
 
     index: int
     world: int
-    difficulty: NDArray[np.float64]
+    difficulty: Difficulty
     excluded: Counter[str]
     reconstruction: list[NDArray[np.float64]]
     tuned: list[NDArray[np.float64]]
@@ -244,7 +244,7 @@ def _work(
         one = _Found(
             index=index,
             world=int(sample.world),
-            difficulty=describe(sample, grid=grid, config=config.plan),
+            difficulty=difficulty(*truth, grid.voxel_m),
             excluded=Counter(drawn.excluded),
             reconstruction=[],
             tuned=[],
