@@ -109,7 +109,10 @@ def bench(
     config = BenchConfig(**settings)
     rows: list[Method] = []
     for method in methods:
-        rows += choose_methods([method]) if isinstance(method, str) else [Completed(method)]
+        if isinstance(method, str):
+            rows += choose_methods([method])
+        else:
+            rows.append(method if isinstance(method, Completer) else Completed(method))
     results = [
         measure(Dataset(locate(name)), rows, config, workers=workers or cores()) for name in named
     ]

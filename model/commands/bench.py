@@ -282,10 +282,10 @@ def one_name_each(methods: "Sequence[Method]") -> tuple[str, ...]:
 def network_row(weights: str) -> "Method":
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
     try:
-        from scenegen.model.evaluation.pretrained import Pretrained
+        from scenegen.model.completion.completer import Completer
     except ImportError:
         raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
-    return Pretrained(weights)
+    return Completer.from_pretrained(weights, threads=1)
 
 
 def show_tables(report: dict[str, Any]) -> None:

@@ -21,7 +21,8 @@ from lidarsim import GridSpec, Lidar
 from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
-from scenegen.errors import needs, printable
+from scenegen.dataset.read import Split
+from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import real_path
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
@@ -42,8 +43,11 @@ NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 
 
 class Completer:
-    """A network with the grid it was trained on. It is a `MapCompleter`, too, so it can be a row of
-    the bench."""
+    """A network with the grid it was trained on. It is a `MapCompleter`, too, and a row of the
+    bench; one that `from_pretrained` opened travels to other processes, each of which opens it
+    once, and by itself."""
+
+    learned = True
 
     def __init__(
         self,
@@ -57,7 +61,7 @@ class Completer:
     ):
         self.grid = grid
         self.name = name
-        """How the network is called in tables."""
+        """How the network is called in tables, in one line."""
         self.inputs = tuple(inputs)
         """What it has to be shown of a map: names of `scenegen.model.inputs`."""
         self.about = dict(about or {})
@@ -105,7 +109,8 @@ class Completer:
             def run(maps: Mapping[str, Tensor]) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
-        made = cls(run, grid, name=called(name, path), inputs=inputs, about=about, batch=batch)
+        said = printable(called(name, path))
+        made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch)
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
         made.path, made.opened = path, (str(name), str(device), batch)
@@ -157,6 +162,23 @@ class Completer:
             for part in joined
         )
         return Prediction(probability, tudf, self.calibration, self.grid)
+
+    def __reduce__(self) -> Any:
+        return opened_once, self.opened
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """See `scenegen.model.evaluation.methods.Method`. Raises DatasetError for another grid.
+
+        It takes one thread: where many processes complete, each was forked, and a pool of threads
+        would not survive.
+        """
+        torch.set_num_threads(1)
+        grid = split.dataset.grid
+        try:
+            self.check_grid(grid)
+            return self(channels(self.inputs, sample, grid, split.dataset.lidar))
+        except ValueError as error:
+            raise DatasetError(str(error)) from None
 
     def complete(
         self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec

@@ -26,12 +26,11 @@ from scenegen.model.calibration import (
     distance_bins,
 )
 from scenegen.model.checkpoint import CheckpointError, save_network
-from scenegen.model.completion.completer import open_network
+from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
-from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.run import check_middle, check_whole, spread
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run.workers import run as run_workers
@@ -211,7 +210,7 @@ def calibrate(
             raise CheckpointError(
                 f"{weights}: tells of no class weight above 0 of its loss; train it again"
             ) from None
-    method = Pretrained(str(weights))
+    method = Completer.from_pretrained(weights, threads=1)
     datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
     for number, dataset in enumerate(datasets):
         part = dataset.split(split)
@@ -267,7 +266,7 @@ def calibrate(
 
 
 def _work(
-    split: str, method: Pretrained, at: Look, task: tuple[int, Path, list[int]]
+    split: str, method: Completer, at: Look, task: tuple[int, Path, list[int]]
 ) -> list[tuple[tuple[int, int], tuple[Any, ...]]]:
     """What `at` makes of maps of a dataset, each with the dataset's number and the world's."""
     number, folder, indices = task

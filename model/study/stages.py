@@ -20,10 +20,10 @@ from scenegen.files import make_parent, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.api import train
 from scenegen.model.checkpoint import CheckpointError
+from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude, Returns
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
-from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import finite
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.visibility import Seen
@@ -67,7 +67,7 @@ def reproduce(
         for _ in run_workers(work, runs, 1 if where.type == "cuda" else workers, start):
             shown.count(maps)
     methods: list[Method] = [Completed(Returns()), Completed(Extrude()), Truth(), Seen()]
-    methods += [Pretrained(str(out / "runs" / run.name)) for run in runs]
+    methods += [Completer.from_pretrained(out / "runs" / run.name, threads=1) for run in runs]
     usual, measured = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed), []
     for folder in folders:
         with progress(f"bench, {folder.name}") as shown:
