@@ -73,8 +73,6 @@ class Completer:
             raise CheckpointError(f"{name}: {error}") from None
         self._forward = forward
         self._batch = batch
-        self.path: Path | None = None
-        """The file that `from_pretrained` opened."""
         self.opened: tuple[str, str, int] | None = None
         """Name, device and batch, by which `opened_once` has it in other processes, if it came by
         its name."""
@@ -113,7 +111,7 @@ class Completer:
         made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch)
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
-        made.path, made.opened = path, (str(name), str(device), batch)
+        made.opened = str(name), str(device), batch
         return made
 
     def __call__(self, maps: Sample | Maps | Mapping[str, Maps]) -> Prediction:

@@ -31,7 +31,7 @@ from scenegen.model.evaluation.visibility import (
     seen_occupancy,
     walled,
 )
-from scenegen.run import Executor
+from scenegen.run import Executor, check_together
 from scenegen.run.workers import Local
 from scenegen.sample import Sample
 from scenegen.truth import distance_field
@@ -160,12 +160,7 @@ def bench(
         raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
     indices = [ours[n] for n in spread(len(ours), config.samples or len(ours))]
     tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
-    if len(execute.mine((0, 1))) < 2:  # whatever the number of tasks
-        raise DatasetError(
-            "--on: a report takes the figures of all samples, and jobs that know their rank alone "
-            "bring none together; "
-            "give --on ray or --on slurm, or each job a dataset of its own with --on local"
-        )
+    check_together(execute, "a report takes")
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
     work = partial(
         _work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config
