@@ -266,32 +266,24 @@ def unlike(
 
     Networks of earlier commits name none: they learned from the paper's, without noise.
     """
-    plain = {"mapping": described(Mapper())}
-    learned = (
-        about.get("lidar") or sensor_entry(Lidar()),
-        {"mapping": about.get("mapping") or plain["mapping"]},
+    usual = described(Mapper())
+    there = about.get("lidar") or sensor_entry(Lidar())
+    here, known = sensor_entry(lidar), about.get("noise") or [""]
+    sensor = differences(there, here)
+    if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
+        sensor = [f"sensor is {_titled(there)} there, {_titled(here)} asked for"]
+    kinds = " or ".join(one or "none" for one in known)
+    faults = [] if noise in known else [f"noise is {kinds} there, {noise or 'none'} asked for"]
+    maps = differences(
+        {"mapping": about.get("mapping") or usual},
+        {"mapping": usual if mapping is None else described(mapping)},
     )
-    met = (sensor_entry(lidar), plain if mapping is None else {"mapping": described(mapping)})
-    sensor, maps = (differences(*both) for both in zip(learned, met, strict=True))
-    if sensor and any(
-        "sensor" in one for one in (learned[0], met[0])
-    ):  # tables of rays have nothing else to compare
-        sensor = [f"sensor is {_titled(learned[0])} there, {_titled(met[0])} asked for"]
-    known, faults = about.get("noise") or [""], []
-    if noise not in known:
-        faults = [
-            f"noise is {' or '.join(one or 'none' for one in known)} there, {noise or 'none'} "
-            f"asked for"
-        ]
     if not sensor + faults + maps:
         return ""
-    said = (
-        "; ".join(sensor + faults + maps)[:MOST_SAID]
-        .replace("there", "in training")
-        .replace("asked for", "here")
-    )
     what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
-    return f"{name} was trained on {what}, so expect worse completions: {printable(said)}"
+    said = "; ".join(sensor + faults + maps)[:MOST_SAID]
+    said = printable(said.replace("there", "in training").replace("asked for", "here"))
+    return f"{name} was trained on {what}, so expect worse completions: {said}"
 
 
 def _titled(entry: Mapping[str, Any]) -> str:

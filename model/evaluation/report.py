@@ -25,7 +25,6 @@ from scenegen.model.evaluation.statistics import (
     line,
     paired_p,
     spread,
-    summarize,
 )
 from scenegen.model.evaluation.study import study_lines, study_of
 from scenegen.model.evaluation.visibility import CLASSES
@@ -151,13 +150,13 @@ def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, An
             if metric.tested:
                 a, b = _of_trials(metric, one), _of_trials(metric, other)
                 rows.append((first, second, name, "gain", a, b, result.trial_worlds))
-    paired = [summarize(a - b, worlds, scale) for *_, scale, a, b, worlds in rows]
+    paired = [figure(a - b, worlds, scale) for *_, scale, a, b, worlds in rows]
     raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
     return [
         {"first": first, "second": second, "metric": metric}
-        | {"difference": difference.mean, "low": difference.low, "high": difference.high}
+        | {"difference": found["mean"], "low": found["low"], "high": found["high"]}
         | {"p": p, "p_holm": float(corrected)}
-        for (first, second, metric, *_), difference, p, corrected in zip(
+        for (first, second, metric, *_), found, p, corrected in zip(
             rows, paired, raw, holm(raw), strict=True
         )
     ]
