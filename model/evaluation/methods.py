@@ -1,6 +1,7 @@
 """What the bench compares: completers, the truth itself, and predictions that somebody else made,
 in an HDF5 file."""
 
+import inspect
 import math
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -55,20 +56,14 @@ class Completed:
     completer: MapCompleter
 
     def __post_init__(self) -> None:
-        for what, held, wanted in (
-            (
-                "name",
-                isinstance(getattr(self.completer, "name", None), str),
-                "a string, how the tables call it",
-            ),
-            (
-                "complete",
-                callable(getattr(self.completer, "complete", None)),
-                "a method: (observed, free, *, grid)",
-            ),
-        ):
-            if not held:
-                raise PredictionError(f"{type(self.completer).__name__}: lacks `{what}`, {wanted}")
+        name, complete = (getattr(self.completer, one, None) for one in ("name", "complete"))
+        what = "a `name`, a string" if not isinstance(name, str) else ""
+        try:
+            inspect.signature(complete).bind(None, None, grid=None)  # type: ignore[arg-type]
+        except TypeError:
+            what = "a method `complete` that takes (observed, free, *, grid)"
+        if what:
+            raise PredictionError(f"{type(self.completer).__name__}: lacks {what}")
 
     @property
     def name(self) -> str:

@@ -28,7 +28,6 @@ from scenegen.model.evaluation.statistics import (
 )
 from scenegen.model.evaluation.study import study_lines, study_of
 from scenegen.model.evaluation.visibility import CLASSES
-from scenegen.truth.difficulty import Difficulty
 
 BEST_IOU, UNITS = "best_iou", {"probability": "", "distance_m": " m"}
 """A column of the tables, and the units of the thresholds at which it stands."""
@@ -60,10 +59,6 @@ def build_report(
             "worlds": len(np.unique(result.worlds)),
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
-            "difficulty": {
-                name: figure(result.difficulty[:, n], result.worlds)
-                for n, name in enumerate(Difficulty._fields)
-            },
         }
         report["reconstruction"][result.kind] = {
             name: _reconstruction(found, result) for name, found in methods
@@ -206,13 +201,6 @@ def to_markdown(report: Mapping[str, Any]) -> str:
             f"paper's.",
         ]
         lines += ["", f"**{few}.**"] if (few := caution(about["worlds"])) else []
-        lines += [
-            "",
-            "### Difficulty",
-            "",
-            *head(about["difficulty"]),
-            line("truth", map(cell, about["difficulty"].values())),
-        ]
         for title, metrics, table, reference in tables(report, kind):
             lines += ["", f"### {title.capitalize()}", "", *head(metrics)]
             lines += [line(name, (cell(row[m]) for m in metrics)) for name, row in table.items()]

@@ -35,7 +35,6 @@ from scenegen.run import Executor, check_together
 from scenegen.run.workers import Local
 from scenegen.sample import Sample
 from scenegen.truth import distance_field
-from scenegen.truth.difficulty import Difficulty, difficulty
 
 CHUNK = 10
 """Samples a task of a worker."""
@@ -82,8 +81,6 @@ class DatasetResult:
     sample."""
     excluded: Counter[str]
     """Drawn trials that are not valid, by reason."""
-    difficulty: NDArray[np.float64]
-    """(N, figures) of the samples: see `Difficulty`."""
     methods: dict[str, MethodResult]
 
 
@@ -93,7 +90,6 @@ class _Found:
 
     index: int
     world: int
-    difficulty: Difficulty
     excluded: Counter[str]
     reconstruction: list[NDArray[np.float64]]
     tuned: list[NDArray[np.float64]]
@@ -183,7 +179,6 @@ def bench(
         worlds=np.array([one.world for one in found]),
         trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
         trial_places=tuple((found[n].index, turn) for turn, n in turns),
-        difficulty=np.array([one.difficulty for one in found]),
         excluded=sum((one.excluded for one in found), start=Counter()),
         methods={
             method.name: MethodResult(
@@ -239,7 +234,6 @@ def _work(
         one = _Found(
             index=index,
             world=int(sample.world),
-            difficulty=difficulty(*truth, grid.voxel_m),
             excluded=Counter(drawn.excluded),
             reconstruction=[],
             tuned=[],

@@ -34,16 +34,11 @@ def guesses_of(methods: Sequence[Method], config: BenchConfig, trial: int | None
     """What `methods` say of a sample, each with its path to the goal of the bench's trial number
     `trial` in that sample, at the thresholds and by the planner of `config`; without paths where
     `trial` is None, or the sample has no such trial."""
-    return partial(_guesses, methods=methods, config=config, trial=trial)
+    return partial(_guesses, methods, config, trial)
 
 
 def _guesses(
-    sample: Sample,
-    split: Split,
-    *,
-    methods: Sequence[Method],
-    config: BenchConfig,
-    trial: int | None,
+    methods: Sequence[Method], config: BenchConfig, trial: int | None, sample: Sample, split: Split
 ) -> list[Guess]:
     goal = None if trial is None else _goal(sample, split, config, trial)
     found = []

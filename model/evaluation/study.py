@@ -236,7 +236,7 @@ def study_lines(study: Mapping[str, Any]) -> list[str]:
     for name, found in study.items():
         for region in SHOWN:
             for reading, one in (found["reliability"] or {}).get(region, {}).items():
-                figures = ({**one, "mean": one["ece"]}, *(one[score] for score in list(SCORES)[1:]))
+                figures = ({**one, "mean": one["ece"]}, *(one[score] for score in SCORES[1:]))
                 cells = (f"{one['mean']:.4f} {interval(one, '.4f')}" for one in figures)
                 sure.append(line(f"{name}, {region}, {reading}", cells))
         for row in found["risk"]["settings"]:

@@ -1,7 +1,8 @@
 """Whether probabilities and bounds of distance are what they say."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,8 +96,8 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
             if not total[:, 0].any():
                 continue
             scores = {
-                name: estimate(maps.reshape(len(maps), -1), worlds, of)
-                for name, of in SCORES.items()
+                name: estimate(maps.reshape(len(maps), -1), worlds, partial(_score, name))
+                for name in SCORES
             }
             figures = {
                 name: {"mean": one.value, "low": one.ends[0], "high": one.ends[1]}
@@ -123,28 +124,18 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
     return found
 
 
-def _ece(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Expected calibration errors (k,) of sums (k, BINS * counts); NaN of no voxels."""
-    voxels, said, occupied = np.moveaxis(sums.reshape(len(sums), BINS, len(COUNTS)), -1, 0)[:3]
+def _score(name: str, sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One of `SCORES` (k,) of sums (k, BINS * counts): expected calibration errors, or means over
+    voxels; NaN of no voxels."""
+    counts = sums.reshape(len(sums), BINS, len(COUNTS))
+    voxels, said, occupied = np.moveaxis(counts, -1, 0)[:3]
+    wrong = np.abs(said - occupied) if name == "ece" else counts[:, :, COUNTS.index(name)]
     whole = voxels.sum(axis=1)
-    return np.where(whole > 0, np.abs(said - occupied).sum(axis=1) / np.maximum(whole, 1), np.nan)
+    return np.where(whole > 0, wrong.sum(axis=1) / np.maximum(whole, 1), np.nan)
 
 
-def _mean(name: str) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Means over voxels (k,) of a count, of sums (k, BINS * counts); NaN of no voxels."""
-
-    def of(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-        total = sums.reshape(len(sums), BINS, len(COUNTS)).sum(axis=1)
-        voxels, value = total[:, 0], total[:, COUNTS.index(name)]
-        return np.where(voxels > 0, value / np.maximum(voxels, 1), np.nan)
-
-    return of
-
-
-SCORES = {"ece": _ece, "nll": _mean("nll"), "brier": _mean("brier")}
+SCORES = ("ece", "nll", "brier")
 """What probabilities are judged by."""
-
-
 PARTS = REGIONS[1:]
 """Regions that bounds are judged over: those of unknown voxels."""
 JUDGED = ("coverage", "width")

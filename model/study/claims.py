@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import Estimate, estimate, figure, holm
 
-Verdict = Literal["confirmed", "refuted", "contradicted", "undecided"]
 PATIENCE = TrainConfig().patience
 """Epochs without a lower validation loss after which the paper stops. What networks show that did
 not train so long may be the other way round later: a claim is contradicted by them, and not
@@ -135,23 +134,17 @@ def claims() -> tuple[Claim, ...]:
     )
 
 
-def beside() -> tuple[Claim, ...]:
-    """What the study asks on its own account."""
-    return tuple(
-        Claim(kind=kind, metric=metric, best=best, other=other)
-        for kind in paper.PLANNING
-        for best, other in BESIDE
-        for metric in BESIDE_BY
-    )
-
-
 def asked(measured: Sequence[Measured]) -> dict[str, list[dict[str, Any]]]:
     """What is known of all claims, as `compared` tells it: the paper's ``claims``; what the study
     asks ``beside`` them; and ``paths``, those about paths again. The tables answer these by the
     paths that each method has, so that a method that has none in the tight trials has the better
     ones for it: here, on those trials where both of a pair have one."""
+    beside = [
+        Claim(kind=kind, metric=metric, best=best, other=other)
+        for kind, (best, other), metric in product(paper.PLANNING, BESIDE, BESIDE_BY)
+    ]
     paths = [claim for claim in claims() if claim.metric in ABOUT["Q3"]]
-    parts = {"claims": claims(), "beside": beside(), "paths": paths}
+    parts = {"claims": claims(), "beside": beside, "paths": paths}
     return {
         part: [
             compared(claim, one, common=part == "paths")
