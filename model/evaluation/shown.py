@@ -17,17 +17,9 @@ from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.model.evaluation.planning.measure import judge, plan_refined
+from scenegen.model.evaluation.report import CAUSES
 from scenegen.model.evaluation.run import DatasetResult, trials_of
 from scenegen.sample import Sample
-
-CAUSES = {
-    "start_blocked": "none: the start is occupied",
-    "goal_blocked": "none: the goal is occupied",
-    "no_path": "none leads to the goal",
-    "initial_collides": "hits an obstacle",
-    "refined_into_obstacle": "refined into an obstacle",
-}
-"""What came of a path, by the bench's causes of failure."""
 
 
 def guesses_of(methods: Sequence[Method], config: BenchConfig, trial: int | None = 0) -> Guesses:

@@ -16,7 +16,7 @@ from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import LossConfig, Thresholds
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.planning.measure import judge, plan_carefully
-from scenegen.model.evaluation.statistics import brief, figure, head, interval, line
+from scenegen.model.evaluation.statistics import brief, figure, interval
 from scenegen.model.evaluation.uncertainty import (
     JUDGED,
     PARTS,
@@ -225,31 +225,29 @@ def risk_of(
     return {"settings": rows, "paths": paths}
 
 
-def study_lines(study: Mapping[str, Any]) -> list[str]:
-    """What `study_of` gave of every method, as Markdown for people; nothing where nothing was
-    studied."""
-    if not study:
-        return []
+def study_tables(study: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+    """What `study_of` gave of every method, for people: tables by title, heads and rows; none where
+    nothing was studied."""
     names = ("promised", *TOLD, *CHANCES)
-    sure = ["", "### Probabilities", "", *head(("ECE", "NLL", "Brier"))]
-    bounds, careful = list[str](), ["", "### The careful planner", "", *head(names)]
+    sure, careful, bounds = [], [], []
     for name, found in study.items():
         for region in SHOWN:
             for reading, one in (found["reliability"] or {}).get(region, {}).items():
                 figures = ({**one, "mean": one["ece"]}, *(one[score] for score in SCORES[1:]))
-                cells = (f"{one['mean']:.4f} {interval(one, '.4f')}" for one in figures)
-                sure.append(line(f"{name}, {region}, {reading}", cells))
+                cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in figures]
+                sure.append((f"{name}, {region}, {reading}", cells))
         for row in found["risk"]["settings"]:
             promised = "–" if row["promised"] is None else f"{row['promised']:.3f}"
-            told = (promised, *(brief(row[one]) for one in names[1:]))
-            careful.append(line(f"{name}, {row['by']} {row['value']:g}", told))
-        if (held := found["bounds"]) is None:
-            continue
-        bounds += ["", f"### Bounds of {name}: coverage, and width in metres", ""]
-        bounds += [f"AUSE {brief(held['ause'])}", ""]
-        bounds += head([f"risk {row['risk']:g}" for row in held["risks"]])
-        for part in PARTS:
-            pairs = ([row[part][judged]["mean"] for judged in JUDGED] for row in held["risks"])
-            cells = (", ".join("–" if m is None else f"{m:.3f}" for m in pair) for pair in pairs)
-            bounds.append(line(part, cells))
-    return sure + bounds + careful
+            cells = [promised, *(brief(row[one]) for one in names[1:])]
+            careful.append((f"{name}, {row['by']} {row['value']:g}", cells))
+        for row in (found["bounds"] or {"risks": ()})["risks"]:
+            pairs = ([row[part][judged]["mean"] for judged in JUDGED] for part in PARTS)
+            cells = [", ".join("–" if m is None else f"{m:.3f}" for m in pair) for pair in pairs]
+            cells.append(brief(found["bounds"]["ause"]))
+            bounds.append((f"{name}, risk {row['risk']:g}", cells))
+    tables = (
+        ("Probabilities", ("ECE", "NLL", "Brier"), sure),
+        ("Bounds: coverage, and width in metres", (*PARTS, "AUSE"), bounds),
+        ("The careful planner", names, careful),
+    )
+    return [table for table in tables if table[-1]]

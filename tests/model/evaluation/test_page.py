@@ -15,8 +15,8 @@ from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.page import best, to_html
-from scenegen.model.evaluation.report import build_report
+from scenegen.model.evaluation.page import to_html
+from scenegen.model.evaluation.report import best, build_report
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_failures, failing
 from scenegen.source import DrawnWorlds
