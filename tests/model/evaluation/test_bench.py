@@ -265,14 +265,6 @@ def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset: 
     )
 
 
-def test_no_report_holds_a_number_that_json_lacks(dataset: Dataset) -> None:
-    found = bench(dataset, [Truth()], CONFIG)
-    about = {"a": float("nan"), "b": [float("inf"), {"c": np.float64("nan")}], "d": 1.5, "e": "nan"}
-    report = build_report([found], seed=0, about=about)
-    assert [report[name] for name in "abde"] == [None, [None, {"c": None}], 1.5, "nan"]
-    json.dumps(report, allow_nan=False)
-
-
 class Nameless:
     complete = Nothing.complete
 
@@ -284,16 +276,6 @@ class Aimless:
 class Plain(Nothing):
     def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Any:
         return observed.astype(np.float32)
-
-
-class Flat(Nothing):
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
-        return Prediction(occupancy_probability=np.zeros(7, np.float32))
-
-
-class Listed(Nothing):
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
-        return Prediction(tudf=[[[0.0]]])
 
 
 class Wild(Nothing):
@@ -310,12 +292,6 @@ class Wild(Nothing):
             "Plain",
             "nothing: gives ndarray, expected a scenegen.model.completion.protocol.Prediction",
         ),
-        (
-            "Flat",
-            r"occupancy_probability is an array of shape \(7,\), expected an array of shape \(24, "
-            r"24, 16\)",
-        ),
-        ("Listed", "nothing: tudf is list"),
         ("Wild", "nothing: occupancy_probability holds 1.5"),
     ],
 )
