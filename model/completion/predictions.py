@@ -18,9 +18,9 @@ from scenegen.dataset.foreign import read_guarded
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
 from scenegen.display.look import Look
-from scenegen.errors import DatasetError, GuardError, empty_split
-from scenegen.files import open_bounded, whole, write_whole
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.errors import DatasetError, empty_split
+from scenegen.files import whole, write_whole
+from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.points import read_points
@@ -28,7 +28,6 @@ from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_pr
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, channels, input_called
 from scenegen.run import Executor, check_together
-from scenegen.run.workers import guarded
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
 """How the point clouds begin that are written here."""
@@ -291,15 +290,15 @@ def check_output(out: Path) -> None:
 
 def _is_completion(path: Path) -> bool:
     try:
-        with open_bounded(path, 1 << 62) as file:
-            if file.read(len(PLY_HEAD)) == PLY_HEAD:
-                return True
-        return guarded(_names_a_method, path, seconds=GUARD_S, memory_bytes=GUARD_BYTES)
-    except (DatasetError, GuardError, FileNotFoundError):
+        return bool(read_guarded(_names_a_method, path, 1 << 62))
+    except DatasetError:
         return False
 
 
 def _names_a_method(path: Path) -> bool:
+    with path.open("rb") as head:
+        if head.read(len(PLY_HEAD)) == PLY_HEAD:
+            return True
     try:
         with h5py.File(path, "r") as file:
             return "method" in file.attrs and ("origin" in file.attrs or "split" in file.attrs)

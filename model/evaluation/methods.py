@@ -12,11 +12,11 @@ import h5py
 import isal.isal_zlib
 import numpy as np
 
+from scenegen.dataset.foreign import read_guarded
 from scenegen.dataset.layout import FILTERS, Column, unpack
 from scenegen.dataset.read import Dataset, Split
-from scenegen.errors import DatasetError, GuardError, printable, short
-from scenegen.files import open_bounded
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
+from scenegen.errors import DatasetError, printable, short
+from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
 from scenegen.model.calibration import RISK, Given
 from scenegen.model.completion.protocol import (
     PARTS,
@@ -26,7 +26,6 @@ from scenegen.model.completion.protocol import (
     PredictionError,
     check_prediction,
 )
-from scenegen.run.workers import guarded
 from scenegen.sample import Sample
 
 
@@ -127,23 +126,8 @@ class Predicted:
         check = partial(
             _check_file, folder=dataset.folder, digest=digest, split=split, names=names, shape=shape
         )
-        try:
-            with open_bounded(self.path, 1 << 62):
-                pass
-            guarded(
-                check,
-                self.path,
-                seconds=GUARD_S + len(names) * math.prod(shape) / 1e6,
-                memory_bytes=GUARD_BYTES,
-            )
-        except FileNotFoundError:
-            raise DatasetError(
-                f"{self.path}: no such file; give an HDF5 file of predictions"
-            ) from None
-        except GuardError as error:
-            raise DatasetError(
-                f"{self.path}: cannot be read as HDF5 predictions ({error})"
-            ) from None
+        seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
+        read_guarded(check, self.path, 1 << 62, seconds)
 
     @cached_property
     def _rows(self) -> dict[tuple[str, int, int], int]:
