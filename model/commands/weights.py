@@ -91,14 +91,10 @@ def chosen(
     predictions that do not fit `split`, and for networks that are not there."""
     if not weights and predictions is None:
         return None, ()
-    from scenegen.model.commands.bench import network_row, one_name_each
+    from scenegen.model.commands.bench import rows_of
     from scenegen.model.evaluation.config import BenchConfig
-    from scenegen.model.evaluation.methods import Method, Predicted
     from scenegen.model.evaluation.shown import guesses_of
 
-    methods: list[Method] = [network_row(name) for name in weights]
-    if predictions is not None:
-        methods.append(predicted := Predicted(predictions))
-        predicted.check(dataset, split)
-    names = one_name_each(methods)
+    methods = rows_of((), weights, predictions, [dataset], split)
+    names = tuple(method.name for method in methods)
     return guesses_of(methods, BenchConfig(), None if no_paths else trial), names

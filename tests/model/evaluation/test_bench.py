@@ -26,6 +26,7 @@ from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
+from scenegen.run.workers import Local
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
@@ -138,22 +139,6 @@ def test_workers_and_other_rows_change_no_figure(dataset: Dataset) -> None:
     ].trials != (beside.methods["truth"].trials)
 
 
-class Silent:
-    """A progress bar that shows nothing."""
-
-    def __enter__(self) -> "Silent":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-    def start(self, total: int) -> None:
-        pass
-
-    def count(self, samples: int) -> None:
-        pass
-
-
 def report_of(dataset: Dataset, out: Path, **options: object) -> dict:
     """What the command makes of one dataset."""
     given = {
@@ -162,12 +147,10 @@ def report_of(dataset: Dataset, out: Path, **options: object) -> dict:
         "split": "test",
         "quick": True,
         "seed": 0,
-        "workers": 1,
+        "execute": Local("", 1),
         **options,
     }
-    return run_bench(
-        [dataset.folder], out=out, command="test", progress=lambda label: Silent(), **given
-    )
+    return run_bench([dataset.folder], out=out, **given)
 
 
 def test_the_report_holds_every_figure_in_its_place(dataset: Dataset, tmp_path: Path) -> None:
