@@ -141,7 +141,7 @@ def _maps() -> None:
         classes=free.view(np.uint8),
         class_count=1,
     )
-    count([np.zeros(grid.shape, np.float32)], free, free.view(np.uint8))
+    count([np.zeros(grid.shape, np.float32)], free, np.zeros((6, *grid.shape), np.bool_))
 
 
 def _reference() -> None:

@@ -93,7 +93,7 @@ def study_map(
     """Study what a method `said` of a sample's map, whose distances are `distance`; `classes` tells
     how each voxel was seen (`classify`), `seen` what returned (`seen_occupancy`)."""
     probability, calibrated = said.occupancy_probability, said.probability
-    bits = regions(
+    inside = regions(
         classes != UNSCORED,
         np.isin(classes, UNOBSERVED),
         distance,
@@ -104,10 +104,10 @@ def study_map(
     )
     readings = [] if probability is None else [probability, corrected(probability, CLASS_WEIGHT)]
     readings += [] if calibrated is None else [calibrated]
-    bounds, ause = judge_bounds(said, distance, sample.tudf, bits)
+    bounds, ause = judge_bounds(said, distance, sample.tudf, inside)
     settings, truth = settings_of(said), (sample.occupancy, sample.tudf)
     return Study(
-        counts=count(readings, sample.occupancy, bits),
+        counts=count(readings, sample.occupancy, inside),
         bounds=bounds,
         ause=ause,
         settings=settings,

@@ -38,31 +38,31 @@ def regions(
     *,
     near_m: float,
     truncation_m: float,
-) -> NDArray[np.uint8]:
-    """Which of `REGIONS` every voxel belongs to, a bit for each: none for voxels that are not
-    `scored`, and otherwise from predicted and true distances and those to the obstacles that
-    returned something; the grids have one shape."""
-    bits = scored.astype(np.uint8)
-    parts = (unknown, unknown & (true <= near_m), unknown & (distance < near_m))
+) -> NDArray[np.bool_]:
+    """The voxels of each of `REGIONS`, (regions, *shape): none that is not `scored`, and otherwise
+    from predicted and true distances and those to the obstacles that returned something; the grids
+    have one shape."""
     met = unknown & (true < truncation_m - 1e-6)
-    for n, part in enumerate((*parts, met & (seen <= true), met & (seen > true)), start=1):
-        bits |= part.astype(np.uint8) << n
-    return bits
+    parts = (unknown & (true <= near_m), unknown & (distance < near_m), met & (seen <= true))
+    return np.stack([scored, unknown, *parts, met & (seen > true)])
 
 
 def count(
-    readings: Sequence[NDArray[np.float32]], occupancy: NDArray[np.bool_], bits: NDArray[np.uint8]
+    readings: Sequence[NDArray[np.float32]],
+    occupancy: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first
-    so many `READINGS`; the grids have one shape, and `bits` tell the `regions`."""
+    so many `READINGS`; the grids have one shape, and `inside` tells the `regions`."""
     counts = np.zeros((len(REGIONS), len(READINGS), BINS, len(COUNTS)))
     for n, said in enumerate(readings):
-        _count(said.reshape(-1), occupancy.reshape(-1), bits.reshape(-1), counts[:, n])
+        masks = inside.reshape(len(inside), -1)
+        _count(said.reshape(-1), occupancy.reshape(-1), masks, counts[:, n])
     return counts
 
 
 @kernel
-def _count(probability, occupancy, bits, counts):
+def _count(probability, occupancy, inside, counts):
     parts, bins, _ = counts.shape
     for v in range(len(probability)):
         q = float(probability[v])
@@ -70,7 +70,7 @@ def _count(probability, occupancy, bits, counts):
         right = q if occupancy[v] else 1.0 - q
         nll, brier = -math.log(max(right, SMALLEST)), (1.0 - right) ** 2
         for region in range(parts):
-            if bits[v] >> region & 1:
+            if inside[region, v]:
                 counts[region, b, 0] += 1.0
                 counts[region, b, 1] += q
                 counts[region, b, 2] += occupancy[v]
@@ -149,24 +149,24 @@ def judge_bounds(
     said: Prediction,
     distance: NDArray[np.float32],
     true: NDArray[np.float32],
-    bits: NDArray[np.uint8],
+    inside: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], float]:
-    """By risk, region and figure, (risks, PARTS, JUDGED), what the bounds of a prediction whose
-    distances are `distance` are worth on one map; and its area under the sparsification error, of
-    the bounds nearest to `RISK`. NaN over no voxels, and without bounds."""
+    """By risk, region of `inside` and figure, (risks, PARTS, JUDGED), what the bounds of a
+    prediction whose distances are `distance` are worth on one map; and its area under the
+    sparsification error, of the bounds nearest to `RISK`. NaN over no voxels, and without
+    bounds."""
     risks = () if said.uncertainty is None else said.uncertainty.risks
-    inside = [(bits >> REGIONS.index(part) & 1).astype(bool) for part in PARTS]
     found = np.full((len(risks), len(PARTS), len(JUDGED)), np.nan)
     sparse = np.nan
     usual = min(risks, key=lambda risk: abs(risk - RISK), default=None)
     for n, risk in enumerate(risks):
         low = said.low(risk)
-        for p, part in enumerate(inside):
+        for p, part in enumerate(inside[1:]):
             if part.any():
                 covers = true[part] >= low[part] - 1e-4
                 found[n, p] = covers.mean(), (distance[part] - low[part]).mean()
-        if risk == usual and inside[0].any():
-            sparse = ause(np.abs(distance - true)[inside[0]], (distance - low)[inside[0]])
+        if risk == usual and inside[1].any():
+            sparse = ause(np.abs(distance - true)[inside[1]], (distance - low)[inside[1]])
     return found, sparse
 
 

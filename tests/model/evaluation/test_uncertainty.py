@@ -32,7 +32,9 @@ def drawn(weight: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndar
 def counted(
     said: np.ndarray, occupied: np.ndarray, unknown: np.ndarray, weight: float
 ) -> np.ndarray:
-    return count([said, corrected(said, weight)], occupied, (1 + 2 * unknown).astype(np.uint8))
+    inside = np.zeros((len(REGIONS), *SHAPE), bool)
+    inside[0], inside[1] = True, unknown
+    return count([said, corrected(said, weight)], occupied, inside)
 
 
 def test_counts_are_those_of_histograms() -> None:
@@ -77,9 +79,8 @@ def test_regions_are_told_by_the_nearest_obstacle() -> None:
     unknown = np.array([True, True, True, True, False])
     true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
     said = np.array([0.9, 1.5, 0.5, 0.5, 0.5], np.float32)
-    bits = regions(np.ones(5, bool), unknown, said, true, seen, near_m=1.0, truncation_m=2.0)
-    parts = {name: [bool(bit >> n & 1) for bit in bits] for n, name in enumerate(REGIONS)}
-    assert parts == {
+    inside = regions(np.ones(5, bool), unknown, said, true, seen, near_m=1.0, truncation_m=2.0)
+    assert dict(zip(REGIONS, inside.tolist(), strict=True)) == {
         "map": [True] * 5,
         "unobserved": [True, True, True, True, False],
         "near": [True, True, False, False, False],
@@ -115,11 +116,12 @@ def test_coverage_and_width_are_counted_by_region() -> None:
     shape, rng = (6, 6, 6), np.random.default_rng(0)
     true, distance = 2 * rng.random(shape, np.float32), 2 * rng.random(shape, np.float32)
     low = (distance * rng.random(shape, np.float32)).astype(np.float32)
-    bits = rng.integers(0, 32, shape).astype(np.uint8)  # none of the last region
+    inside = rng.random((len(REGIONS), *shape)) < 0.5
+    inside[-1] = False
     said = Prediction(tudf=distance, uncertainty=Given(tudf_low=low, risk=0.1))
-    found, _ = judge_bounds(said, distance, true, bits)
+    found, _ = judge_bounds(said, distance, true, inside)
     for p in range(len(PARTS) - 1):
-        inside = (bits >> (p + 1) & 1).astype(bool)
-        assert found[0, p, 0] == pytest.approx((true >= low)[inside].mean())
-        assert found[0, p, 1] == pytest.approx((distance - low)[inside].mean(), rel=1e-5)
+        part = inside[p + 1]
+        assert found[0, p, 0] == pytest.approx((true >= low)[part].mean())
+        assert found[0, p, 1] == pytest.approx((distance - low)[part].mean(), rel=1e-5)
     assert np.isnan(found[0, -1]).all()
