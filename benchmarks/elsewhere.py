@@ -25,12 +25,12 @@ from lidarsim.sensors import RASTER, SENSORS
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
+from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude, Returns
 from scenegen.model.config import bundled
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.report import REGIONS
 from scenegen.model.evaluation.run import DatasetResult, bench
 from scenegen.model.evaluation.statistics import figure, head, interval, line
@@ -144,7 +144,7 @@ def main() -> None:
     methods: list[Method] = [
         Completed(Returns()),
         Completed(Extrude()),
-        *map(Pretrained, given.weights or bundled()),
+        *(Completer.from_pretrained(one, threads=1) for one in given.weights or bundled()),
     ]
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as spare:

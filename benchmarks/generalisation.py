@@ -19,11 +19,11 @@ import measuring
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
+from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import figure, head, interval, line
 from scenegen.recipe import preset
@@ -67,14 +67,15 @@ def main() -> None:
         for name, method in (
             ("truth", Truth()),
             ("extrude", Completed(Extrude())),
-            (BUNDLED, Pretrained(BUNDLED)),
+            (BUNDLED, Completer.from_pretrained(BUNDLED, threads=1)),
         ):
             if name not in there:
                 put(given.out, given, name, measured(method, tests, config))
         for held in given.held or kinds:
             if (row := f"without {held}") not in there:
                 run = train(folder / row.replace(" ", "-"), [k for k in kinds if k != held], given)
-                put(given.out, given, row, measured(Pretrained(str(run)), tests, config))
+                network = Completer.from_pretrained(run, threads=1)
+                put(given.out, given, row, measured(network, tests, config))
 
 
 def drawn(kind: str, folder: Path, maps: int) -> Dataset:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.model.evaluation.statistics import Scale, summarize
+from scenegen.model.evaluation.statistics import Scale, figure
 
 WORLDS = (3, 10, 30)
 Rng = np.random.Generator
@@ -100,10 +100,10 @@ def coverage(population: Population, worlds: int, repeats: int, seed: int = 0) -
     for _ in range(repeats):
         least, most = population.samples
         member = np.repeat(np.arange(worlds), rng.integers(least, most + 1, worlds))
-        found = summarize(population.draw(rng, member, worlds), member, population.scale)
-        assert found.low is not None
-        assert found.high is not None
-        held += found.low <= population.mean <= found.high
+        found = figure(population.draw(rng, member, worlds), member, population.scale)
+        assert found["low"] is not None
+        assert found["high"] is not None
+        held += found["low"] <= population.mean <= found["high"]
     return held / repeats
 
 

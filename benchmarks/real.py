@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
+from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
-from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import figure, head, interval, line
 from scenegen.model.evaluation.visibility import scored_voxels
@@ -81,7 +81,7 @@ def main() -> None:
                 sys.exit(f"{file}: is another map than was measured; it comes from {place.source}")
             else:
                 places[file.stem] = real(file, folder / file.stem, given.poses)
-        networks = [Pretrained(name) for name in given.network or NETWORKS]
+        networks = [Completer.from_pretrained(one, threads=1) for one in given.network or NETWORKS]
         tables = scored(places, [Completed(Extrude()), *networks], given.trials)
     print("\n".join(tables))
     if not given.smoke:

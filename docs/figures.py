@@ -11,12 +11,6 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.study.planning import FATES
-from scenegen.model.evaluation.study.report import at
-
-LINES = {"edt": "-", "tudf": "--", "min": ":"}
-"""How the fields are told apart."""
 SHARES = {"success": "-", "collided": ":", "abstained": "--"}
 """What becomes of the careful planner's trials, and how lines tell it."""
 Draw = Callable[[Any, str, Any, str], None]
@@ -29,19 +23,12 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
     if "study" not in report:
         raise ValueError("the report holds no study; run bench with --study")
     panels: dict[str, tuple[str, str, Draw]] = {
-        "success-by-weight.png": ("λ_c", "success", _curve("clearance_weight")),
-        "success-by-safety.png": ("d_s, m", "success", _curve("safety_m")),
-        "success-by-clearance.png": ("least clearance in the truth, m", "success", _clearance),
-        "iou-by-range.png": ("from the sensor, m", "IoU", _range("iou")),
-        "near-mae-by-range.png": ("from the sensor, m", "Near-MAE, m", _range("near_mae")),
         "near-mae-by-visibility.png": ("", "Near-MAE, m", _visibility),
         "reliability.png": (
             "said (dotted), class weight inverted (solid), calibrated (dashed)",
             "occupied",
             _reliability,
         ),
-        "precision-recall.png": ("recall", "precision", _against("recall", "precision")),
-        "success-by-precision.png": ("precision", "success", _against("precision", "success")),
         "risk.png": ("collided (solid: by risk; dotted: by a fixed threshold)", "success", _risk),
         "success-by-risk.png": (
             "risk of the bounds",
@@ -49,7 +36,6 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
             _by_risk(SHARES),
         ),
         "length-by-risk.png": ("risk of the bounds", "length, m", _by_risk({"length": "-"})),
-        "fates.png": ("share of trials", "", _fates),
     }
     return {name: _picture(report, *panel) for name, panel in panels.items()}
 
@@ -90,37 +76,6 @@ def _line(axes: Any, points: Iterable[tuple[float, Mapping[str, Any]]], **style:
         )
 
 
-def _curve(varied: str) -> Draw:
-    """Success over the values of one choice, where the other is as usual; nodes alone, as the paper
-    has it."""
-
-    def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
-        rows = at(study["planning"], study["planning"][0], varied)
-        for field, dashes in LINES.items():
-            if points := [(row[varied], row["success"]) for row in rows if row["field"] == field]:
-                _line(axes, points, color=colour, linestyle=dashes, label=f"{name}, {field}")
-        if varied == "clearance_weight":
-            axes.set_xscale("symlog", linthresh=0.1)  # which has room for 0
-
-    return draw_method
-
-
-def _clearance(axes: Any, name: str, study: Any, colour: str) -> None:
-    points = [
-        (0.5 * (row["from_m"] + row["to_m"]), row["success"])
-        for row in study["success_by_clearance"]
-    ]
-    _line(axes, points, color=colour, label=name)
-
-
-def _range(metric: str) -> Draw:
-    def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
-        points = [(0.5 * (row["from_m"] + row["to_m"]), row[metric]) for row in study["by_range"]]
-        _line(axes, points, color=colour, label=name)
-
-    return draw_method
-
-
 def _visibility(axes: Any, name: str, study: Any, colour: str) -> None:
     values = {seen: row["near_mae"]["mean"] for seen, row in study["by_class"].items()}
     held = {seen: value for seen, value in values.items() if value is not None}
@@ -148,33 +103,6 @@ def _reliability(axes: Any, name: str, study: Any, colour: str) -> None:
             marker=".",
             **style,
         )
-
-
-def _against(x: str, y: str) -> Draw:
-    """One metric by another over thresholds: a curve a method, with a ring at the paper's
-    threshold."""
-
-    def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
-        rows = [row for row in study["thresholds"] if row[x]["n"] and row[y]["n"]]
-        axes.plot(
-            [row[x]["mean"] for row in rows],
-            [row[y]["mean"] for row in rows],
-            ".-",
-            color=colour,
-            label=name,
-        )
-        for row in rows:
-            if row["value"] == getattr(Thresholds(), row["by"]):
-                axes.plot(
-                    row[x]["mean"],
-                    row[y]["mean"],
-                    "o",
-                    color=colour,
-                    fillstyle="none",
-                    markersize=9,
-                )
-
-    return draw_method
 
 
 def _by_risk(shown: Mapping[str, str]) -> Draw:
@@ -215,18 +143,6 @@ def _risk(axes: Any, name: str, study: Any, colour: str) -> None:
         axes.plot(
             *zip(*points, strict=True) if points else ((), ()), color=colour, marker=".", **style
         )
-
-
-def _fates(axes: Any, name: str, study: Any, colour: str) -> None:
-    """Why trials fail under the paper's protocol, with the method's own distances where it has
-    some: a stacked bar."""
-    counts = {row["field"]: row["fates"] for row in at(study["planning"], study["planning"][0])}
-    fates = counts.get("tudf", counts["edt"])
-    left, first = 0.0, not axes.patches
-    for n, fate in enumerate(FATES[1:]):
-        share = fates[fate] / max(sum(fates.values()), 1)
-        axes.barh(name, share, left=left, color=f"C{n}", label=fate if first else None)
-        left += share
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def bench(
             completers: networks, and objects with a `name` and a method `complete(observed, free,
             *, grid)` that gives a `scenegen.Prediction`. They travel to worker processes.
         workers: Processes of this machine; all cores by default.
-        settings: Fields of `BenchConfig`: `split`, `samples`, `trials`, `seed`, `study`.
+        settings: Fields of `BenchConfig`: `split`, `samples`, `trials`, `seed`, `study`, `plan`, ….
 
     Returns:
         The report, as report.json holds it: ``report["reconstruction"][kind][method]["iou"]``,
@@ -109,7 +109,10 @@ def bench(
     config = BenchConfig(**settings)
     rows: list[Method] = []
     for method in methods:
-        rows += choose_methods([method]) if isinstance(method, str) else [Completed(method)]
+        if isinstance(method, str):
+            rows += choose_methods([method])
+        else:
+            rows.append(method if isinstance(method, Completer) else Completed(method))
     results = [
         measure(Dataset(locate(name)), rows, config, workers=workers or cores()) for name in named
     ]

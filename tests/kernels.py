@@ -127,8 +127,8 @@ def _plans() -> None:
 
 def _maps() -> None:
     from scenegen.model.completion.unlearned import Extrude
-    from scenegen.model.evaluation.metrics import ReconstructionConfig, measure
-    from scenegen.model.evaluation.study.calibration import count
+    from scenegen.model.evaluation.metrics import measure
+    from scenegen.model.evaluation.uncertainty import count
 
     grid = _grid()
     free, far = np.zeros(grid.shape, np.bool_), np.full(grid.shape, 2.0, np.float32)
@@ -140,9 +140,8 @@ def _maps() -> None:
         far,
         classes=free.view(np.uint8),
         class_count=1,
-        config=ReconstructionConfig(),
     )
-    count([np.zeros(grid.shape, np.float32)], free, free.view(np.uint8))
+    count([np.zeros(grid.shape, np.float32)], free, np.zeros((6, *grid.shape), np.bool_))
 
 
 def _reference() -> None:

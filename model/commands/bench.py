@@ -1,10 +1,10 @@
 """`scenegen bench`: datasets and rows by name, measured, and reported."""
 
-import inspect
 import json
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,16 +20,18 @@ from scenegen.cli.options import (
     options_of,
     out_option,
     quiet_option,
+    taken,
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
 from scenegen.cli.types import Named
 from scenegen.errors import DatasetError, ScenegenError, needs
 from scenegen.model.commands.weights import Weights
-from scenegen.model.evaluation.config import BenchConfig
-from scenegen.run import LOCAL, executor
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
+    from scenegen.dataset.read import Dataset
     from scenegen.model.evaluation.methods import Method
 
 METHODS = Registry(
@@ -86,8 +88,14 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 )
 @options_of(
     BenchConfig,
-    study="Study planning and errors besides, with pictures: slower. See docs/bench.md.",
+    study="Study probabilities, bounds and risks besides: slower. See docs/bench.md.",
     seed="Decides the goals.",
+)
+@options_of(
+    PlanConfig,
+    edge_check="Let A* ask that the way between two nodes be free, too.",
+    field="What paths are refined on: predicted distances, or the transform of the occupancy.",
+    clearance_weight="λ_c, of clearance against smoothness.",
 )
 @workers_option
 @on_option
@@ -110,11 +118,9 @@ def bench(
     report = run_bench(
         find_datasets(datasets, shown=talk),
         out=out,
-        workers=workers,
-        on=on,
-        command=shlex.join(["scenegen", *sys.argv[1:]]),
-        progress=lambda label: Progress(label, shown=talk),
-        warn=note if talk else lambda line: None,
+        execute=executor(on, workers),
+        talk=talk,
+        plan=PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)}),
         **options,
     )
     if as_json:
@@ -132,23 +138,19 @@ def run_bench(
     predictions: Path | None,
     out: Path,
     quick: bool,
-    workers: int,
-    on: str = LOCAL,
-    command: str,
-    progress: Callable[[str], Progress],
-    warn: Callable[[str], None] = lambda line: None,
+    execute: Executor,
+    talk: bool = False,
     **given: Any,
 ) -> dict[str, Any]:
     """Measure as the `BenchConfig` of what is `given` says, write ``report.json``, ``report.md``
-    and ``report.html`` into `out`, and return the report. `warn` is told of networks that meet
-    another sensor than in training.
+    and ``report.html`` into `out`, and return the report. With `talk`, progress is shown, and
+    networks that meet another sensor than in training are named.
 
     Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown
     method.
     """
     from scenegen.dataset.read import Dataset
     from scenegen.files import check_ours, write_result
-    from scenegen.model.evaluation.methods import Predicted
     from scenegen.model.evaluation.page import to_html
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
@@ -157,14 +159,11 @@ def run_bench(
 
     for name in REPORTS:
         check_ours(out / name)
-    execute = executor(on, workers)
-    methods = [*choose_methods(names), *map(network_row, weights)]
-    predicted = None if predictions is None else Predicted(predictions)
-    one_name_each((*methods, *filter(None, (predicted,))))
     datasets = [Dataset(folder) for folder in folders]
     config = BenchConfig(
         **given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {})
     )
+    methods = rows_of(names or USUAL, weights, predictions, datasets, config.split)
     tables = [
         (dataset, kind)
         for dataset in datasets
@@ -177,20 +176,14 @@ def run_bench(
             f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one "
             f"of each"
         )
-    if predicted is not None:
-        for dataset in datasets:
-            predicted.check(dataset, config.split)
-        methods.append(predicted)
-    for dataset in datasets:
-        for method in methods:
-            unlike = getattr(method, "unlike", lambda *met: "")
-            if warning := unlike(
-                dataset.lidar, dataset.manifest.mapping, dataset.manifest.noise_stages
-            ):
-                warn(f"note: {dataset.folder}: {warning}")
+    for dataset, method in product(datasets if talk else (), methods):
+        about = dataset.manifest
+        unlike = getattr(method, "unlike", lambda *met: "")
+        if warning := unlike(dataset.lidar, about.mapping, about.noise_stages):
+            note(f"note: {dataset.folder}: {warning}")
     results = []
     for dataset, kind in tables:
-        with progress(kind) as shown:
+        with Progress(kind, shown=talk) as shown:
             results.append(
                 measure(
                     dataset,
@@ -202,11 +195,9 @@ def run_bench(
                     on_done=shown.count,
                 )
             )
-    report = build_report(
-        results,
-        seed=config.seed,
-        about={"command": command, "commit": commit(), "split": config.split},
-    )
+    command = shlex.join(["scenegen", *sys.argv[1:]])
+    told = {"command": command, "commit": commit(), "split": config.split}
+    report = build_report(results, seed=config.seed, about=told)
     write_result(
         out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
     )
@@ -251,46 +242,49 @@ def _method(name: str) -> "Method":
         ) from None
     if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
         return made
-    row = Completed(made)
-    try:
-        inspect.signature(made.complete).bind(None, None, grid=None)
-    except TypeError as error:
-        raise ScenegenError(
-            f"--method {name}: `complete` does not take (observed, free, *, grid): {error}"
-        ) from None
-    return row
+    return Completed(made)
 
 
-def one_name_each(methods: "Sequence[Method]") -> tuple[str, ...]:
-    """The methods' names. Raises ScenegenError where two have one."""
-    named = tuple(method.name for method in methods)
+def rows_of(
+    names: Sequence[str],
+    weights: Sequence[str],
+    predictions: Path | None,
+    datasets: "Sequence[Dataset]",
+    split: str,
+) -> "list[Method]":
+    """Rows by their names, those of networks, and that of a file of predictions for `split` of all
+    `datasets`. Raises ScenegenError where two have one name, and where a row cannot be."""
+    from scenegen.model.evaluation.methods import Predicted
+
+    rows: list[Method] = [*map(_method, names), *map(network_row, weights)]
+    if predictions is not None:
+        rows.append(predicted := Predicted(predictions))
+    named = [row.name for row in rows]
     if twice := [name for name in named if named.count(name) > 1]:
         raise ScenegenError(
             f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder"
         )
-    return named
+    for dataset in datasets if predictions is not None else ():
+        predicted.check(dataset, split)
+    return rows
 
 
 def network_row(weights: str) -> "Method":
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
     try:
-        from scenegen.model.evaluation.pretrained import Pretrained
+        from scenegen.model.completion.completer import Completer
     except ImportError:
         raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
-    return Pretrained(weights)
+    return Completer.from_pretrained(weights, threads=1)
 
 
 def show_tables(report: dict[str, Any]) -> None:
     """Both tables: means, at the paper's thresholds."""
-    from scenegen.model.evaluation.metrics import PLAN_METRICS
-    from scenegen.model.evaluation.report import reconstruction_table
+    from scenegen.model.evaluation.report import tables
     from scenegen.model.evaluation.statistics import caution, threshold
 
     for kind, about in report["datasets"].items():
-        for table, (names, rows) in (
-            ("reconstruction", reconstruction_table(report["reconstruction"][kind])),
-            ("planning", (PLAN_METRICS, report["planning"][kind])),
-        ):
+        for table, names, rows, _ in tables(report, kind):
             cells = {
                 method: [
                     f"{row[name]['mean']:.3f}{threshold(row[name])}" if row[name]["n"] else "–"

@@ -113,11 +113,10 @@ def complete(
     check_target(out)
     make_parent(out)
     remove_drafts(out.parent, out.name)
-    missing = 0
     there = out.exists()
     if found.is_dir():
         with Progress("complete", shown=not quiet) as progress:
-            missing = predict_split(
+            predict_split(
                 completer,
                 found,
                 split,
@@ -136,9 +135,7 @@ def complete(
         used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())
         if not quiet:
             say(f"{found}: {used}; completed by {completer.name}")
-    if not quiet and missing:
-        say(f"{missing} samples are for the other ranks to complete; the last one writes {out}")
-    elif not quiet:
+    if not quiet:
         say(f"{'replaced' if there else 'written'}: {out}")
 
 

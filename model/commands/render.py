@@ -16,7 +16,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import note, say
 from scenegen.cli.types import DatasetPath
-from scenegen.model.commands.shown import chosen, shown_options
+from scenegen.model.commands.weights import chosen, shown_options
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset

@@ -13,11 +13,11 @@ from scenegen.cli.options import (
     options_of,
     out_option,
     quiet_option,
-    taken,
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
-from scenegen.model.study.runs import ReproduceConfig
+from scenegen.errors import DatasetError
+from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
 
 
 @click.command()
@@ -31,26 +31,27 @@ from scenegen.model.study.runs import ReproduceConfig
     "--only",
     multiple=True,
     metavar="RUN",
-    help="A run to train, several times for several.  [default: all]",
+    help="A run to train and to judge, several times for several.  [default: all]",
 )
 @device_option
 @out_option("Folder of the study.", Path("study"))
 @click.option(
     "--from",
-    "records",
+    "given",
     type=click.Path(path_type=Path),
-    metavar="RECORDS",
-    help="Judge the claims again from a study's records.npz, and do nothing else; all of it with "
-    "--json.",
+    metavar="STUDY",
+    help="Judge the claims again from the figures of a study.json, and do nothing else; all of it "
+    "with --json.",
 )
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and do nothing.")
 @workers_option
 @json_option
 @quiet_option
 def reproduce(
+    only: tuple[str, ...],
     device: str,
     out: Path,
-    records: Path | None,
+    given: Path | None,
     workers: int,
     dry_run: bool,
     as_json: bool,
@@ -61,38 +62,51 @@ def reproduce(
 
     Given again after a stop, it goes on where it was.
     """
-    if records is not None:
-        _judge_again(records, as_json)
+    if given is not None:
+        found = _judged_again(given)
+        print(json.dumps(found, allow_nan=False)) if as_json else _show_verdicts(found)
         return
-    from scenegen.model.study.stages import RECORDS, STUDY, TEXT, Study
+    from scenegen.model.study import stages
 
     talk = not (quiet or as_json)
-    config = ReproduceConfig(**taken(ReproduceConfig, options))
-    study = Study(out=out, config=config, device=device, workers=workers)
+    config, runs = ReproduceConfig(**options), chosen(only)
     if talk or dry_run:
-        takes = study.takes()
+        maps, samples = config.scaled(config.maps), sum(config.counts.values())
+        takes = {
+            "datasets": f"{samples * len(KINDS)} samples",
+            "networks": f"{len(runs)}, {maps * len(runs)} maps of training in all",
+            "bench": f"{config.scaled(TRIALS)} trials a kind and network",
+        }
         print(json.dumps(takes)) if as_json else show_table(takes)
     if dry_run:
         return
     if talk:
         announce_compilation()
-    found = study.make(lambda label: Progress(label, shown=talk))
+    found = stages.reproduce(
+        out,
+        config,
+        runs,
+        device=device,
+        workers=workers,
+        progress=lambda label: Progress(label, shown=talk),
+    )
     if as_json:
         print(json.dumps({"folder": str(out), "verdicts": found["verdicts"]}))
     elif talk:
         _show_verdicts(found)
-        say(f"written: {out / TEXT}, {out / STUDY}, {out / RECORDS}")
+        say(f"written: {out / stages.TEXT}, {out / stages.STUDY}")
 
 
-def _judge_again(path: Path, as_json: bool) -> None:
-    from scenegen.model.study.claims import summary
-    from scenegen.model.study.records import Records
+def _judged_again(path: Path) -> dict[str, Any]:
+    from scenegen.model.study.claims import judged
+    from scenegen.model.study.stages import read_json
 
-    found = summary(Records.read(path))
-    if as_json:
-        print(json.dumps(found, allow_nan=False))
-    else:
-        _show_verdicts(found)
+    try:
+        return judged(read_json(path) or {})
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+        raise DatasetError(
+            f"{path}: is no study; expected the study.json that reproduce wrote"
+        ) from None
 
 
 def _show_verdicts(study: dict[str, Any]) -> None:

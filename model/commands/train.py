@@ -1,6 +1,5 @@
 """`scenegen train`: options become a configuration, and the run is reported."""
 
-import dataclasses
 import json
 import os
 import shlex
@@ -332,15 +331,7 @@ def _take_settings(weights: str, options: dict[str, Any]) -> None:
     network, _, about = open_network(weights)
     try:
         said = about["settings"]["loss"]  # earlier commits had other terms
-        loss = vars(
-            LossConfig(
-                **{
-                    item.name: said[item.name]
-                    for item in dataclasses.fields(LossConfig)
-                    if item.name in said
-                }
-            )
-        )
+        loss = vars(LossConfig(**taken(LossConfig, said)))
     except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
         loss = {}
     loss = {

@@ -1,13 +1,20 @@
-"""How a trained network is named on the command line."""
+"""How trained networks are named on the command line, and the options of commands that show what
+methods say of samples, beside the truth."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 from click.shell_completion import CompletionItem
 
 from lidarsim.registry import suggestion
+from scenegen.cli.options import together
 from scenegen.model.config import bundled, split_own
+
+if TYPE_CHECKING:
+    from scenegen.dataset.read import Dataset
+    from scenegen.display.look import Guesses
 
 
 class Weights(click.ParamType):
@@ -36,3 +43,58 @@ class Weights(click.ParamType):
         """Bundled networks that begin with what is typed, or else files."""
         found = [CompletionItem(name) for name in bundled() if name.startswith(incomplete)]
         return found or [CompletionItem(incomplete, type="file")]
+
+
+MOST_TRIAL = 10_000
+PREDICTED = "Predictions"
+
+
+shown_options = together(
+    click.option(
+        "--predictions",
+        type=click.Path(path_type=Path),
+        panel=PREDICTED,
+        help="An HDF5 file of predictions of the split, as `complete` writes: shown beside the "
+        "truth.",
+    ),
+    click.option(
+        "--weights",
+        type=Weights(),
+        multiple=True,
+        panel=PREDICTED,
+        help="A network that completes what is shown, as for `complete`; repeatable.",
+    ),
+    click.option(
+        "--trial",
+        type=click.IntRange(0, MOST_TRIAL),
+        default=0,
+        show_default=True,
+        panel=PREDICTED,
+        help="Which of the bench's goals in the sample paths lead to.",
+    ),
+    click.option(
+        "--no-paths", is_flag=True, panel=PREDICTED, help="Plan no paths on what is predicted."
+    ),
+)
+"""The options of `chosen`, by its parameters' names."""
+
+
+def chosen(
+    dataset: "Dataset",
+    split: str,
+    predictions: Path | None,
+    weights: Sequence[str],
+    trial: int,
+    no_paths: bool,
+) -> "tuple[Guesses | None, tuple[str, ...]]":
+    """Who predicts samples of `dataset`, and what they are called. Raises ScenegenError for
+    predictions that do not fit `split`, and for networks that are not there."""
+    if not weights and predictions is None:
+        return None, ()
+    from scenegen.model.commands.bench import rows_of
+    from scenegen.model.evaluation.config import BenchConfig
+    from scenegen.model.evaluation.shown import guesses_of
+
+    methods = rows_of((), weights, predictions, [dataset], split)
+    names = tuple(method.name for method in methods)
+    return guesses_of(methods, BenchConfig(), None if no_paths else trial), names

@@ -21,7 +21,8 @@ from lidarsim import GridSpec, Lidar
 from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
-from scenegen.errors import needs, printable
+from scenegen.dataset.read import Split
+from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import real_path
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
@@ -42,8 +43,11 @@ NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 
 
 class Completer:
-    """A network with the grid it was trained on. It is a `MapCompleter`, too, so it can be a row of
-    the bench."""
+    """A network with the grid it was trained on. It is a `MapCompleter`, too, and a row of the
+    bench; one that `from_pretrained` opened travels to other processes, each of which opens it
+    once, and by itself."""
+
+    learned = True
 
     def __init__(
         self,
@@ -57,7 +61,7 @@ class Completer:
     ):
         self.grid = grid
         self.name = name
-        """How the network is called in tables."""
+        """How the network is called in tables, in one line."""
         self.inputs = tuple(inputs)
         """What it has to be shown of a map: names of `scenegen.model.inputs`."""
         self.about = dict(about or {})
@@ -69,8 +73,6 @@ class Completer:
             raise CheckpointError(f"{name}: {error}") from None
         self._forward = forward
         self._batch = batch
-        self.path: Path | None = None
-        """The file that `from_pretrained` opened."""
         self.opened: tuple[str, str, int] | None = None
         """Name, device and batch, by which `opened_once` has it in other processes, if it came by
         its name."""
@@ -105,10 +107,11 @@ class Completer:
             def run(maps: Mapping[str, Tensor]) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
-        made = cls(run, grid, name=called(name, path), inputs=inputs, about=about, batch=batch)
+        said = printable(called(name, path))
+        made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch)
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
-        made.path, made.opened = path, (str(name), str(device), batch)
+        made.opened = str(name), str(device), batch
         return made
 
     def __call__(self, maps: Sample | Maps | Mapping[str, Maps]) -> Prediction:
@@ -157,6 +160,23 @@ class Completer:
             for part in joined
         )
         return Prediction(probability, tudf, self.calibration, self.grid)
+
+    def __reduce__(self) -> Any:
+        return opened_once, self.opened
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """See `scenegen.model.evaluation.methods.Method`. Raises DatasetError for another grid.
+
+        It takes one thread: where many processes complete, each was forked, and a pool of threads
+        would not survive.
+        """
+        torch.set_num_threads(1)
+        grid = split.dataset.grid
+        try:
+            self.check_grid(grid)
+            return self(channels(self.inputs, sample, grid, split.dataset.lidar))
+        except ValueError as error:
+            raise DatasetError(str(error)) from None
 
     def complete(
         self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
@@ -254,32 +274,24 @@ def unlike(
 def _unlike(
     name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None, noise: str
 ) -> str:
-    plain = {"mapping": described(Mapper())}
-    learned = (
-        about.get("lidar") or sensor_entry(Lidar()),
-        {"mapping": about.get("mapping") or plain["mapping"]},
+    usual = described(Mapper())
+    there = about.get("lidar") or sensor_entry(Lidar())
+    here, known = sensor_entry(lidar), about.get("noise") or [""]
+    sensor = differences(there, here)
+    if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
+        sensor = [f"sensor is {_titled(there)} there, {_titled(here)} asked for"]
+    kinds = " or ".join(one or "none" for one in known)
+    faults = [] if noise in known else [f"noise is {kinds} there, {noise or 'none'} asked for"]
+    maps = differences(
+        {"mapping": about.get("mapping") or usual},
+        {"mapping": usual if mapping is None else described(mapping)},
     )
-    met = (sensor_entry(lidar), plain if mapping is None else {"mapping": described(mapping)})
-    sensor, maps = (differences(*both) for both in zip(learned, met, strict=True))
-    if sensor and any(
-        "sensor" in one for one in (learned[0], met[0])
-    ):  # tables of rays have nothing else to compare
-        sensor = [f"sensor is {_titled(learned[0])} there, {_titled(met[0])} asked for"]
-    known, faults = about.get("noise") or [""], []
-    if noise not in known:
-        faults = [
-            f"noise is {' or '.join(one or 'none' for one in known)} there, {noise or 'none'} "
-            f"asked for"
-        ]
     if not sensor + faults + maps:
         return ""
-    said = (
-        "; ".join(sensor + faults + maps)[:MOST_SAID]
-        .replace("there", "in training")
-        .replace("asked for", "here")
-    )
     what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
-    return f"{name} was trained on {what}, so expect worse completions: {printable(said)}"
+    said = "; ".join(sensor + faults + maps)[:MOST_SAID]
+    said = printable(said.replace("there", "in training").replace("asked for", "here"))
+    return f"{name} was trained on {what}, so expect worse completions: {said}"
 
 
 def _titled(entry: Mapping[str, Any]) -> str:

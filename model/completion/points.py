@@ -2,11 +2,11 @@
 
 import io
 import itertools
-import math
 import warnings
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ PLY_TYPES = {
 }
 MOST_SCANS = 100_000
 """The most scans of a folder."""
+MOST_NPY_HEADER_BYTES = 10_000
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -59,21 +60,10 @@ def read_points(path: Path) -> NDArray[np.float64]:
 
 
 def _read_npy(content: bytes) -> NDArray[np.generic]:
-    file = io.BytesIO(content)
-    major, _ = np.lib.format.read_magic(file)
-    read_header = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}[
-        major
-    ]
-    shape, by_column, dtype = read_header(file, max_header_size=10_000)
-    if dtype.hasobject or dtype.kind not in "fiu":
-        raise ValueError(f"an array of {dtype}, expected numbers")
-    if math.prod(shape) * dtype.itemsize != len(content) - file.tell():
-        raise ValueError(
-            f"promises an array of shape {shape} and holds {len(content) - file.tell()} bytes"
-        )
-    return np.frombuffer(content, dtype, offset=file.tell()).reshape(
-        shape, order="F" if by_column else "C"
+    found = np.lib.format.read_array(
+        io.BytesIO(content), allow_pickle=False, max_header_size=MOST_NPY_HEADER_BYTES
     )
+    return np.asarray(found)
 
 
 def _read_xyz(content: bytes) -> NDArray[np.generic]:
@@ -96,13 +86,24 @@ def _read_ply(content: bytes) -> NDArray[np.generic]:
         ) from None
     if not 0 <= count <= MOST_POINTS:
         raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
-    if order:
-        dtype = np.dtype([(name, order + kind) for name, kind in properties.items()])
-        held = (len(content) - start) // dtype.itemsize
-        rows = np.frombuffer(content, dtype, count=min(count, held), offset=start)
-        points = np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    else:
-        points = _numbers(content[start:], columns, count)
+    if not order:
+        return _whole(_numbers(content[start:], columns, count), count)
+    dtype = np.dtype([(name, order + kind) for name, kind in properties.items()])
+    return _packed(content, start, dtype, [*"xyz"], count)
+
+
+def _packed(
+    content: bytes, start: int, dtype: np.dtype, names: Sequence[str], count: int
+) -> NDArray[np.generic]:
+    """The fields `names` of `count` rows that lie at `start`."""
+    held = (len(content) - start) // dtype.itemsize
+    rows = np.frombuffer(content, dtype, count=min(count, held), offset=start)
+    columns = [rows[name].reshape(len(rows)).astype(np.float64) for name in names]
+    return _whole(np.stack(columns, axis=1), count)
+
+
+def _whole(points: NDArray[Any], count: int) -> NDArray[Any]:
+    """`points`, if they are as many as the file promises."""
     if len(points) != count:
         raise ValueError(f"promises {count} points and holds {len(points)}")
     return points
@@ -165,24 +166,11 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
     parts = [PCD_TYPES[kind + size] for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
     if form == b"ascii":
         starts = np.cumsum([0, *repeats])
-        points = _numbers(
-            content[start:], [int(starts[names.index(axis)]) for axis in "xyz"], count
-        )
-    else:
-        fields = [
-            (f"{n}", f"<{part}", (many,))
-            for n, (part, many) in enumerate(zip(parts, repeats, strict=True))
-        ]
-        dtype = np.dtype(fields)
-        rows = np.frombuffer(
-            content, dtype, count=min(count, (len(content) - start) // dtype.itemsize), offset=start
-        )
-        points = np.stack(
-            [rows[str(names.index(axis))][:, 0].astype(np.float64) for axis in "xyz"], axis=1
-        )
-    if len(points) != count:
-        raise ValueError(f"promises {count} points and holds {len(points)}")
-    return points
+        columns = [int(starts[names.index(axis)]) for axis in "xyz"]
+        return _whole(_numbers(content[start:], columns, count), count)
+    fields = zip(parts, repeats, strict=True)
+    dtype = np.dtype([(f"{n}", f"<{part}", (many,)) for n, (part, many) in enumerate(fields)])
+    return _packed(content, start, dtype, [f"{names.index(axis)}" for axis in "xyz"], count)
 
 
 def _read_bin(content: bytes) -> NDArray[np.generic]:

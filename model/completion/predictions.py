@@ -1,11 +1,12 @@
 """Completions on disk: a whole split of a dataset, or one scan that somebody recorded."""
 
+import io
 import math
-from collections.abc import Callable, Iterable
-from contextlib import closing, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import h5py
 import numpy as np
@@ -17,23 +18,24 @@ from scenegen.dataset.foreign import read_guarded
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
 from scenegen.display.look import Look
-from scenegen.errors import DatasetError, GuardError, empty_split
-from scenegen.files import make_parent, open_bounded, remove_drafts, write_whole
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.errors import DatasetError, empty_split
+from scenegen.files import whole, write_whole
+from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, opened_once
-from scenegen.model.completion.parts import Chunks, Kept, new_hdf5, write_predictions
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, channels, input_called
-from scenegen.run import Executor
-from scenegen.run.workers import guarded
+from scenegen.run import Executor, check_together
 
 PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
 """How the point clouds begin that are written here."""
 PART = 40
 """Samples of a part, about, where an executor has a split completed."""
+Chunks: TypeAlias = dict[str, list[bytes]]
+"""Maps by the name of what they tell, each compressed as HDF5 has it, in the order of `PARTS` and
+`SURE`."""
 
 
 def predict_split(
@@ -46,14 +48,13 @@ def predict_split(
     execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
-) -> int:
+) -> None:
     """Complete every sample of a split and write what docs/bench.md calls a predictions file to
-    `out`, whole or not; how many samples are missing yet.
+    `out`, whole or not.
 
-    This process does it, `batch` maps at once; or `execute` has parts of it done, on one thread
-    each, which are kept in a folder beside `out` until all are there: none is missing for the run
-    that finds them so, and joins them. Raises DatasetError for another grid, an empty split, a disk
-    that refuses, or where `out` is something else already.
+    This process does it, `batch` maps at once; or `execute` has it done, on one thread a process.
+    Raises DatasetError for another grid, an empty split, a disk that refuses, where `out` is
+    something else already, and where `execute` leaves samples to others.
     """
     check_output(out)
     dataset = Dataset(folder)
@@ -66,77 +67,105 @@ def predict_split(
     samples = dataset.split(split)
     if not len(samples):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
-
     each = batch if execute is None else batch * math.ceil(PART / batch)
-    every = [
+    tasks = [
         Rows(split, range(first, min(first + each, len(samples))))
         for first in range(0, len(samples), each)
     ]
+    begin = partial(on_start, len(samples))
     if execute is None:
-        on_start(len(samples))
-        made = ((rows, _completed(completer, samples, batch, rows)) for rows in every)
-        write_predictions(out, samples, completer, (_counted(on_done, *one) for one in made))
-        return 0
-    assert completer.opened is not None
-    kept = Kept.beside(out, samples, completer, batch)
-    mine = execute.mine(every)
-    missing = [rows for rows in mine if not kept.path(rows).exists()]
-    on_done(_count(mine) - _count(missing))
-    make_parent(kept.path(every[0]))
-    work = partial(_keep, completer.opened, samples, batch, kept)
-    with closing(execute(work, missing, lambda: on_start(_count(mine)))) as results:
-        for count in results:
-            on_done(count)
-    if absent := [rows for rows in every if not kept.path(rows).exists()]:
-        return _count(absent)
-    try:
-        write_predictions(out, samples, completer, map(kept.read, every))
-    except DatasetError:  # unless another rank, which ended at the same time, has joined them
-        if kept.folder.exists() or not out.exists():
-            raise
+        begin()
+        results: Any = (_completed(completer, samples, batch, rows) for rows in tasks)
     else:
-        with suppress(
-            OSError
-        ):  # another rank may be doing it, and a user may have put something there
-            for rows in every:
-                kept.path(rows).unlink(missing_ok=True)
-            remove_drafts(kept.folder)
-            kept.folder.rmdir()
-    return 0
+        check_together(execute, "a file of predictions holds")
+        results = execute(partial(_elsewhere, completer.opened, samples, batch), tasks, begin)
+    with closing(results):
+        _write(out, samples, completer, _in_order(results, on_done))
 
 
-def _count(parts: Iterable[Rows]) -> int:
-    return sum(len(rows.numbers) for rows in parts)
-
-
-def _completed(completer: Completer, samples: Split, batch: int, rows: Rows) -> Chunks:
+def _completed(completer: Completer, samples: Split, batch: int, rows: Rows) -> tuple[Rows, Chunks]:
     """The maps of `rows`, completed `batch` at once."""
     found: Chunks = {}
     dataset = samples.dataset
     for first in range(0, len(rows.numbers), batch):
-        numbers = rows.numbers[first : first + batch]
         read = [
             channels(completer.inputs, samples[number], dataset.grid, dataset.lidar)
-            for number in numbers
+            for number in rows.numbers[first : first + batch]
         ]
         said = completer({name: np.stack([one[name] for one in read]) for name in completer.inputs})
         for name in PARTS | SURE:
             if (maps := getattr(said, name)) is not None:
                 found.setdefault(name, []).extend(compress(values) for values in maps)
-    return found
+    return rows, found
 
 
-def _counted(on_done: Callable[[int], None], rows: Rows, chunks: Chunks) -> Chunks:
-    on_done(len(rows.numbers))
-    return chunks
+def _elsewhere(opened: Any, samples: Split, batch: int, rows: Rows) -> tuple[Rows, Chunks]:
+    return _completed(opened_once(*opened), samples, batch, rows)
 
 
-def _keep(opened: tuple[str, str, int], samples: Split, batch: int, kept: Kept, rows: Rows) -> int:
-    """Complete a part into its file. How many samples it has."""
-    kept.write(
-        rows, _completed(opened_once(*opened), samples, batch, rows), samples.dataset.grid.shape
-    )
-    return len(rows.numbers)
+def _in_order(
+    results: Iterable[tuple[Rows, Chunks]], on_done: Callable[[int], None]
+) -> Iterator[Chunks]:
+    """What `_completed` gives, as it comes, in the order of samples."""
+    waiting: dict[int, tuple[Rows, Chunks]] = {}
+    following = 0
+    for rows, chunks in results:
+        waiting[rows.numbers[0]] = rows, chunks
+        on_done(len(rows.numbers))
+        while following in waiting:
+            rows, chunks = waiting.pop(following)
+            yield chunks
+            following += len(rows.numbers)
+
+
+def _write(out: Path, samples: Split, completer: Completer, parts: Iterable[Chunks]) -> None:
+    """Write a predictions file to `out`, whole or not: a split's `parts`, in order, so that the
+    file has the same bytes however they are parted."""
+    dataset, names, row = samples.dataset, samples.names, 0
+    about = {"dataset": dataset.manifest.digest, "split": samples.name, "method": completer.name}
+    shape = dataset.grid.shape
+    with new_hdf5(out) as file:
+        file.attrs.update(about | ({} if completer.calibration is None else {"risk": RISK}))
+        file["world"] = np.array([world for _, world, _ in names], dtype=np.int64)
+        file["viewpoint"] = np.array([viewpoint for _, _, viewpoint in names], dtype=np.int64)
+        for part in parts:
+            for name in part:
+                if name not in file:
+                    packed = {"compression": "gzip", "compression_opts": 1, "chunks": (1, *shape)}
+                    file.create_dataset(name, (len(names), *shape), np.float32, **packed)
+            for chunks in zip(*part.values(), strict=True):
+                for name, chunk in zip(part, chunks, strict=True):
+                    file[name].id.write_direct_chunk((row, 0, 0, 0), chunk)
+                row += 1
+
+
+class _Disk(io.FileIO):
+    """What HDF5 writes to. A disk that refuses ends the writing at once; all that HDF5 must still
+    write to close the file, and would fail at again and again, then goes nowhere."""
+
+    refused = False
+
+    def write(self, content: Any) -> int:
+        """All of `content`. Raises the first OSError, and no other."""
+        left = memoryview(content)
+        try:
+            while left.nbytes and not self.refused:
+                left = left[super().write(left) :]
+        except OSError:
+            self.refused = True
+            raise
+        return memoryview(content).nbytes
+
+    def truncate(self, size: int | None = None) -> int:
+        """The same."""
+        return 0 if self.refused else super().truncate(size)
+
+
+@contextmanager
+def new_hdf5(path: Path) -> Iterator[h5py.File]:
+    """An HDF5 file to fill, which then stands at `path`, whole or not. Raises as `whole`."""
+    with whole(path) as draft, _Disk(draft, "r+") as disk, h5py.File(disk, "w") as file:
+        yield file
 
 
 def predict_scan(
@@ -261,15 +290,15 @@ def check_output(out: Path) -> None:
 
 def _is_completion(path: Path) -> bool:
     try:
-        with open_bounded(path, 1 << 62) as file:
-            if file.read(len(PLY_HEAD)) == PLY_HEAD:
-                return True
-        return guarded(_names_a_method, path, seconds=GUARD_S, memory_bytes=GUARD_BYTES)
-    except (DatasetError, GuardError, FileNotFoundError):
+        return bool(read_guarded(_names_a_method, path, 1 << 62))
+    except DatasetError:
         return False
 
 
 def _names_a_method(path: Path) -> bool:
+    with path.open("rb") as head:
+        if head.read(len(PLY_HEAD)) == PLY_HEAD:
+            return True
     try:
         with h5py.File(path, "r") as file:
             return "method" in file.attrs and ("origin" in file.attrs or "split" in file.attrs)

@@ -4,7 +4,9 @@ of paths."""
 import json
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +26,12 @@ from scenegen.model.calibration import (
     distance_bins,
 )
 from scenegen.model.checkpoint import CheckpointError, save_network
-from scenegen.model.completion.completer import open_network
+from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
-from scenegen.model.evaluation.pretrained import Pretrained
-from scenegen.model.evaluation.run import check_middle, check_whole
-from scenegen.model.evaluation.tuning import spread
+from scenegen.model.evaluation.run import check_middle, check_whole, spread
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run.workers import run as run_workers
 from scenegen.sample import Sample
@@ -109,19 +109,14 @@ def fit_margins(
     summed = counts.cumsum(axis=2)
     fold = np.arange(len(counts)) % min(FOLDS, len(counts))
     groups = np.stack([np.ones_like(near), near, ~near]).astype(np.float64)  # (groups, bins)
-    rows: list[NDArray[np.int64]] = []
+    rows = []
     for risk in kept:
-        shapes = np.stack(
-            [shape(counts[fold != one].sum(axis=0), risk) for one in range(fold.max() + 1)]
-        )
-        added = _added(summed, shapes[fold], groups, risk)
-        row = shape(counts.sum(axis=0), risk) + added
-        rows.append(
-            np.maximum(row, rows[-1]) if rows else row
-        )  # a smaller risk never has a nearer bound
+        folds = [shape(counts[fold != one].sum(axis=0), risk) for one in range(fold.max() + 1)]
+        added = _added(summed, np.stack(folds)[fold], groups, risk)
+        rows.append(shape(counts.sum(axis=0), risk) + added)
     middle = counts.shape[2] // 2
-    found = [[round(SCORE_M * min(int(step) - middle, middle), 6) for step in row] for row in rows]
-    return kept, tuple(map(tuple, found))
+    steps = np.maximum.accumulate(np.minimum(rows, 2 * middle))  # a smaller risk, no nearer bound
+    return kept, tuple(map(tuple, np.round(SCORE_M * (steps - middle), 6).tolist()))
 
 
 def shape(counts: NDArray[np.int64], risk: float) -> NDArray[np.int64]:
@@ -180,8 +175,8 @@ LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
 """Samples a task of a worker."""
-Look = Callable[[Prediction, Sample, Split, int], Any]
-"""Makes of a prediction for a sample, by its number in a split, what is kept of it."""
+Look = Callable[[Prediction, Sample, Split, int], tuple[Any, ...]]
+"""Makes of a prediction for a sample, by its number in a split, what is summed by world."""
 
 
 def calibrate(
@@ -215,10 +210,11 @@ def calibrate(
             raise CheckpointError(
                 f"{weights}: tells of no class weight above 0 of its loss; train it again"
             ) from None
-    method, datasets = Pretrained(str(weights)), [Dataset(folder) for folder in folders]
-    about = {name: value for name, value in about.items() if name != KEY}
-    for dataset in datasets:
-        if not len(dataset.split(split)):
+    method = Completer.from_pretrained(weights, threads=1)
+    datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
+    for number, dataset in enumerate(datasets):
+        part = dataset.split(split)
+        if not len(part):
             raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
         check_whole(dataset, "calibrate on drawn worlds")
         if dataset.grid != grid:
@@ -227,90 +223,73 @@ def calibrate(
             )
         if trials:
             check_middle(dataset, "give --trials 0")
-    indices = [spread(len(one.split(split)), samples or len(one.split(split))) for one in datasets]
-    several = [
-        {one.split(split)[n].world for n in chosen}
-        for one, chosen in zip(datasets, indices, strict=True)
-    ]
-    if (worlds := sum(map(len, several))) < LEAST_WORLDS:
+        chosen = spread(len(part), samples or len(part))
+        worlds |= {(number, part.names[n][1]) for n in chosen}
+        parts = (chosen[n : n + CHUNK] for n in range(0, len(chosen), CHUNK))
+        tasks += [(number, dataset.folder, one) for one in parts]
+    if len(worlds) < LEAST_WORLDS:
         raise DatasetError(
-            f"{', '.join(str(folder) for folder in folders)}: {worlds} worlds in split {split}, "
-            f"expected "
+            f"{', '.join(map(str, folders))}: {len(worlds)} worlds in split {split}, expected "
             f"{LEAST_WORLDS} at least; generate a larger one"
         )
 
     def look(what: str, at: Look) -> list[Any]:
         """What `at` makes of every map, summed by world."""
-        on_start(what, sum(map(len, indices)))
+        on_start(what, sum(len(chosen) for *_, chosen in tasks))
         found: dict[tuple[int, int], Any] = {}
-        for number, (dataset, chosen) in enumerate(zip(datasets, indices, strict=True)):
-            tasks = [chosen[n : n + CHUNK] for n in range(0, len(chosen), CHUNK)]
-            for several in run_workers(
-                partial(_work, dataset.folder, split, method, at), tasks, workers
-            ):
-                for world, one in several:
-                    held = found.get((number, world))
-                    found[number, world] = (
-                        one
-                        if held is None
-                        else tuple(a + b for a, b in zip(held, one, strict=True))
-                    )
-                on_done(len(several))
+        for several in run_workers(partial(_work, split, method, at), tasks, workers):
+            for world, one in several:
+                found[world] = tuple(map(add, found[world], one)) if world in found else one
+            on_done(len(several))
         return [found[key] for key in sorted(found)]
 
-    maps = look("voxels", partial(_count, weight, grid))
-    counted = [scores for scores, _ in maps]
-    predicted = "occupancy" in network.tasks
-    chances = CHANCES if predicted else ()
+    counted, logits = zip(*look("voxels", partial(_count, weight, grid)), strict=True)
+    chances = CHANCES if "occupancy" in network.tasks else ()
     risks, margins = fit_margins(np.stack(counted), near_bins(grid, chances))
-    made: dict[str, Any] = {
-        "worlds": len(counted),
-        "class_weight": weight,
-        "temperature": fit_temperature(np.sum([logits for _, logits in maps], axis=0))
-        if predicted
-        else None,
-        "step_m": STEP_M,
-        "chances": chances,
-        "risks": risks,
-        "margins": margins,
-        "datasets": tuple(str(dataset.manifest.digest) for dataset in datasets),
-    }
-    found = Calibration(**made)
+    found = Calibration(
+        worlds=len(counted),
+        class_weight=weight,
+        temperature=fit_temperature(sum(logits)) if chances else None,
+        step_m=STEP_M,
+        chances=chances,
+        risks=risks,
+        margins=margins,
+        datasets=tuple(str(dataset.manifest.digest) for dataset in datasets),
+    )
     if trials:
         losses = look("paths", partial(_collisions, found, grid, trials, seed))
         shares = np.array([collided / count for collided, count in losses if count])
-        found = Calibration(**made | {"path_risks": path_risks(shares)})
+        found = replace(found, path_risks=path_risks(shares))
     # as it is read again: lists for tuples
-    save_network(out, network, grid, about | {KEY: json.loads(json.dumps(found.said()))})
+    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(found.said()))})
     return found
 
 
 def _work(
-    folder: Path, split: str, method: Pretrained, at: Look, indices: Sequence[int]
-) -> list[tuple[int, tuple[Any, ...]]]:
+    split: str, method: Completer, at: Look, task: tuple[int, Path, list[int]]
+) -> list[tuple[tuple[int, int], tuple[Any, ...]]]:
+    """What `at` makes of maps of a dataset, each with the dataset's number and the world's."""
+    number, folder, indices = task
     samples, found = Dataset(folder).split(split), []
     for index in indices:
         sample = samples[index]
-        found.append(
-            (int(sample.world), at(method.completion(sample, samples), sample, samples, index))
-        )
+        told = at(method.completion(sample, samples), sample, samples, index)
+        found.append(((number, int(sample.world)), told))
     return found
 
 
 def _count(
     weight: float, grid: GridSpec, said: Prediction, sample: Sample, split: Split, index: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Scores and logits of a map's unknown voxels."""
+) -> tuple[NDArray[np.int64], Any]:
+    """Scores of a map's unknown voxels, and their logits where there are some."""
     scored = scored_voxels(sample, grid, split.home(index).tables)
     classes = classify(sample, lidar=split.dataset.lidar, grid=grid, scored=scored)
     unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
-    distance, chance = (
-        said.distance(Thresholds(), grid),
-        None if probability is None else corrected(probability, weight),
-    )
+    distance = said.distance(Thresholds(), grid)
+    chance = None if probability is None else corrected(probability, weight)
     scores = count_scores(distance, chance, sample.tudf, unknown, grid)
     if probability is None:
-        return scores, np.zeros((1, 2), np.int64)
+        return scores, np.int64(0)
     return scores, count_logits(probability, sample.occupancy, unknown, weight)
 
 

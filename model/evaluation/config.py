@@ -5,21 +5,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from lidarsim.parameters import check, number
-from scenegen.model.config import LossConfig, Thresholds
+from scenegen.model.config import Thresholds
 
-
-@dataclass(frozen=True, kw_only=True)
-class ReconstructionConfig:
-    """What counts as near."""
-
-    near_m: float = number(1.0, least=0)
-    """Voxels whose true distance is at most this are near an obstacle, metres."""
-    strict: bool = False
-    """Whether voxels exactly at `near_m` are not near; on the default grid they are an eighth of
-    the near ones."""
-
-    def __post_init__(self) -> None:
-        check(self)
+NEAR_M = 1.0
+"""The paper's bound of what is near an obstacle, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +33,9 @@ class PlanConfig:
     clearance_weight: float = number(1.0, least=0)
     """lambda_c, of the squared clearance deficit against the squared second differences, both in
     m^2 (paper)."""
+    field: Literal["predicted", "transform"] = "predicted"
+    """What the refinement reads: the distances of the prediction, where it has some, or the
+    transform of its occupancy (ours)."""
     iterations: int = number(50, least=0)
     """Steps of gradient descent (paper)."""
     first_step: float = number(1.0, above=0)
@@ -57,42 +49,9 @@ class PlanConfig:
     overshoot (ours)."""
     sample_m: float = number(0.05, above=0)
     """Longest gap between the points at which a path is judged, metres (ours)."""
-    clearance: Literal["trilinear", "voxel"] = "trilinear"
-    """How the truth's TUDF is read at those points: between voxel centres, or the value of the
-    point's voxel (ours: the first, as the refinement reads its own)."""
     goal_faces: Literal["lateral", "box"] = "box"
     """Where goals lie: in the outermost layer of nodes in x or y, or in z, too (ours: "near the map
     boundary")."""
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-@dataclass(frozen=True, kw_only=True)
-class StudyConfig:
-    """What a study varies, and how it bins. All of it is ours."""
-
-    clearance_weights: tuple[float, ...] = number((0.1, 0.3, 1.0, 3.0, 10.0, 30.0), least=0)
-    """Values of lambda_c."""
-    safeties_m: tuple[float, ...] = number((0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0), least=0)
-    """Values of d_s, metres."""
-    class_weight: float = number(LossConfig().occupied_weight, above=0)
-    """The weight of occupied voxels in the loss by which networks were trained, which is inverted
-    for calibration."""
-    fixed_probabilities: tuple[float, ...] = number((0.1, 0.3, 0.5, 0.7, 0.85), least=0, most=1)
-    """Thresholds of probability beside which a planner by risk is set."""
-    fixed_distances_m: tuple[float, ...] = number((0.2, 0.4, 0.6), least=0)
-    """Those of methods that predict distances alone, metres."""
-    curve_probabilities: tuple[float, ...] = number(
-        (0.3, 0.5, 0.7, 0.85, 0.95, 0.97, 0.99), least=0, most=1
-    )
-    """Thresholds of probability at which maps and paths are judged again."""
-    curve_distances_m: tuple[float, ...] = number((0.05, 0.1, 0.2, 0.3, 0.4), least=0)
-    """Those of methods that predict distances alone, metres."""
-    range_step_m: float = number(1.0, above=0)
-    """Width of the bins of distance from the sensor, metres."""
-    clearance_step_m: float = number(0.25, above=0)
-    """Width of the bins of a trial's clearance in the truth, metres."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -111,11 +70,11 @@ class BenchConfig:
     seed: int = number(0, least=0)
     """Seed of goals and permutations."""
     study: bool = False
-    """Whether the report has a study beside its tables: see `scenegen.model.evaluation.study`."""
+    """Whether the report has a study beside its tables, of probabilities, bounds and risks."""
     thresholds: Thresholds = field(default_factory=Thresholds)
-    reconstruction: ReconstructionConfig = field(default_factory=ReconstructionConfig)
+    near_m: float = number(NEAR_M, least=0)
+    """Voxels whose true distance is at most this are near an obstacle, metres."""
     plan: PlanConfig = field(default_factory=PlanConfig)
-    variants: StudyConfig = field(default_factory=StudyConfig)
 
     def __post_init__(self) -> None:
         check(self)

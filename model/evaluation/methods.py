@@ -1,6 +1,7 @@
 """What the bench compares: completers, the truth itself, and predictions that somebody else made,
 in an HDF5 file."""
 
+import inspect
 import math
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -11,11 +12,11 @@ import h5py
 import isal.isal_zlib
 import numpy as np
 
+from scenegen.dataset.foreign import read_guarded
 from scenegen.dataset.layout import FILTERS, Column, unpack
 from scenegen.dataset.read import Dataset, Split
-from scenegen.errors import DatasetError, GuardError, printable, short
-from scenegen.files import open_bounded
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
+from scenegen.errors import DatasetError, printable, short
+from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
 from scenegen.model.calibration import RISK, Given
 from scenegen.model.completion.protocol import (
     PARTS,
@@ -25,7 +26,6 @@ from scenegen.model.completion.protocol import (
     PredictionError,
     check_prediction,
 )
-from scenegen.run.workers import guarded
 from scenegen.sample import Sample
 
 
@@ -55,20 +55,14 @@ class Completed:
     completer: MapCompleter
 
     def __post_init__(self) -> None:
-        for what, held, wanted in (
-            (
-                "name",
-                isinstance(getattr(self.completer, "name", None), str),
-                "a string, how the tables call it",
-            ),
-            (
-                "complete",
-                callable(getattr(self.completer, "complete", None)),
-                "a method: (observed, free, *, grid)",
-            ),
-        ):
-            if not held:
-                raise PredictionError(f"{type(self.completer).__name__}: lacks `{what}`, {wanted}")
+        name, complete = (getattr(self.completer, one, None) for one in ("name", "complete"))
+        what = "a `name`, a string" if not isinstance(name, str) else ""
+        try:
+            inspect.signature(complete).bind(None, None, grid=None)  # type: ignore[arg-type]
+        except TypeError:
+            what = "a method `complete` that takes (observed, free, *, grid)"
+        if what:
+            raise PredictionError(f"{type(self.completer).__name__}: lacks {what}")
 
     @property
     def name(self) -> str:
@@ -132,23 +126,8 @@ class Predicted:
         check = partial(
             _check_file, folder=dataset.folder, digest=digest, split=split, names=names, shape=shape
         )
-        try:
-            with open_bounded(self.path, 1 << 62):
-                pass
-            guarded(
-                check,
-                self.path,
-                seconds=GUARD_S + len(names) * math.prod(shape) / 1e6,
-                memory_bytes=GUARD_BYTES,
-            )
-        except FileNotFoundError:
-            raise DatasetError(
-                f"{self.path}: no such file; give an HDF5 file of predictions"
-            ) from None
-        except GuardError as error:
-            raise DatasetError(
-                f"{self.path}: cannot be read as HDF5 predictions ({error})"
-            ) from None
+        seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
+        read_guarded(check, self.path, 1 << 62, seconds)
 
     @cached_property
     def _rows(self) -> dict[tuple[str, int, int], int]:

@@ -12,7 +12,7 @@ from lidarsim import GridSpec
 from lidarsim.jit import kernel
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import ReconstructionConfig
+from scenegen.model.evaluation.config import NEAR_M
 from scenegen.model.evaluation.planning.measure import Measurement
 from scenegen.model.evaluation.statistics import Scale
 
@@ -131,12 +131,6 @@ PLAN_METRICS: dict[str, Metric] = {
     "avg_clearance": _trial("mean clearance", lambda trial: trial.mean_clearance_m),
 }
 """Planning: the paper's four, section "Planning with Predicted Distance Fields"."""
-PLAN_READINGS: dict[str, Metric] = {
-    "waypoints_clear": _trial(
-        "waypoints clear", lambda trial: trial.waypoints_clear, needs="trial", unit="", paper=False
-    ),
-}
-"""Second readings of those, in the report's figures and not in its tables."""
 
 
 def measure(
@@ -147,29 +141,23 @@ def measure(
     *,
     classes: NDArray[np.uint8],
     class_count: int,
-    config: ReconstructionConfig,
+    near_m: float = NEAR_M,
     union: Sequence[int] = (),
     certain: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """The metrics of one map, (2 + class_count, len(METRICS)): over the voxels of all classes, over
     those of the classes in `union`, and over each class.
 
-    All grids have the same shape. `classes` holds numbers below `class_count`; a voxel with another
-    number, such as `visibility.UNSCORED`, is left out everywhere. Distances count where they are
-    `certain` (*grid.shape), everywhere by default. A map in which nothing is
-    occupied and nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of
-    nothing to nothing is 0. Distance metrics over no voxel are NaN.
+    All grids have the same shape. Voxels are near an obstacle at `near_m` metres or less. `classes`
+    holds numbers below `class_count`; a voxel with another number, such as `visibility.UNSCORED`,
+    is left out everywhere. Distances count where they are `certain` (*grid.shape), everywhere by
+    default. A map in which nothing is occupied and nothing predicted scores 1 in all four occupancy
+    metrics; otherwise a ratio of nothing to nothing is 0. Distance metrics over no voxel are NaN.
     """
     sums = np.zeros((class_count, len(Sums._fields)))
-    near = np.float32(config.near_m)
-    if config.strict:
-        near = np.nextafter(near, np.float32(0))
-    said, true = (
-        (occupied.reshape(-1), distance.reshape(-1)),
-        (true_occupancy.reshape(-1), true_distance.reshape(-1)),
-    )
     sure = np.ones(classes.shape, np.bool_) if certain is None else certain
-    _accumulate(*said, *true, classes.reshape(-1), sure.reshape(-1), near, sums)
+    grids: Any = (occupied, distance, true_occupancy, true_distance, classes, sure)
+    _accumulate(*(*(grid.reshape(-1) for grid in grids), np.float32(near_m), sums))
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     return np.array(
         [[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64
@@ -194,7 +182,6 @@ def measure_whole(
         true_distance,
         classes=np.zeros(grid.shape, np.uint8) if known is None else (~known).astype(np.uint8),
         class_count=1,
-        config=ReconstructionConfig(),
         certain=certain,
     )[0]
 

@@ -10,14 +10,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scenegen.model.evaluation import paper
-from scenegen.model.evaluation.metrics import PLAN_METRICS, Metric
-from scenegen.model.evaluation.report import reconstruction_table
-from scenegen.model.evaluation.shown import CAUSES
-from scenegen.model.evaluation.statistics import caution, interval, spread, threshold
+from scenegen.model.evaluation.metrics import Metric
+from scenegen.model.evaluation.report import Table, shown, tables
 
-REFERENCES = ("truth", "seen")
-"""Rows that nobody can beat, so that they are never the best."""
 CHARTS = {"reconstruction": ("iou", "near_rmse"), "planning": ("success", "min_clearance")}
 """Metrics that are drawn, by table."""
 STYLE = """
@@ -60,99 +55,41 @@ def to_html(
         if isinstance(value, str)
     )
     body = [f"<h1>Bench</h1><dl>{about}</dl>"]
-    for kind, held in report["datasets"].items():
-        excluded = (
-            ", ".join(f"{cause} {count}" for cause, count in held["excluded"].items()) or "none"
-        )
-        body.append(
-            f"<h2>{_text(kind)}</h2><p>{held['samples']} samples of {held['worlds']} worlds, "
-            f"dataset "
-            f"{_text(str(held['digest'])[:12])}…; {held['trials']} planning trials, excluded "
-            f"draws: {_text(excluded)}. "
-            "Means; below them ± standard deviation over samples or trials, and the 95 % interval "
-            "of the mean, by "
-            "a jackknife over worlds. Bold: the best of what was measured. <i>Italics: the "
-            "paper's.</i></p>"
-        )
-        body.append(f"<p>{few}.</p>" if (few := caution(held["worlds"])) else "")
-        for title, name, (metrics, rows), reference in (
-            (
-                "Reconstruction",
-                "reconstruction",
-                reconstruction_table(report["reconstruction"][kind]),
-                paper.RECONSTRUCTION.get(kind, {}),
-            ),
-            (
-                "Planning",
-                "planning",
-                (PLAN_METRICS, report["planning"][kind]),
-                paper.PLANNING.get(kind, {}),
-            ),
-        ):
-            body.append(f"<h3>{title}</h3>{_table(rows, metrics, reference)}<div class='charts'>")
-            body += [_chart(rows, metrics[one], one, reference) for one in CHARTS[name]]
-            body.append("</div>")
-        body.append(_failures(report["planning"][kind]))
-        shown = (pictures or {}).get(kind, ())
-        images = (
+    for kind in report["datasets"]:
+        body.append(f"<h2>{_text(kind)}</h2>")
+        body += [_block(block) for block in shown(report, kind)]
+        charts = [
+            _chart(rows, metrics[one], one, reference)
+            for name, metrics, rows, reference in tables(report, kind)
+            for one in CHARTS[name]
+        ]
+        images = [
             f"<figure><figcaption>{_text(told)}</figcaption><img alt='{_text(told)}' "
             f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
-            for told, image in shown
-        )
-        body.append(f"<div class='charts'>{''.join(images)}</div>" if shown else "")
+            for told, image in (pictures or {}).get(kind, ())
+        ]
+        body.append(f"<div class='charts'>{''.join(charts + images)}</div>")
     head = f"{HEAD}<title>Bench</title><style>{STYLE}</style></head>"
     return f"{head}<body>{''.join(body)}</body></html>\n"
 
 
-def best(rows: Mapping[str, Any], name: str, metric: Metric) -> set[str]:
-    """The methods with the best mean of a metric, as it is printed; none of the references."""
-    means = {
-        method: row[name]["mean"]
-        for method, row in rows.items()
-        if row[name]["n"] and method not in REFERENCES
-    }
-    worth = {
-        "higher": lambda mean: -round(mean, 3),
-        "lower": lambda mean: round(mean, 3),
-        "nearer to 0": lambda mean: abs(round(mean, 3)),
-    }[metric.better]
-    first = min(map(worth, means.values()), default=None)
-    return {method for method, mean in means.items() if worth(mean) == first}
-
-
-def _table(
-    rows: Mapping[str, Any], metrics: Mapping[str, Metric], reference: Mapping[str, Any]
-) -> str:
-    arrows = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
-    heads = "".join(
-        f"<th>{_text(metric.label)}{arrows[metric.better]}</th>" for metric in metrics.values()
+def _block(block: str | Table) -> str:
+    """A sentence or a table; the spread of a figure stands below it."""
+    if isinstance(block, str):
+        return f"<p>{_text(block)}</p>"
+    lines = ""
+    for row, (name, cells) in enumerate((*block.rows, *block.paper)):
+        mark, told = " class='paper'" * (row >= len(block.rows)), ""
+        for n, one in enumerate(cells):
+            figure, _, more = one.partition(" ")
+            best = " class='best'" if not mark and (name, n) in block.best else ""
+            told += f"<td{best}>{_text(figure)}<small>{_text(more)}</small></td>"
+        lines += f"<tr{mark}><th>{_text(name)}</th>{told}</tr>"
+    heads = "".join(f"<th>{_text(one)}</th>" for one in block.heads)
+    return (
+        f"<h3>{_text(block.title)}</h3><div class='wide'><table><thead><tr><th></th>{heads}</tr>"
+        f"</thead><tbody>{lines}</tbody></table></div>"
     )
-    bests = {name: best(rows, name, metric) for name, metric in metrics.items()}
-    lines = []
-    for method, row in rows.items():
-        cells = (_cell(row[name], method in bests[name]) for name in metrics)
-        lines.append(f"<tr><th>{_text(method)}</th>{''.join(cells)}</tr>")
-    for method, row in reference.items():
-        cells = (
-            f"<td>{spread(*row[name]) if metric.paper else '–'}</td>"
-            for name, metric in metrics.items()
-        )
-        lines.append(f"<tr class='paper'><th>{_text(method)}</th>{''.join(cells)}</tr>")
-    return _framed(heads, "".join(lines))
-
-
-def _framed(heads: str, lines: str) -> str:
-    head = f"<thead><tr><th></th>{heads}</tr></thead>"
-    return f"<div class='wide'><table>{head}<tbody>{lines}</tbody></table></div>"
-
-
-def _cell(figure: Mapping[str, Any], is_best: bool) -> str:
-    if not figure["n"]:
-        return "<td>–</td>"
-    more = "" if figure["std"] is None else f"± {figure['std']:.3f}<br>"
-    mark = " class='best'" if is_best else ""
-    more += f"{interval(figure, '.3f')}{threshold(figure)}"
-    return f"<td{mark}>{figure['mean']:.3f}<small>{more}</small></td>"
 
 
 def _chart(rows: Mapping[str, Any], metric: Metric, name: str, reference: Mapping[str, Any]) -> str:
@@ -206,18 +143,6 @@ def _ticks(low: float, high: float) -> list[float]:
     return [
         step * n for n in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
     ]
-
-
-def _failures(rows: Mapping[str, Any]) -> str:
-    causes = [cause for cause in CAUSES if any(cause in row["failures"] for row in rows.values())]
-    if not causes:
-        return ""
-    heads = "".join(f"<th>{_text(CAUSES[cause])}</th>" for cause in causes)
-    lines = ""
-    for method, row in rows.items():
-        counts = "".join(f"<td>{row['failures'].get(cause, 0)}</td>" for cause in causes)
-        lines += f"<tr><th>{_text(method)}</th>{counts}</tr>"
-    return f"<h3>Trials that failed, by what became of the path</h3>{_framed(heads, lines)}"
 
 
 def _text(value: object) -> str:

@@ -4,15 +4,15 @@ for people."""
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation import paper
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, PLAN_READINGS, Metric
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import (
     Scale,
@@ -25,13 +25,23 @@ from scenegen.model.evaluation.statistics import (
     line,
     paired_p,
     spread,
-    summarize,
 )
-from scenegen.model.evaluation.study.report import study_lines, study_of
-from scenegen.model.evaluation.visibility import CLASSES, DESCRIPTORS
+from scenegen.model.evaluation.study import study_of, study_tables
+from scenegen.model.evaluation.visibility import CLASSES
 
 BEST_IOU, UNITS = "best_iou", {"probability": "", "distance_m": " m"}
 """A column of the tables, and the units of the thresholds at which it stands."""
+ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
+REFERENCES = ("truth", "seen")
+"""Rows that nobody can beat, so that they are never the best."""
+CAUSES = {
+    "start_blocked": "none: the start is occupied",
+    "goal_blocked": "none: the goal is occupied",
+    "no_path": "none leads to the goal",
+    "initial_collides": "hits an obstacle",
+    "refined_into_obstacle": "refined into an obstacle",
+}
+"""What came of a path, by the bench's causes of failure."""
 REGIONS = ("map", "unobserved")
 """Rows of a sample's reconstruction before those of the classes of voxels."""
 
@@ -60,10 +70,6 @@ def build_report(
             "worlds": len(np.unique(result.worlds)),
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
-            "difficulty": {
-                name: figure(result.difficulty[:, n], result.worlds)
-                for n, name in enumerate(DESCRIPTORS)
-            },
         }
         report["reconstruction"][result.kind] = {
             name: _reconstruction(found, result) for name, found in methods
@@ -73,7 +79,10 @@ def build_report(
         }
         report["tests"][result.kind] = _tests(result, rng) if tests else []
         if result.config.study:
-            report.setdefault("study", {})[result.kind] = study_of(result)
+            report.setdefault("study", {})[result.kind] = {
+                name: study_of(found.studies, found.careful, result.worlds, result.trial_worlds)
+                for name, found in methods
+            }
     return finite(report)
 
 
@@ -104,26 +113,25 @@ def _reconstruction(found: MethodResult, result: DatasetResult) -> dict[str, Any
 
 
 def _planning(found: MethodResult, result: DatasetResult) -> dict[str, Any]:
-    metrics = PLAN_METRICS | PLAN_READINGS
-    columns = {name: _of_trials(metric, found) for name, metric in metrics.items()}
-    on_paths = [name for name, metric in metrics.items() if metric.needs == "path"]
-    succeeded = np.array([trial.success for trial in found.trials], dtype=bool)
+    on_paths = {name: one for name, one in PLAN_METRICS.items() if one.needs == "path"}
 
-    def figures(names: Sequence[str], chosen: np.ndarray) -> dict[str, Any]:
-        rows = {name: np.where(chosen, columns[name], np.nan) for name in names}
+    def figures(metrics: Mapping[str, Metric], chosen: Any) -> dict[str, Any]:
         return {
-            name: figure(values, result.trial_worlds, metrics[name].scale)
-            for name, values in rows.items()
+            name: figure(
+                np.where(chosen, _of_trials(metric, found), np.nan),
+                result.trial_worlds,
+                metric.scale,
+            )
+            for name, metric in metrics.items()
         }
 
-    learned = [other for other in result.methods.values() if other.learned] or list(
-        result.methods.values()
-    )
-    everywhere = np.all([[trial.success for trial in other.trials] for other in learned], axis=0)
+    rows = result.methods.values()
+    learned = [other for other in rows if other.learned] or rows
+    succeeded = [[trial.success for trial in other.trials] for other in (found, *learned)]
     return {
-        **figures(tuple(columns), np.ones(len(succeeded), dtype=bool)),
-        "successes": figures(on_paths, succeeded),
-        "all_succeed": figures(on_paths, everywhere),
+        **figures(PLAN_METRICS, True),
+        "successes": figures(on_paths, succeeded[0]),
+        "all_succeed": figures(on_paths, np.all(succeeded[1:], axis=0)),
         "failures": dict(Counter(trial.cause for trial in found.trials if trial.cause is not None)),
     }
 
@@ -148,22 +156,26 @@ def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, An
             if metric.tested:
                 a, b = _of_trials(metric, one), _of_trials(metric, other)
                 rows.append((first, second, name, "gain", a, b, result.trial_worlds))
-    paired = [summarize(a - b, worlds, scale) for *_, scale, a, b, worlds in rows]
+    paired = [figure(a - b, worlds, scale) for *_, scale, a, b, worlds in rows]
     raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
     return [
         {"first": first, "second": second, "metric": metric}
-        | {"difference": difference.mean, "low": difference.low, "high": difference.high}
+        | {"difference": found["mean"], "low": found["low"], "high": found["high"]}
         | {"p": p, "p_holm": float(corrected)}
-        for (first, second, metric, *_), difference, p, corrected in zip(
+        for (first, second, metric, *_), found, p, corrected in zip(
             rows, paired, raw, holm(raw), strict=True
         )
     ]
 
 
-def reconstruction_table(rows: Mapping[str, Any]) -> tuple[dict[str, Metric], dict[str, Any]]:
-    """What a table of reconstruction shows of the report's `rows`: the metrics and the rows, in
-    both of them IoU at the row's best threshold beside IoU. Where that is not the paper's, the
-    figure says where it lies: `at`."""
+def tables(
+    report: Mapping[str, Any], kind: str
+) -> Iterator[tuple[str, Mapping[str, Metric], Mapping[str, Any], Mapping[str, Any]]]:
+    """Both tables of a kind: their name in the report, metrics, rows, and the paper's rows.
+
+    Beside IoU stands IoU at the row's best threshold. Where that is not the paper's, the figure
+    says where it lies: `at`.
+    """
     metrics, usual = dict[str, Metric](), dataclasses.asdict(Thresholds())
     for name, metric in METRICS.items():
         metrics[name] = metric
@@ -171,75 +183,101 @@ def reconstruction_table(rows: Mapping[str, Any]) -> tuple[dict[str, Metric], di
             metrics[BEST_IOU] = dataclasses.replace(
                 metric, title="IoU at its best threshold", paper=False
             )
-    shown = {}
-    for method, row in rows.items():
+    rows = {}
+    for method, row in report["reconstruction"][kind].items():
         tuned = row["tuned"]
         places = ((tuned["thresholds"][name], unit, usual[name]) for name, unit in UNITS.items())
         at = "".join(f"{value:g}{unit}" for value, unit, papers in places if value != papers)
-        shown[method] = {**row, BEST_IOU: {**tuned["iou"], "at": at}}
-    return metrics, shown
+        rows[method] = {**row, BEST_IOU: {**tuned["iou"], "at": at}}
+    yield "reconstruction", metrics, rows, paper.RECONSTRUCTION.get(kind, {})
+    yield "planning", PLAN_METRICS, report["planning"][kind], paper.PLANNING.get(kind, {})
+
+
+class Table(NamedTuple):
+    """A table of the report, as it is shown."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[str]]]
+    """Names and cells."""
+    paper: Sequence[tuple[str, Sequence[str]]] = ()
+    """Rows of the paper's figures."""
+    best: Collection[tuple[str, int]] = ()
+    """The best cells: rows' names and columns."""
+
+
+def shown(report: Mapping[str, Any], kind: str) -> Iterator[str | Table]:
+    """What people are shown of one kind: sentences and tables."""
+    about = report["datasets"][kind]
+    excluded = ", ".join(f"{cause} {count}" for cause, count in about["excluded"].items())
+    yield (
+        f"{about['samples']} samples of {about['worlds']} worlds, dataset "
+        f"{str(about['digest'])[:12]}…; {about['trials']} planning trials, excluded draws: "
+        f"{excluded or 'none'}. Mean ± standard deviation over samples or trials, in brackets the "
+        f"95 % interval of the mean, by a jackknife over worlds"
+        f"{', which one world does not give' * (about['worlds'] == 1)}. In italics: the paper's."
+    )
+    if few := caution(about["worlds"]):
+        yield f"{few}."
+    for title, metrics, rows, reference in tables(report, kind):
+        ours = [(name, [cell(row[m]) for m in metrics]) for name, row in rows.items()]
+        theirs = [
+            (name, [spread(*row[m]) if one.paper else "–" for m, one in metrics.items()])
+            for name, row in reference.items()
+        ]
+        heads = [f"{metric.label}{ARROWS[metric.better]}" for metric in metrics.values()]
+        bold = [
+            (name, n)
+            for n, (m, metric) in enumerate(metrics.items())
+            for name in best(rows, m, metric)
+        ]
+        yield Table(title.capitalize(), heads, ours, theirs, bold)
+    failed = {name: row["failures"] for name, row in report["planning"][kind].items()}
+    causes = [cause for cause in CAUSES if any(cause in row for row in failed.values())]
+    yield Table(
+        "Trials that failed, by what became of the path",
+        [CAUSES[cause] for cause in causes],
+        [(name, [str(row.get(cause, 0)) for cause in causes]) for name, row in failed.items()],
+    )
+    yield from (Table(*table) for table in study_tables(report.get("study", {}).get(kind, {})))
+    seen = {name: row["by_class"] for name, row in report["reconstruction"][kind].items()}
+    by_class = [(name, [cell(row[c]["iou"]) for c in CLASSES]) for name, row in seen.items()]
+    yield Table("IoU by what was seen", CLASSES, by_class)
+    compared = []
+    for test in report["tests"][kind]:
+        found = "–"
+        if test["difference"] is not None:
+            found = f"{test['difference']:+.3f} {interval(test, '+.3f')}"
+        cells = (test["metric"], found, f"{test['p_holm']:.4f}")
+        compared.append((f"{test['first']} − {test['second']}", cells))
+    yield Table("Paired tests, by world, Holm-corrected", ("metric", "difference", "p"), compared)
+
+
+def best(rows: Mapping[str, Any], name: str, metric: Metric) -> set[str]:
+    """The methods with the best mean of a metric, as it is printed; none of the references."""
+    means = {
+        method: round(row[name]["mean"], 3)
+        for method, row in rows.items()
+        if row[name]["n"] and method not in REFERENCES
+    }
+    sign = {"higher": lambda mean: -mean, "lower": lambda mean: mean, "nearer to 0": abs}
+    worth = sign[metric.better]
+    first = min(map(worth, means.values()), default=None)
+    return {method for method, mean in means.items() if worth(mean) == first}
 
 
 def to_markdown(report: Mapping[str, Any]) -> str:
-    """The report for people: Table I and Table II per kind, then failures, classes and tests."""
+    """The report as Markdown."""
     lines = ["# Bench", ""]
     lines += [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
-    for kind, about in report["datasets"].items():
-        lines += [
-            "",
-            f"## {kind}",
-            "",
-            f"{about['samples']} samples of {about['worlds']} worlds, dataset "
-            f"{about['digest'][:12]}…; "
-            f"{about['trials']} planning trials, excluded draws: {about['excluded'] or 'none'}. "
-            f"Mean ± standard "
-            "deviation over samples or trials, in brackets the 95 % interval of the mean, by a "
-            "jackknife over worlds"
-            f"{', which one world does not give' * (about['worlds'] == 1)}. *Italics*: the "
-            f"paper's.",
-        ]
-        lines += ["", f"**{few}.**"] if (few := caution(about["worlds"])) else []
-        lines += [
-            "",
-            "### Difficulty",
-            "",
-            *head(DESCRIPTORS),
-            line("truth", map(cell, about["difficulty"].values())),
-        ]
-        for title, (metrics, table), reference in (
-            (
-                "Reconstruction",
-                reconstruction_table(report["reconstruction"][kind]),
-                paper.RECONSTRUCTION,
-            ),
-            ("Planning", (PLAN_METRICS, report["planning"][kind]), paper.PLANNING),
-        ):
-            lines += ["", f"### {title}", "", *head(metrics)]
-            lines += [line(name, (cell(row[m]) for m in metrics)) for name, row in table.items()]
-            for name, row in reference.get(kind, {}).items():
-                cells = (
-                    f"*{spread(*row[m])}*" if metric.paper else "–" for m, metric in metrics.items()
-                )
-                lines.append(line(f"*{name}*", cells))
-        lines += ["", "### Failures", ""]
-        for name, row in report["planning"][kind].items():
-            counted = ", ".join(
-                f"{cause} {count}" for cause, count in sorted(row["failures"].items())
-            )
-            lines.append(f"- {name}: {counted or 'none'}")
-        lines += study_lines(report.get("study", {}).get(kind, {}))
-        lines += ["", "### IoU by what was seen", "", *head(CLASSES)]
-        for name, row in report["reconstruction"][kind].items():
-            lines.append(line(name, (cell(row["by_class"][c]["iou"]) for c in CLASSES)))
-        lines += [
-            "",
-            "### Paired tests, by world, Holm-corrected",
-            "",
-            *head(("metric", "difference", "p")),
-        ]
-        for test in report["tests"][kind]:
-            pair, found = f"{test['first']} − {test['second']}", "–"
-            if test["difference"] is not None:
-                found = f"{test['difference']:+.3f} {interval(test, '+.3f')}"
-            lines.append(line(pair, (test["metric"], found, f"{test['p_holm']:.4f}")))
+    for kind in report["datasets"]:
+        lines += ["", f"## {kind}"]
+        for block in shown(report, kind):
+            if isinstance(block, str):
+                lines += ["", block]
+                continue
+            lines += ["", f"### {block.title}", "", *head(block.heads)]
+            lines += [line(name, cells) for name, cells in block.rows]
+            for name, cells in block.paper:
+                lines.append(line(f"*{name}*", (f"*{c}*" if c != "–" else c for c in cells)))
     return "\n".join(lines) + "\n"

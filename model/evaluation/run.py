@@ -1,6 +1,7 @@
 """Run the bench: every method on every test map of a dataset, reconstruction and planning, by all
 cores."""
 
+import dataclasses
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -20,23 +21,27 @@ from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.metrics import measure
 from scenegen.model.evaluation.planning.measure import Measurement, Trials, draw_trials, run_trial
-from scenegen.model.evaluation.study.maps import Study, stack, study_map
-from scenegen.model.evaluation.tuning import spread, tune
+from scenegen.model.evaluation.study import Study, study_map
 from scenegen.model.evaluation.visibility import (
     CLASSES,
     UNOBSERVED,
     certain_distances,
     classify,
-    describe,
     scored_voxels,
+    seen_occupancy,
     walled,
 )
-from scenegen.run import Executor
+from scenegen.run import Executor, check_together
 from scenegen.run.workers import Local
 from scenegen.sample import Sample
+from scenegen.truth import distance_field
 
 CHUNK = 10
 """Samples a task of a worker."""
+TUNED = 50
+"""Validation samples on which thresholds are tuned, at most."""
+PROBABILITIES = np.arange(0.05, 1.0, 0.05)
+DISTANCES_M = np.arange(0.05, 0.85, 0.05)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,8 +58,10 @@ class MethodResult:
     trials: tuple[Measurement, ...]
     learned: bool
     """Whether the method was trained, or may have been: see `Method.learned`."""
-    study: Study | None
-    """None unless it was asked for."""
+    studies: tuple[Study, ...]
+    """By sample; () unless asked for."""
+    careful: list[NDArray[np.float64]]
+    """(settings, figures) of each trial that was studied."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,26 +79,18 @@ class DatasetResult:
     trial_places: tuple[tuple[int, int], ...]
     """Each trial's sample by its number in the split, and the trial's own number within the
     sample."""
-    trial_clearance: NDArray[np.float64]
-    """(trials,): the least clearance of the path that the planner finds on the truth, metres; NaN
-    without a study."""
     excluded: Counter[str]
     """Drawn trials that are not valid, by reason."""
-    difficulty: NDArray[np.float64]
-    """(N, descriptors) of the samples."""
     methods: dict[str, MethodResult]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Found:
-    """What one sample gave; the last four by method."""
+    """What one sample gave; the last four by method, in order."""
 
     index: int
     world: int
-    difficulty: NDArray[np.float64]
     excluded: Counter[str]
-    clearance: list[float]
-    """By trial."""
     reconstruction: list[NDArray[np.float64]]
     tuned: list[NDArray[np.float64]]
     trials: list[list[Measurement]]
@@ -157,13 +156,8 @@ def bench(
         raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
     indices = [ours[n] for n in spread(len(ours), config.samples or len(ours))]
     tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
-    if len(execute.mine((0, 1))) < 2:  # whatever the number of tasks
-        raise DatasetError(
-            "--on: a report takes the figures of all samples, and jobs that know their rank alone "
-            "bring none together; "
-            "give --on ray or --on slurm, or each job a dataset of its own with --on local"
-        )
-    tuned = [tune(method, dataset, most=50, thresholds=config.thresholds) for method in methods]
+    check_together(execute, "a report takes")
+    tuned = [tune(method, dataset, config.thresholds) for method in methods]
     work = partial(
         _work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config
     )
@@ -185,8 +179,6 @@ def bench(
         worlds=np.array([one.world for one in found]),
         trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
         trial_places=tuple((found[n].index, turn) for turn, n in turns),
-        trial_clearance=np.array([found[n].clearance[turn] for turn, n in turns], dtype=np.float64),
-        difficulty=np.array([one.difficulty for one in found]),
         excluded=sum((one.excluded for one in found), start=Counter()),
         methods={
             method.name: MethodResult(
@@ -195,7 +187,8 @@ def bench(
                 thresholds=tuned[m],
                 trials=tuple(found[n].trials[m][turn] for turn, n in turns),
                 learned=method.learned,
-                study=stack([one.studies[m] for one in found], turns) if config.study else None,
+                studies=tuple(one.studies[m] for one in found if config.study),
+                careful=[found[n].studies[m].careful[turn] for turn, n in turns if config.study],
             )
             for m, method in enumerate(methods)
         },
@@ -237,16 +230,11 @@ def _work(
         trial = partial(
             run_trial, occupancy_truth=solid, tudf_truth=gap, grid=grid, config=config.plan
         )
-        seen = _seen(sample, split) if config.study else None
+        seen = seen_occupancy(sample, split) if config.study else None
         one = _Found(
             index=index,
             world=int(sample.world),
-            difficulty=describe(sample, grid=grid, config=config.plan),
             excluded=Counter(drawn.excluded),
-            clearance=[
-                math.nan if seen is None else trial(*truth, goal=goal).min_clearance_m
-                for goal in drawn.goals
-            ],
             reconstruction=[],
             tuned=[],
             trials=[],
@@ -261,7 +249,7 @@ def _work(
                     *truth,
                     classes=classes,
                     class_count=len(CLASSES),
-                    config=config.reconstruction,
+                    near_m=config.near_m,
                     union=UNOBSERVED,
                     certain=certain,
                 )
@@ -269,12 +257,15 @@ def _work(
             }
             one.reconstruction.append(figures[usual])
             one.tuned.append(figures[best][0])
-            planned = walled(*maps[usual], sample.known, grid)
+            occupied, distance = maps[usual]
+            if config.plan.field == "transform":
+                distance = distance_field(occupied, grid)
+            planned = walled(occupied, distance, sample.known, grid)
             one.trials.append([trial(*planned, goal=goal) for goal in drawn.goals])
             if seen is not None:
                 studied = study_map(
                     said,
-                    *maps[usual],
+                    maps[usual][1],
                     sample,
                     classes=classes,
                     seen=seen,
@@ -287,13 +278,6 @@ def _work(
     return found
 
 
-def _seen(sample: Sample, split: Split) -> NDArray[np.bool_]:
-    """See `seen_occupancy`, which compiles worlds, and so is imported only then."""
-    from scenegen.model.evaluation.visibility import seen_occupancy
-
-    return seen_occupancy(sample, split)
-
-
 def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, count: int) -> Trials:
     """The first `count` trials of `sample`, which is number `index` of its `split`."""
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
@@ -302,3 +286,45 @@ def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, cou
     grid = split.dataset.grid
     solid, _ = walled(sample.occupancy, sample.tudf, sample.known, grid)
     return draw_trials(solid, grid, config.plan, count=count, rng=rng, bounds=bounds)
+
+
+def spread(count: int, most: int) -> list[int]:
+    """At most `most` of the numbers below `count`, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist()
+
+
+def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds:
+    """The thresholds at which `method` has the largest mean IoU on at most `TUNED` validation
+    samples, evenly spread: the same rule for every method.
+
+    Where all do equally well, or the method says nothing about the validation split, `thresholds`
+    as they are.
+    """
+    split = dataset.split("val")
+    if not len(split):
+        return thresholds
+    scores: list[list[float]] = []
+    name, candidates = "probability", PROBABILITIES
+    for index in spread(len(split), TUNED):
+        sample = split[index]
+        scored = scored_voxels(sample, dataset.grid, split.home(index).tables)
+        truth = sample.occupancy[scored]
+        try:
+            completion = method.completion(sample, split)
+        except KeyError:  # a file that predicts the test split alone
+            return thresholds
+        if completion.occupancy_probability is None:
+            name, candidates = "distance_m", DISTANCES_M
+        row = []
+        for value in candidates:
+            at = dataclasses.replace(thresholds, **{name: float(value)})
+            occupied = completion.occupied(at)[scored]
+            union = np.count_nonzero(occupied | truth)
+            row.append(np.count_nonzero(occupied & truth) / union if union else 1.0)
+        scores.append(row)
+    means = np.mean(scores, axis=0)
+    if np.ptp(means) < 1e-12:
+        return thresholds
+    return dataclasses.replace(
+        thresholds, **{name: round(float(candidates[int(means.argmax())]), 4)}
+    )

@@ -15,36 +15,22 @@ from scenegen.display.look import Guess, Guesses, Route, look_into
 from scenegen.errors import DatasetError
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
-from scenegen.model.evaluation.planning.astar import Lattice, plan_path
-from scenegen.model.evaluation.planning.measure import judge
-from scenegen.model.evaluation.planning.refine import refine
+from scenegen.model.evaluation.planning.astar import Lattice
+from scenegen.model.evaluation.planning.measure import judge, plan_refined
+from scenegen.model.evaluation.report import CAUSES
 from scenegen.model.evaluation.run import DatasetResult, trials_of
 from scenegen.sample import Sample
-
-CAUSES = {
-    "start_blocked": "none: the start is occupied",
-    "goal_blocked": "none: the goal is occupied",
-    "no_path": "none leads to the goal",
-    "initial_collides": "hits an obstacle",
-    "refined_into_obstacle": "refined into an obstacle",
-}
-"""What came of a path, by the bench's causes of failure."""
 
 
 def guesses_of(methods: Sequence[Method], config: BenchConfig, trial: int | None = 0) -> Guesses:
     """What `methods` say of a sample, each with its path to the goal of the bench's trial number
     `trial` in that sample, at the thresholds and by the planner of `config`; without paths where
     `trial` is None, or the sample has no such trial."""
-    return partial(_guesses, methods=methods, config=config, trial=trial)
+    return partial(_guesses, methods, config, trial)
 
 
 def _guesses(
-    sample: Sample,
-    split: Split,
-    *,
-    methods: Sequence[Method],
-    config: BenchConfig,
-    trial: int | None,
+    methods: Sequence[Method], config: BenchConfig, trial: int | None, sample: Sample, split: Split
 ) -> list[Guess]:
     goal = None if trial is None else _goal(sample, split, config, trial)
     found = []
@@ -80,8 +66,7 @@ def route_to(
 ) -> Route:
     """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the
     truth; see `scenegen.model.evaluation.planning.measure.run_trial`."""
-    plan = plan_path(occupied, goal, grid, config)
-    refined = None if plan.waypoints is None else refine(plan.waypoints, tudf, grid, config)
+    plan, refined = plan_refined(occupied, tudf, goal, grid, config)
     measured = judge(plan, refined, sample.occupancy, sample.tudf, grid, config)
     lattice = Lattice(grid, config.step_voxels)
     told = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"

@@ -1,7 +1,6 @@
 """Figures with their uncertainty, and as text. Samples of one world are not independent, so worlds
 are left out in turn."""
 
-import dataclasses
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -22,22 +21,6 @@ hold."""
 FLIPS = 20000
 """Permutations: the least p-value is one in so many, which must bear a correction over some hundred
 tests."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Figure:
-    """A mean over samples, with their spread, and a 95 % interval for the mean."""
-
-    mean: float | None
-    """None where no sample has a value."""
-    std: float | None
-    """Standard deviation of the samples: their spread, not the mean's error."""
-    low: float | None
-    """Lower end of the interval; None where the samples are of one world, which says nothing of
-    others."""
-    high: float | None
-    n: int
-    """Samples that have a value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,18 +82,24 @@ def estimate(
     return Estimate(value=value, error=error, freedom=count - 1)
 
 
-def summarize(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Figure:
-    """A figure from `values` (N,) of samples from `worlds` (N,); NaN values are left out.
+def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> dict[str, Any]:
+    """A figure as JSON holds it, from `values` (N,) of samples from `worlds` (N,); NaN values are
+    left out.
 
     Intervals of shares and outcomes are symmetric in log-odds, so that they stay in [0, 1] and
     cover where a few worlds are far harder than the rest. Outcomes of a few trials can be all alike
     by chance: there the error is at least that of independent trials of which one more went the
     other way.
+
+    Returns:
+        ``mean``; ``std`` of the samples, their spread and not the mean's error; ``low`` and
+        ``high``, the 95 % interval of the mean, None of one world, which says nothing of others;
+        and ``n``, the samples that have a value. Without any, all but ``n`` are None.
     """
     values = np.asarray(values, dtype=np.float64)
     held = np.isfinite(values)
     if not held.any():
-        return Figure(mean=None, std=None, low=None, high=None, n=0)
+        return {"mean": None, "std": None, "low": None, "high": None, "n": 0}
     chosen, count = values[held], int(held.sum())
     found = estimate(np.stack([chosen, np.ones(count)], axis=1), np.asarray(worlds)[held], _mean)
     mean, reach = found.value, found.reach
@@ -123,14 +112,8 @@ def summarize(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> 
         if scale in ("share", "outcome") and 0 < middle < 1:
             ends = expit(logit(middle) + np.array([-1, 1]) * reach / (middle * (1 - middle)))
             low, high = min(float(ends[0]), mean), max(float(ends[1]), mean)
-    return Figure(
-        mean=mean, std=float(chosen.std(ddof=1)) if count > 1 else 0.0, low=low, high=high, n=count
-    )
-
-
-def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> dict[str, Any]:
-    """What `summarize` gives, as JSON holds it."""
-    return dataclasses.asdict(summarize(values, worlds, scale))
+    std = float(chosen.std(ddof=1)) if count > 1 else 0.0
+    return {"mean": mean, "std": std, "low": low, "high": high, "n": count}
 
 
 def caution(worlds: int) -> str:
@@ -192,6 +175,11 @@ def cell(figure: Mapping[str, Any]) -> str:
     if not figure["n"]:
         return "–"
     return f"{spread(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
+
+
+def brief(figure: Mapping[str, Any]) -> str:
+    """A mean and its interval; a dash where nothing was measured."""
+    return f"{figure['mean']:.3f} {interval(figure, '.3f')}" if figure["n"] else "–"
 
 
 def threshold(figure: Mapping[str, Any]) -> str:

@@ -1,2 +1,2 @@
-"""The study of the paper's claims: which networks it trains (`runs`), what is measured of them
-(`records`), what that says of the claims (`claims`), stage by stage (`stages`)."""
+"""The study of the paper's claims: what is trained (`runs`), how that is made and measured
+(`stages`), what it says of the claims (`claims`), and the page of it (`report`)."""

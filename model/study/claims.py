@@ -9,13 +9,12 @@ Biometrics Bulletin 2, 1946. All claims together are held to one level (S. Holm,
 sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979).
 """
 
-import json
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +22,9 @@ from numpy.typing import NDArray
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import finite
-from scenegen.model.evaluation.statistics import Estimate, estimate, holm
-from scenegen.model.study.records import Measured, Records, presets
+from scenegen.model.evaluation.run import DatasetResult
+from scenegen.model.evaluation.statistics import Estimate, estimate, figure, holm
 
-Verdict = Literal["confirmed", "refuted", "contradicted", "undecided"]
 PATIENCE = TrainConfig().patience
 """Epochs without a lower validation loss after which the paper stops. What networks show that did
 not train so long may be the other way round later: a claim is contradicted by them, and not
@@ -49,8 +46,6 @@ ABOUT = {
     "Q3": ("min_clearance", "avg_clearance", "length"),
 }
 """The metrics by which a question is answered; other cells are judged, and answer none."""
-TOLD = ("iou", "near_rmse", "success")
-"""The metrics by which runs of a part of the budget are compared."""
 BESIDE = (
     ("proposed-1", "proposed"),
     ("proposed-1", "occ"),
@@ -62,8 +57,49 @@ BESIDE = (
     ("columns", "proposed-1"),
 )
 """What is judged beside the paper's claims, by `BESIDE_BY`: the first before the second."""
-JUDGED = (*METRICS, *PLAN_METRICS)
 BESIDE_BY = ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success")
+ALL = METRICS | PLAN_METRICS
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Measured:
+    """All rows on the worlds of one kind."""
+
+    kind: str
+    rows: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    """By name and metric, the value of every map, or of every trial; NaN where there is no
+    path."""
+    worlds: Mapping[str, NDArray[np.int64]]
+    """By metric, the worlds of those values."""
+
+    @classmethod
+    def of(cls, result: DatasetResult) -> "Measured":
+        """What a bench measured."""
+        return cls(
+            kind=result.kind,
+            rows={
+                name: {
+                    **dict(zip(METRICS, found.reconstruction[:, 0].T, strict=True)),
+                    **{
+                        metric: np.array([one.of(trial) for trial in found.trials], np.float64)
+                        for metric, one in PLAN_METRICS.items()
+                    },
+                }
+                for name, found in result.methods.items()
+            },
+            worlds=dict.fromkeys(METRICS, result.worlds)
+            | dict.fromkeys(PLAN_METRICS, result.trial_worlds),
+        )
+
+    def means(self) -> dict[str, dict[str, Any]]:
+        """Every metric of every row, {mean, std, low, high, n}."""
+        return {
+            name: {
+                metric: figure(row[metric], self.worlds[metric], one.scale)
+                for metric, one in ALL.items()
+            }
+            for name, row in self.rows.items()
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,52 +134,42 @@ def claims() -> tuple[Claim, ...]:
     )
 
 
-def beside() -> tuple[Claim, ...]:
-    """What the study asks on its own account."""
-    return tuple(
+def asked(measured: Sequence[Measured]) -> dict[str, list[dict[str, Any]]]:
+    """What is known of all claims, as `compared` tells it: the paper's ``claims``; what the study
+    asks ``beside`` them; and ``paths``, those about paths again. The tables answer these by the
+    paths that each method has, so that a method that has none in the tight trials has the better
+    ones for it: here, on those trials where both of a pair have one."""
+    beside = [
         Claim(kind=kind, metric=metric, best=best, other=other)
-        for kind in paper.PLANNING
-        for best, other in BESIDE
-        for metric in BESIDE_BY
-    )
+        for kind, (best, other), metric in product(paper.PLANNING, BESIDE, BESIDE_BY)
+    ]
+    paths = [claim for claim in claims() if claim.metric in ABOUT["Q3"]]
+    parts = {"claims": claims(), "beside": beside, "paths": paths}
+    return {
+        part: [
+            compared(claim, one, common=part == "paths")
+            for claim in some
+            for one in measured
+            if one.kind == claim.kind
+        ]
+        for part, some in parts.items()
+    }
 
 
-def of_paths() -> tuple[Claim, ...]:
-    """The claims about paths, which the tables answer by the paths that each method has. A method
-    that has none in the tight trials has the better ones for it: so they are judged again on those
-    trials where both have a path."""
-    return tuple(claim for claim in claims() if claim.metric in ABOUT["Q3"])
-
-
-def judge(records: Records) -> dict[str, Any]:
-    """All verdicts as JSON: ``claims``, ``beside`` and ``paths``, each claim as `decided` tells it;
-    ``verdicts``, the answers to the questions; and ``contrasts`` of runs of one seed, which have
-    none."""
-    by_kind = presets(records.measured)
+def judged(study: Mapping[str, Any]) -> dict[str, Any]:
+    """`study`, what ``study.json`` holds or will hold, with all verdicts, and the answers to the
+    questions: from its ``runs``, its ``means``, and what `asked` found."""
     spreads = {
-        (kind, metric): spread(losses(one, metric))
-        for kind, one in by_kind.items()
-        for metric in JUDGED
+        (kind, metric): spread(losses(rows, metric))
+        for kind, rows in study["means"].items()
+        for metric in ALL
     }
-    long = [name for name, run in records.runs.items() if waited(run) >= PATIENCE]
-    asked = {"claims": claims(), "beside": beside(), "paths": of_paths()}
-    found = {
-        part: decided(
-            [
-                compared(claim, by_kind[claim.kind], part == "paths")
-                for claim in some
-                if claim.kind in by_kind
-            ],
-            spreads,
-            long,
-        )
-        for part, some in asked.items()
-    }
-    told = [row for one in records.measured for row in contrasts(one, records.runs)]
-    return dict(finite({"verdicts": answers(found["claims"]), **found, "contrasts": told}))
+    long = [name for name, run in study["runs"].items() if waited(run) >= PATIENCE]
+    parts = {name: decided(study[name], spreads, long) for name in ("claims", "beside", "paths")}
+    return {**study, "verdicts": answers(parts["claims"]), **parts}
 
 
-def compared(claim: Claim, measured: Measured, common: bool = False) -> dict[str, Any]:
+def compared(claim: Claim, measured: Measured, *, common: bool = False) -> dict[str, Any]:
     """What is known of a claim, as JSON: what it says and its question; the difference of every
     pair of networks, rows named ``occ-s0``, one of each method, and of all of them, positive where
     the claim has it so; and the error of that over worlds, with its degrees of freedom. Means are
@@ -209,7 +235,7 @@ def decided(
 def _over_seeds(one: Mapping[str, Any], variance: float, freedom: int) -> Estimate | None:
     """The difference with its error over worlds and seeds; None where that is unknown."""
     counts = [len({pair[side] for pair in one["pairs"]}) for side in ("best_seed", "other_seed")]
-    if min(counts) < 2 or not freedom:
+    if min(counts) < 2 or not freedom or None in (one["difference"], one["worlds_error"]):
         return None
     parts = (
         (one["worlds_error"] ** 2, one["worlds_freedom"]),
@@ -220,12 +246,13 @@ def _over_seeds(one: Mapping[str, Any], variance: float, freedom: int) -> Estima
     return Estimate(value=one["difference"], error=total**0.5, freedom=joined)
 
 
-def losses(measured: Measured, metric: str) -> dict[str, float]:
-    """The mean of every network that has a seed, as something to be small."""
+def losses(means: Mapping[str, Mapping[str, Any]], metric: str) -> dict[str, float]:
+    """The mean of every network that has a seed, as something to be small, from `Measured.means`
+    or what a file holds of them."""
     return {
-        row: float(_loss(metric, np.nanmean(measured.values(metric, row))))
-        for row in measured.rows
-        if seeded(row)[1] is not None and np.isfinite(measured.values(metric, row)).any()
+        row: _loss(metric, figures[metric]["mean"])
+        for row, figures in means.items()
+        if seeded(row)[1] is not None and figures[metric]["n"]
     }
 
 
@@ -266,21 +293,8 @@ def answers(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
 
 def _loss(metric: str, value: Any) -> Any:
     """What is the smaller the better."""
-    better = (METRICS | PLAN_METRICS)[metric].better
+    better = ALL[metric].better
     return -value if better == "higher" else value if better == "lower" else np.abs(value)
-
-
-def contrasts(measured: Measured, runs: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """How much better each of `runs` is than the one that it is compared with, by `TOLD`, as JSON:
-    one seed, so that no verdict follows."""
-    told = []
-    for name, metric in product(runs, TOLD):
-        if name in measured.rows and (against := runs[name]["against"]) in measured.rows:
-            one = gain(measured, metric, [(name, against)])
-            low, high = one.ends
-            about = {"run": name, "against": against, "kind": measured.kind, "metric": metric}
-            told.append({**about, "difference": one.value, "low": low, "high": high})
-    return told
 
 
 def gain(
@@ -289,7 +303,7 @@ def gain(
     """By how much the first of each of `pairs` of rows is better than the second, in the mean of
     all pairs: each by its own values, as in the tables, or, with `common`, by what both have a
     value for."""
-    values = np.array([[measured.values(metric, row) for row in pair] for pair in pairs])
+    values = np.array([[measured.rows[row][metric] for row in pair] for pair in pairs])
     held = np.isfinite(values)
     if common:
         held &= held.all(axis=1, keepdims=True)
@@ -301,17 +315,4 @@ def gain(
             lost = _loss(metric, total / count)
         return np.asarray((lost[..., 1] - lost[..., 0]).mean(axis=1))
 
-    return estimate(sums, measured.worlds_of(metric), of)
-
-
-def summary(records: Records) -> dict[str, Any]:
-    """What a study found, from its records alone: ``runs``, the verdicts as `judge` gives them,
-    and ``means[worlds][kind][row][metric]``, to five digits."""
-    means: dict[str, dict[str, Any]] = {}
-    for one in records.measured:
-        means.setdefault(one.where, {})[one.kind] = one.means()
-    rounded = json.loads(
-        json.dumps(finite(means)), parse_float=lambda digits: float(f"{float(digits):.5g}")
-    )
-    worlds = {one.kind: len(set(one.worlds.tolist())) for one in records.measured if not one.where}
-    return {"runs": records.runs, **judge(records), "means": rounded, "worlds": worlds}
+    return estimate(sums, measured.worlds[metric], of)

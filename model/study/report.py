@@ -1,11 +1,10 @@
 """The study for people: what it found, from what ``study.json`` holds and nothing else."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.statistics import caution, head, interval, line
-from scenegen.model.study.claims import PATIENCE
+from scenegen.model.evaluation.statistics import brief, caution, head, interval, line
+from scenegen.model.study.claims import ALL, PATIENCE
 
 SHOWN = ("iou", "near_rmse", "success")
 """The figures of every row; all others stand in the JSON."""
@@ -63,43 +62,20 @@ def _of_kind(study: Mapping[str, Any], kind: str) -> list[str]:
         lines += [f"{title}; {len(rows) - len(tried)} of {len(rows)} have no networks yet:", ""]
         lines += head(("verdict", "chance (Holm)", "better by", "pair by pair"))
         lines += [*map(_judged, tried), ""]
-    for where, kinds in study["means"].items():
-        title = f" on the worlds `{where}`" if where else ""
-        lines += [f"Means{title} over test maps and trials, with 95 % intervals:", ""]
-        lines += head([_label(name) for name in SHOWN])
-        lines += [
-            line(row, (_brief(figures[name]) for name in SHOWN))
-            for row, figures in kinds[kind].items()
-        ]
-        lines.append("")
-    if compared := [row for row in study["contrasts"] if row["kind"] == kind]:
-        lines += ["How much better than the run that each is compared with (one seed):", ""]
-        lines += _compared(compared)
+    lines += ["Means over test maps and trials, with 95 % intervals:", ""]
+    lines += head([ALL[name].label for name in SHOWN])
+    lines += [
+        line(row, (brief(figures[name]) for name in SHOWN))
+        for row, figures in study["means"][kind].items()
+    ]
     return lines
 
 
 def _judged(claim: Mapping[str, Any]) -> str:
-    name = f"{_label(claim['metric'])}: {claim['best']} before {claim['other']}"
+    name = f"{ALL[claim['metric']].label}: {claim['best']} before {claim['other']}"
     chance = "" if claim["holm"] is None else f"{claim['holm']:.4f}"
     pairs = "; ".join(_signed(one) for one in claim["pairs"])
     return line(name, (claim["verdict"], chance, _gain(claim), pairs))
-
-
-def _compared(rows: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    found: dict[str, list[str]] = {}
-    for row in rows:
-        found.setdefault(f"{row['run']} than {row['against']}", []).append(_gain(row))
-    yield from head([_label(name) for name in dict.fromkeys(row["metric"] for row in rows)])
-    for name, cells in found.items():
-        yield line(name, cells)
-
-
-def _label(metric: str) -> str:
-    return (METRICS | PLAN_METRICS)[metric].label
-
-
-def _brief(figure: Mapping[str, Any]) -> str:
-    return f"{figure['mean']:.3f} {interval(figure, '.3f')}" if figure["n"] else "–"
 
 
 def _gain(found: Mapping[str, Any]) -> str:

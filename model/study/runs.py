@@ -1,19 +1,53 @@
-"""What a study trains: every run by name."""
+"""How large a study is, and which networks it trains."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from lidarsim.parameters import check, number
+from scenegen.errors import DatasetError, printable
 from scenegen.limits import MOST_MAPS, MOST_SEED
-from scenegen.model.config import LossConfig, NetworkConfig, Thresholds, TrainConfig
 
 KINDS = ("geometric", "pillar")
 """The kinds of worlds that every network is trained on."""
-SEEDS = {"occ": 3, "proposed": 3, "proposed-1": 3}
-"""How many seeds the runs have that a verdict compares, where it is not `LEAST_SEEDS`: no ordering
-is claimed from one."""
-LEAST_SEEDS = 2
+TRIALS = 2000
+"""Planning trials a kind at scale 1 (the paper's)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One training run. Runs of a study differ in what stands here, and in nothing else."""
+
+    name: str
+    """What its folder and its row are called: the method, and the seed as in ``occ-s0``."""
+    asks: str
+    """What it is for."""
+    seed: int
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """What it has in place of other settings of `scenegen.train`."""
+
+
+METHODS: tuple[tuple[str, int, str, dict[str, Any]], ...] = (
+    ("occ", 3, "the paper's OCC-only", {"variant": "occ"}),
+    ("proposed", 3, "the paper's network, λ_occ 0.1", {}),
+    ("proposed-1", 3, "λ_occ 1: distances leave occupancy its share", {"occupancy": 1.0}),
+    ("tudf", 2, "the paper's TUDF-only", {"variant": "tudf"}),
+    ("no-eikonal", 2, "the paper's without the Eikonal term", {"eikonal": 0.0}),
+    (
+        "columns",
+        2,
+        "columns seen whole, free space",
+        {"variant": "columns", "inputs": ("observed", "free"), "occupancy": 1.0},
+    ),
+)
+"""Every method: its name, its number of training seeds, what it is for, and its settings. No
+ordering is claimed from one seed."""
+RUNS = tuple(
+    Run(name=f"{name}-s{seed}", asks=asks, seed=seed, settings=settings)
+    for seed in range(max(count for _, count, _, _ in METHODS))
+    for name, count, asks, settings in METHODS
+    if seed < count
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +60,6 @@ class ReproduceConfig:
     """Maps that every network sees, at scale 1."""
     seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the datasets, the goals and the intervals."""
-    only: tuple[str, ...] = ()
-    """Names of runs; all of them where none is named."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -42,75 +74,10 @@ class ReproduceConfig:
         return {"train": self.scaled(2500), "val": self.scaled(250), "test": self.scaled(500)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Worlds:
-    """Worlds, or ground truth, other than the presets'."""
-
-    asks: str
-    """What is unlike the presets."""
-    tables: Mapping[str, Mapping[str, Mapping[str, Any]]]
-    """What it puts into the recipe, by kind of worlds and table."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Run:
-    """One training run. Runs of a study differ in what stands here, and in nothing else."""
-
-    name: str
-    """What its folder and its row are called."""
-    asks: str
-    """What it is for."""
-    network: Mapping[str, Any] = field(default_factory=dict)
-    loss: Mapping[str, Any] = field(default_factory=dict)
-    protocol: Mapping[str, Any] = field(default_factory=dict)
-    """What it has in place of other settings of `TrainConfig`."""
-    seed: int = 0
-    share: float = 1.0
-    """Its part of the study's budget of maps."""
-    samples: float = 1.0
-    """Its part of the training samples."""
-    worlds: str = ""
-    """The name of the worlds that it is trained and measured on, or "" for the presets."""
-    probability: float = Thresholds().probability
-    """Where the bench takes a voxel for occupied."""
-    against: str | None = None
-    """The run that it is compared with: it has all else in common with this one."""
-
-    def config(self, maps: int) -> TrainConfig:
-        """The run's settings at a study's budget of `maps` seen."""
-        return TrainConfig(
-            network=NetworkConfig(**self.network),
-            loss=LossConfig(**self.loss),
-            maps=max(round(maps * self.share), 1),
-            seed=self.seed,
-            **self.protocol,
-        )
-
-
-LEVEL = {"occupancy": 1.0}
-BOTH = ("observed", "free")
-CLAIMED = (
-    Run(name="occ", asks="the paper's OCC-only", network={"variant": "occ"}),
-    Run(name="proposed", asks="the paper's network, λ_occ 0.1"),
-    Run(name="proposed-1", asks="λ_occ 1: distances leave occupancy its share", loss=LEVEL),
-    Run(name="tudf", asks="the paper's TUDF-only", network={"variant": "tudf"}),
-)
-COLUMNS = Run(
-    name="columns",
-    asks="columns seen whole, free space",
-    network={"variant": "columns", "inputs": BOTH},
-    loss=LEVEL,
-)
-PLAIN = replace(
-    CLAIMED[1],
-    name="no-eikonal",
-    asks="the paper's without the Eikonal term",
-    loss={"eikonal": 0.0},
-)
-RUNS = tuple(
-    replace(run, name=f"{run.name}-s{seed}", seed=seed)
-    for seed in range(max(SEEDS.values()))
-    for run in (*CLAIMED, PLAIN, COLUMNS)
-    if seed < SEEDS.get(run.name, LEAST_SEEDS)
-)
-"""Runs that verdicts compare, with the whole budget; `benchmarks/study.py` adds shorter ones."""
+def chosen(only: tuple[str, ...]) -> tuple[Run, ...]:
+    """The runs that are called one of `only`; all of them for none. Raises DatasetError for a name
+    that is no run's."""
+    known = {run.name: run for run in RUNS}
+    if odd := [name for name in only if name not in known]:
+        raise DatasetError(f"--only {printable(odd[0])}: no such run; known are {', '.join(known)}")
+    return tuple(known[name] for name in only) or RUNS

@@ -54,15 +54,17 @@ def read_index(handle: int, path: Path, most_chunks: int) -> Index:
     return found
 
 
-def read_guarded(read: Callable[[Path], Any], path: Path, most_bytes: int) -> Any:
+def read_guarded(
+    read: Callable[[Path], Any], path: Path, most_bytes: int, seconds: float = GUARD_S
+) -> Any:
     """What `read` makes of the HDF5 file at `path`, of at most `most_bytes` bytes, in a process
-    with limits: anybody may have written it. Raises DatasetError."""
+    with limits, of time among others: anybody may have written it. Raises DatasetError."""
     from scenegen.run.workers import guarded
 
     try:
         with open_bounded(path, most_bytes):
             pass
-        return guarded(read, path, seconds=GUARD_S, memory_bytes=GUARD_BYTES)
+        return guarded(read, path, seconds=seconds, memory_bytes=GUARD_BYTES)
     except FileNotFoundError:
         raise DatasetError(f"{path}: no such file") from None
     except GuardError as error:

@@ -74,6 +74,17 @@ def executor(place: str, workers: int) -> Executor:
         raise ScenegenError(f"--on: {error}") from None
 
 
+def check_together(execute: Executor, what: str) -> None:
+    """Raise ScenegenError, with `what` it is that takes all results, where an executor leaves tasks
+    to other processes."""
+    if len(execute.mine((0, 1))) < 2:
+        raise ScenegenError(
+            f"--on: {what} the figures of all samples, and jobs that know their rank alone bring "
+            f"none together; give --on ray or --on slurm, or each job a dataset of its own with "
+            f"--on local"
+        )
+
+
 _begun: list[Callable[[], object]] = []
 
 

@@ -57,7 +57,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),
     "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
     "stream": ((), (r"generate --compact +N \(1\.00\) +N", r"cache read +N \(N\) +N")),
-    "study": (("--draw", STUDY, "--out", "out"), (r"out/(c)laims\.png", r"out/(l)earning\.png")),
+    "study": ((STUDY, "--out", "out"), (r"out/(c)laims\.png", r"out/(l)earning\.png")),
     "training": (
         (DATA,),
         (r"and distances: N samples/s", r"float32 +N ms a map, N of processor; +bfloat16 +N ms"),

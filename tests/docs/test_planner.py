@@ -29,13 +29,10 @@ def test_the_example_judges_as_the_bench_does(
         not ran["sample"].occupancy[tuple((line / ran["grid"].voxel_m).astype(int).T)].any()
         for line in lines
     ]
-    maps = ran["occupied"], ran["tudf"], *truth[:2]
-    assert (
-        ran["successes"]
-        == {
-            "mine": pytest.approx(
-                sum(clear), abs=1
-            ),  # a line may touch a voxel between two of the judge's points
-            "bench": sum(run_trial(*maps, goal, *truth[2:]).success for goal in goals),
-        }
-    )
+    maps = ran["occupied"], ran["tudf"], *truth
+    assert ran["successes"] == {
+        "mine": pytest.approx(
+            sum(clear), abs=1
+        ),  # a line may touch a voxel between two of the judge's points
+        "bench": sum(run_trial(*maps, goal, ran["grid"], ran["config"]).success for goal in goals),
+    }

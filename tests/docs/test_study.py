@@ -1,15 +1,13 @@
-"""The study's page says what its figures say, and what is said of it elsewhere stands in them."""
+"""The study's page says what its figures say, and its verdicts follow from them."""
 
 import json
 import re
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.study.claims import PATIENCE, decided, seeded, spread, waited
+from scenegen.model.study.claims import PATIENCE, judged, waited
 from scenegen.model.study.report import to_markdown
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -44,20 +42,9 @@ def test_every_claim_has_what_its_verdict_rests_on(study: Any) -> None:
 
 
 def test_verdicts_follow_from_the_figures_of_the_file(study: Any) -> None:
-    """From the means of all networks and the claims' errors over worlds."""
-    spreads = {}
-    for kind, metric in product(study["worlds"], METRICS | PLAN_METRICS):
-        rows = study["means"][""][kind]
-        better = (METRICS | PLAN_METRICS)[metric].better
-        figures = {
-            name: row[metric]["mean"] for name, row in rows.items() if seeded(name)[1] is not None
-        }
-        spreads[kind, metric] = spread(
-            {n: abs(v) if better == "nearer to 0" else v for n, v in figures.items()}
-        )
+    again = judged(study)
+    assert again["verdicts"] == study["verdicts"]
     for part in ("claims", "beside", "paths"):
-        again = decided(study[part], spreads, ())
-        assert [one["verdict"] for one in again] == [one["verdict"] for one in study[part]]
-        assert [one["low"] for one in again] == pytest.approx(
-            [one["low"] for one in study[part]], abs=1e-4
-        )
+        for one, other in zip(again[part], study[part], strict=True):
+            assert one["verdict"] == other["verdict"]
+            assert one["low"] == pytest.approx(other["low"], abs=1e-4)

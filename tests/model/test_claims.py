@@ -1,4 +1,4 @@
-"""Verdicts: what the paper's bold cells claim, and what a study's records say of it."""
+"""Verdicts: what the paper's bold cells claim, and what a study's measurements say of it."""
 
 import json
 from collections import Counter
@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from scenegen.errors import DatasetError
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.study.claims import (
+    ALL,
     PATIENCE,
     Claim,
+    Measured,
     answers,
+    asked,
     claims,
     compared,
-    contrasts,
     decided,
     gain,
-    judge,
+    judged,
     losses,
     spread,
     waited,
 )
-from scenegen.model.study.records import Measured, Records
 from tests.command_line import run as command
 
 WORLDS = np.repeat(np.arange(40), 5)
@@ -37,20 +37,15 @@ def measured(
     values: dict[str, Any], metric: str = "iou", kind: str = "pillar", worlds: Any = WORLDS
 ) -> Measured:
     """Rows whose `metric` on every map, or trial, is as given, and whose others are 0."""
-    count = len(worlds)
-    maps, trials = (np.zeros((len(of), len(values), count)) for of in (METRICS, PLAN_METRICS))
-    names, held = (METRICS, maps) if metric in METRICS else (PLAN_METRICS, trials)
-    held[list(names).index(metric)] = np.array(list(values.values()))
-    rows = tuple(name.replace("_", "-") for name in values)
-    return Measured(
-        where="", kind=kind, rows=rows, worlds=worlds, trial_worlds=worlds, maps=maps, trials=trials
-    )
+    nothing = dict.fromkeys(ALL, np.zeros(len(worlds)))
+    rows = {name.replace("_", "-"): nothing | {metric: one} for name, one in values.items()}
+    return Measured(kind=kind, rows=rows, worlds=dict.fromkeys(ALL, worlds))
 
 
 def told(epochs: float, best: float = 1.0) -> dict[str, Any]:
     """What is told of a run of so many epochs that was best after `best` of them."""
     rows = [{"maps": 100 * best, "val_loss": 0.1}, {"maps": 100 * epochs, "val_loss": 0.2}]
-    return {"samples": 100, "curve": rows, "against": None}
+    return {"samples": 100, "curve": rows}
 
 
 def test_claims_are_the_bold_cells_against_each_other_row() -> None:
@@ -131,7 +126,7 @@ def study(
 
 
 def found(one: Measured, long: tuple[str, ...] = ()) -> dict[str, Any]:
-    spreads = {("pillar", "iou"): spread(losses(one, "iou"))}
+    spreads = {("pillar", "iou"): spread(losses(one.means(), "iou"))}
     return decided([compared(CLAIM, one)], spreads, long)[0]
 
 
@@ -180,70 +175,39 @@ def test_only_runs_as_long_as_the_paper_s_refute() -> None:
     assert waited(told(PATIENCE + 3, best=3)) == PATIENCE
 
 
-def records() -> Records:
+def whole() -> dict[str, Any]:
+    """A study of both kinds, as it is before it is judged."""
     rng = np.random.default_rng(0)
     several = []
     for kind in paper.PLANNING:
-        one = study(rng, 0.6, 0.5, training=0.005)
-        maps = np.stack([one.maps[6] + 0.01 * n for n in range(len(METRICS))]).astype(np.float16)
-        trials = rng.random((len(PLAN_METRICS), len(one.rows), 200)).astype(np.float16)
-        trials[0] = trials[0] < 0.8
-        trials[1:, :, ::7] = np.nan
-        fields = {"worlds": WORLDS.astype(np.int32), "trial_worlds": WORLDS.astype(np.int32)}
-        several.append(
-            Measured(where="", kind=kind, rows=one.rows, maps=maps, trials=trials, **fields)
-        )
-    return Records(runs={row: told(4) for row in several[0].rows}, measured=tuple(several))
+        base = study(rng, 0.6, 0.5, training=0.005)
+        rows = {
+            name: {metric: row["iou"] + 0.01 * n for n, metric in enumerate(ALL)}
+            for name, row in base.rows.items()
+        }
+        several.append(Measured(kind=kind, rows=rows, worlds=base.worlds))
+    runs = {name: told(4) for name in several[0].rows}
+    return {"runs": runs, "means": {one.kind: one.means() for one in several}, **asked(several)}
 
 
-def test_verdicts_of_records_are_those_of_the_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    whole, file = records(), tmp_path / "records.npz"
-    first = judge(whole)
+def test_verdicts_follow_from_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, file = judged(whole()), tmp_path / "study.json"
     assert len(first["claims"]) == len(claims())
-    assert {one["verdict"] for one in first["claims"]} >= {"confirmed", "undecided"}
-    whole.write(file)
-    assert judge(Records.read(file)) == first
+    assert {one["verdict"] for one in first["claims"]} == {"confirmed", "contradicted"}
+    counted = Counter(one["question"] for one in first["claims"])
+    for question, said in first["verdicts"].items():
+        assert sum(said["claims"].values()) == counted[question] > 0
+    agreeing = [claim | {"verdict": "refuted"} for claim in first["claims"]]
+    assert {one["verdict"] for one in answers(agreeing).values()} == {"refuted"}
+    file.write_text(json.dumps(whole()))
     code, out, _ = command(capsys, "reproduce", "--from", file, "--json")
-    assert code == 0
-    assert {part: json.loads(out)[part] for part in first} == json.loads(json.dumps(first))
+    assert (code, json.loads(out)) == (0, json.loads(json.dumps(first)))
     code, out, _ = command(capsys, "reproduce", "--from", file)
     assert code == 0
     assert "confirmed" in out
-
-
-def test_what_is_no_records_is_refused_in_a_line(tmp_path: Path) -> None:
-    whole, file = records(), tmp_path / "records.npz"
-    whole.write(file)
     content = file.read_bytes()
-    for damage in (b"", b"text", content[:-200], content[:300]):
+    for damage in (b"", content[:300], b"{}", content.replace(b'"iou"', b'"uoi"')):
         file.write_bytes(damage)
-        with pytest.raises(DatasetError, match="no records of a study") as caught:
-            Records.read(file)
-        assert "\n" not in str(caught.value)
-    with pytest.raises(DatasetError, match=r"other\.npz"):
-        Records.read(tmp_path / "other.npz")
-
-
-def test_questions_count_their_claims() -> None:
-    found = judge(records())["claims"]
-    counted = Counter(one["question"] for one in found)
-    for question, said in answers(found).items():
-        assert sum(said["claims"].values()) == counted[question] > 0
-    agreeing = [claim | {"verdict": "refuted"} for claim in found]
-    assert {one["verdict"] for one in answers(agreeing).values()} == {"refuted"}
-
-
-def test_runs_that_no_claim_is_about_are_compared_with_the_one_they_name() -> None:
-    base = np.random.default_rng(0).normal(0.5, 0.2, 200)
-    runs = {name: told(1) | {"against": "occ-short"} for name in ("occ-wide", "dual")} | {
-        "occ-short": told(1)
-    }
-    found = {
-        one["metric"]: one
-        for one in contrasts(measured({"occ-short": base, "occ-wide": base + 0.05}), runs)
-    }
-    assert {one["run"] for one in found.values()} == {"occ-wide"}
-    assert found["iou"]["difference"] == pytest.approx(0.05)
-    assert found["near_rmse"]["difference"] == 0
+        code, out, error = command(capsys, "reproduce", "--from", file)
+        assert (code, out, error.count("\n")) == (1, "", 1)
+        assert "is no study" in error

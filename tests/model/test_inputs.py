@@ -24,7 +24,6 @@ from scenegen.model.completion.predictions import predict_scan, predict_split
 from scenegen.model.config import INPUTS, NetworkConfig, Thresholds, TrainConfig
 from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.evaluation.metrics import METRICS, Metric
-from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.inputs import PointScan, centres, channels
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
@@ -71,7 +70,9 @@ def test_free_space_and_a_new_metric_go_all_the_way(
     predict_split(completer, folders[1], "test", tmp_path / "p.h5", batch=2)
     for found in (
         Predicted(tmp_path / "p.h5").completion(sample, dataset.split("test")),
-        Pretrained(str(tmp_path / "run")).completion(sample, dataset.split("test")),
+        Completer.from_pretrained(tmp_path / "run", threads=1).completion(
+            sample, dataset.split("test")
+        ),
         completer.complete(sample.observed, sample.free, grid=grid),
     ):
         np.testing.assert_allclose(found.occupancy_probability, expected, atol=1e-5)

@@ -15,7 +15,6 @@ from scenegen.errors import ScenegenError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
-from scenegen.model.evaluation.pretrained import Pretrained
 from scenegen.model.inputs import input_called
 from tests.command_line import ROOT, run
 from tests.model.training.runs import train
@@ -116,12 +115,11 @@ def test_a_file_has_nothing_imported_by_itself(
     trapped: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("net", "input"):
-        for opening in (Completer.from_pretrained, Pretrained):
-            with pytest.raises(
-                CheckpointError, match=r"imported only if you name it.*trap:\w+@"
-            ) as caught:
-                opening(f"{name}.safetensors")
-            assert "\n" not in str(caught.value)
+        with pytest.raises(
+            CheckpointError, match=r"imported only if you name it.*trap:\w+@"
+        ) as caught:
+            Completer.from_pretrained(f"{name}.safetensors")
+        assert "\n" not in str(caught.value)
         with pytest.raises(CheckpointError, match="trap"):
             Completer.from_pretrained(f"my_net:Net@{name}.safetensors")
     for words in (

@@ -70,23 +70,17 @@ class Lattice:
         """The node (3,) whose point is `point` (3,). Raises ValueError where there is none within
         1e-6 m."""
         point = np.asarray(point, dtype=np.float64)
-        if point.shape != (3,) or not np.isfinite(point).all():
-            raise ValueError(
-                f"goal = {point.tolist()} must be three finite metres in the map frame"
-            )
-        node = np.rint((point / self.grid.voxel_m - 0.5 - self.first) / self.step).astype(np.int64)
-        if (
-            (node < 0).any()
-            or (node >= self.shape).any()
-            or np.abs(self.centres(node) - point).max() > 1e-6
-        ):
-            raise ValueError(
-                f"goal = {point.tolist()} is no node of the lattice: expected the centre of a "
-                f"voxel that lies a "
-                f"multiple of {self.step} voxels from {[n // 2 for n in self.grid.shape]} within "
-                f"{self.grid.shape}"
-            )
-        return node
+        if point.shape == (3,) and np.isfinite(point).all():
+            steps = (point / self.grid.voxel_m - 0.5 - self.first) / self.step
+            node = np.rint(steps).astype(np.int64)
+            inside = ((node >= 0) & (node < self.shape)).all()
+            if inside and np.abs(self.centres(node) - point).max() <= 1e-6:
+                return node
+        raise ValueError(
+            f"goal = {point.tolist()} is no node of the lattice: expected the centre of a voxel "
+            f"that lies a multiple of {self.step} voxels from "
+            f"{[n // 2 for n in self.grid.shape]} within {self.grid.shape}, map frame, metres"
+        )
 
 
 def plan_path(

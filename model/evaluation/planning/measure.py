@@ -85,9 +85,6 @@ class Measurement:
     success: bool
     """A path was found, and no point of it, sampled every `sample_m`, lies in an occupied voxel of
     the truth."""
-    waypoints_clear: bool
-    """The second reading: a path was found, and none of its waypoints lies in an occupied voxel of
-    the truth."""
     length_m: float = math.nan
     """Length of the refined path, metres."""
     min_clearance_m: float = math.nan
@@ -117,22 +114,21 @@ def run_trial(
     """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps
     (*grid.shape); judge in the truth (*grid.shape). Distances are metres. The paper's section
     "Planning with Predicted Distance Fields"."""
-    plan = plan_path(occupied_pred, goal, grid, config)
-    return follow(plan, tudf_pred, occupancy_truth, tudf_truth, grid, config)
+    planned = plan_refined(occupied_pred, tudf_pred, goal, grid, config)
+    return judge(*planned, occupancy_truth, tudf_truth, grid, config)
 
 
-def follow(
-    plan: Plan,
-    tudf_pred: NDArray[np.floating],
-    occupancy_truth: NDArray[np.bool_],
-    tudf_truth: NDArray[np.floating],
+def plan_refined(
+    occupied: NDArray[np.bool_],
+    tudf: NDArray[np.floating],
+    goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-) -> Measurement:
-    """Refine what `plan_path` gave on the predicted distances, and judge it in the truth; see
-    `run_trial`."""
-    refined = None if plan.waypoints is None else refine(plan.waypoints, tudf_pred, grid, config)
-    return judge(plan, refined, occupancy_truth, tudf_truth, grid, config)
+) -> tuple[Plan, NDArray[np.float64] | None]:
+    """What `plan_path` finds on a collision map, and its path (n, 3) refined on the distances
+    `tudf`, metres."""
+    plan = plan_path(occupied, goal, grid, config)
+    return plan, None if plan.waypoints is None else refine(plan.waypoints, tudf, grid, config)
 
 
 def judge(
@@ -147,18 +143,16 @@ def judge(
     `run_trial`."""
     initial, reason = plan
     if initial is None or refined is None:
-        return Measurement(success=False, waypoints_clear=False, cause=reason)
+        return Measurement(success=False, cause=reason)
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
-    gap, smooth = config.sample_m, config.clearance == "trilinear"
-    hit, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m, gap, smooth)
+    hit, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m, config.sample_m)
     cause: Cause | None = None
     if hit >= 0:
-        initial_hit = _walk(initial, truth, distance, grid.voxel_m, gap, smooth)[0]
+        initial_hit = _walk(initial, truth, distance, grid.voxel_m, config.sample_m)[0]
         cause = "refined_into_obstacle" if initial_hit < 0 else "initial_collides"
     return Measurement(
         success=hit < 0,
-        waypoints_clear=_waypoints_clear(refined, truth, grid.voxel_m),
         length_m=length_m,
         min_clearance_m=min_m,
         mean_clearance_m=mean_m,
@@ -183,7 +177,7 @@ def met(path: NDArray[np.float64], grid: GridSpec, config: PlanConfig) -> NDArra
 
 
 @kernel
-def _walk(path, occupancy, tudf, voxel_m, sample_m, smooth):
+def _walk(path, occupancy, tudf, voxel_m, sample_m):
     """Judge `path` (n, 3) at its waypoints and, between two, at equally spaced points at most
     `sample_m` apart.
 
@@ -191,7 +185,7 @@ def _walk(path, occupancy, tudf, voxel_m, sample_m, smooth):
     the least and the mean of `tudf` along it.
     """
     hit = _hit(occupancy, path[0], voxel_m)
-    before = _distance(tudf, path[0], voxel_m, smooth)
+    before = field_at(tudf, path[0, 0], path[0, 1], path[0, 2], voxel_m)[0]
     length, least, total = 0.0, before, 0.0
     point = np.empty(3)
     for n in range(len(path) - 1):
@@ -203,7 +197,7 @@ def _walk(path, occupancy, tudf, voxel_m, sample_m, smooth):
                 point[axis] = path[n, axis] + leg[axis] * (piece / pieces)
             if hit < 0:
                 hit = _hit(occupancy, point, voxel_m)
-            here = _distance(tudf, point, voxel_m, smooth)
+            here = field_at(tudf, point[0], point[1], point[2], voxel_m)[0]
             least = min(least, here)
             total += 0.5 * (before + here) * reach / pieces
             before = here
@@ -212,37 +206,14 @@ def _walk(path, occupancy, tudf, voxel_m, sample_m, smooth):
 
 
 @kernel
-def _waypoints_clear(path, occupancy, voxel_m):
-    for n in range(len(path)):  # noqa: SIM110 (numba knows no all() of a generator)
-        if _hit(occupancy, path[n], voxel_m) >= 0:
-            return False
-    return True
-
-
-@kernel
-def _distance(tudf, point, voxel_m, smooth):
-    """The field at a point: between voxel centres if `smooth`, or the value of the voxel that holds
-    it."""
-    if smooth:
-        return field_at(tudf, point[0], point[1], point[2], voxel_m)[0]
-    return np.float64(tudf[_voxel(tudf.shape, point, voxel_m)])
-
-
-@kernel
 def _hit(occupancy, point, voxel_m):
-    """The number of the voxel that holds a point, in C order, where it is occupied; -1 where it is
-    not."""
-    i, j, k = _voxel(occupancy.shape, point, voxel_m)
-    return (i * occupancy.shape[1] + j) * occupancy.shape[2] + k if occupancy[i, j, k] else -1
-
-
-@kernel
-def _voxel(shape, point, voxel_m):
-    """The voxel that holds a point of the map; the map's last faces belong to its last voxels."""
-    i = min(max(math.floor(point[0] / voxel_m), 0), shape[0] - 1)
-    j = min(max(math.floor(point[1] / voxel_m), 0), shape[1] - 1)
-    k = min(max(math.floor(point[2] / voxel_m), 0), shape[2] - 1)
-    return int(i), int(j), int(k)
+    """The number of the voxel that holds a point of the map, in C order, where it is occupied; -1
+    where it is not. The map's last faces belong to its last voxels."""
+    nx, ny, nz = occupancy.shape
+    i = min(max(math.floor(point[0] / voxel_m), 0), nx - 1)
+    j = min(max(math.floor(point[1] / voxel_m), 0), ny - 1)
+    k = min(max(math.floor(point[2] / voxel_m), 0), nz - 1)
+    return (i * ny + j) * nz + k if occupancy[i, j, k] else -1
 
 
 class Careful(NamedTuple):
@@ -254,16 +225,6 @@ class Careful(NamedTuple):
     """(n, 3): refined, map frame, metres."""
     voxels: NDArray[np.int64]
     """Those that it meets, counted in C order, each once."""
-
-    def judged(
-        self,
-        occupancy_truth: NDArray[np.bool_],
-        tudf_truth: NDArray[np.floating],
-        grid: GridSpec,
-        config: PlanConfig,
-    ) -> Measurement:
-        """The path in the truth; see `judge`."""
-        return judge(self.plan, self.path, occupancy_truth, tudf_truth, grid, config)
 
 
 def plan_carefully(
@@ -281,12 +242,10 @@ def plan_carefully(
     stands. With bounds of a risk (`Prediction.low`), a voxel is blocked where its bound is 0, and
     the bounds are the field.
     """
-    plan = plan_path(
-        blocked, goal, grid, dataclasses.replace(config, edge_check=True, free_start=True)
-    )
-    if plan.waypoints is None:
+    known = dataclasses.replace(config, edge_check=True, free_start=True)
+    plan, path = plan_refined(blocked, field, goal, grid, known)
+    if plan.waypoints is None or path is None:
         return Careful(plan, None, np.empty(0, np.int64))
-    path = refine(plan.waypoints, field, grid, config)
     voxels, allowed = met(path, grid, config), met(plan.waypoints, grid, config)
     if blocked.reshape(-1)[np.setdiff1d(voxels, allowed, assume_unique=True)].any():
         return Careful(plan, plan.waypoints, allowed)

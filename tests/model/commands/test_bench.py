@@ -59,7 +59,6 @@ def test_bad_use_ends_in_one_line(
     (here / "wrong.h5").write_bytes(b"")
     for words, code, named in (
         (("elsewhere",), 1, "not a dataset"),
-        (("data/pillar", "--method", "magic"), 2, "known: returns"),
         (("data/pillar", "--method", "extrud"), 2, "did you mean 'extrude'?"),
         (("data/pillar", "--predictions", "wrong.h5"), 1, "cannot be read as HDF5"),
         (("data/pillar", "data/pillar"), 1, "two datasets of one kind"),

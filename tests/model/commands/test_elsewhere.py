@@ -105,37 +105,21 @@ def test_convert(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch, to:
         assert contents(here / out) == whole
 
 
-def test_complete(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same file, on one thread; whichever rank finds all parts joins them; parts of a lost run
-    are kept."""
-    words = everywhere.COMPLETE
-    assert run(capsys, *words, "-o", "whole.h5")[:2] == (0, "written: whole.h5\n")
-    said = [said for _, said, _ in as_ranks(capsys, monkeypatch, *words, "-o", "ranks.h5")]
-    assert [one.partition(" ")[0] for one in said] == ["5", "3", "written:"]
-    code, _, complaint = run(capsys, *words, "-o", "again.h5", "--quiet", *CUT_OFF)
-    assert (code, complaint.count("\n")) == (1, 1)
-    (kept,) = (path for path in here.glob("again.h5.*/*") if path.suffix == ".h5")
-    before = kept.stat().st_mtime_ns
-    code, _, _ = run(capsys, *words, "-o", "again.h5", "--quiet", *CUT_OFF)
-    assert (code, kept.stat().st_mtime_ns) == (1, before)
-    assert run(capsys, *words, "-o", "again.h5", *AWAY)[0] == 0
-    whole = (here / "whole.h5").read_bytes()
-    for out in ("ranks.h5", "again.h5"):
-        assert (here / out).read_bytes() == whole
-        assert not list(here.glob(f"{out}.*")), "parts are removed once they are joined"
+def test_scans_are_completed_here(here: Path, capsys: Shell) -> None:
     (here / "scan.xyz").write_text("1 1 1\n")
     code, _, complaint = run(capsys, "complete", "scan.xyz", "--weights", "n.safetensors", *AWAY)
     assert (code, complaint.count("\n")) == (1, 1)
     assert "complete a dataset's split" in complaint
 
 
-def test_a_bench_of_ranks_is_refused(
-    here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "words", [everywhere.BENCH, everywhere.COMPLETE], ids=["bench", "complete"]
+)
+def test_ranks_that_bring_nothing_together_are_refused(
+    here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch, words: tuple[object, ...]
 ) -> None:
-    """They cannot bring a report together, and say so before any work."""
-    for code, _, complaint in as_ranks(
-        capsys, monkeypatch, *everywhere.BENCH, "-o", "ranks", "--quiet"
-    ):
+    """They say so before any work."""
+    for code, _, complaint in as_ranks(capsys, monkeypatch, *words, "-o", "ranks", "--quiet"):
         assert (code, complaint.count("\n")) == (1, 1)
         assert "give --on ray or --on slurm" in complaint
     assert not (here / "ranks").exists()

@@ -13,7 +13,6 @@ import h5py
 import numpy as np
 import pytest
 
-from lidarsim import GridSpec
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
@@ -21,14 +20,14 @@ from scenegen.model.commands.bench import METHODS, choose_methods, run_bench, sh
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig, StudyConfig
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Predicted, Truth
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
+from scenegen.run.workers import Local
 from scenegen.source import DrawnWorlds
-from scenegen.truth import distance_field
 from tests.conftest import small_recipe
 
 CONFIG = BenchConfig(trials=20, plan=PlanConfig(step_voxels=2))
@@ -58,7 +57,8 @@ class Copied:
 
     name = "copied"
 
-    def __init__(self, dataset: Dataset):
+    def __init__(self, dataset: Dataset, nearer: float = 1.0):
+        self.nearer = np.float32(nearer)
         self.answers = {
             s.observed.tobytes(): s for name in ("val", "test") for s in dataset.split(name)
         }
@@ -67,7 +67,7 @@ class Copied:
         sample = self.answers[observed.tobytes()]
         return Prediction(
             occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)),
-            tudf=sample.tudf,
+            tudf=self.nearer * sample.tudf,
         )
 
 
@@ -139,22 +139,6 @@ def test_workers_and_other_rows_change_no_figure(dataset: Dataset) -> None:
     ].trials != (beside.methods["truth"].trials)
 
 
-class Silent:
-    """A progress bar that shows nothing."""
-
-    def __enter__(self) -> "Silent":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-    def start(self, total: int) -> None:
-        pass
-
-    def count(self, samples: int) -> None:
-        pass
-
-
 def report_of(dataset: Dataset, out: Path, **options: object) -> dict:
     """What the command makes of one dataset."""
     given = {
@@ -163,12 +147,10 @@ def report_of(dataset: Dataset, out: Path, **options: object) -> dict:
         "split": "test",
         "quick": True,
         "seed": 0,
-        "workers": 1,
+        "execute": Local("", 1),
         **options,
     }
-    return run_bench(
-        [dataset.folder], out=out, command="test", progress=lambda label: Silent(), **given
-    )
+    return run_bench([dataset.folder], out=out, **given)
 
 
 def test_the_report_holds_every_figure_in_its_place(dataset: Dataset, tmp_path: Path) -> None:
@@ -204,89 +186,48 @@ def test_a_study_stands_beside_tables_that_it_does_not_change(
 ) -> None:
     rows = ("truth", "seen", "returns")
     plain = report_of(dataset, tmp_path / "plain", names=rows)
-    few = StudyConfig(clearance_weights=(0.0, 10.0), safeties_m=(1.0,), range_step_m=2.0)
-    report = report_of(dataset, tmp_path / "study", names=rows, study=True, variants=few)
+    report = report_of(dataset, tmp_path / "study", names=rows, study=True)
     assert {name: value for name, value in report.items() if name != "study"} == plain
     assert "study" not in plain
     assert report == strictly(tmp_path / "study" / "report.json")
     study = report["study"]["pillar"]
     assert list(study) == list(rows)
-    trials = report["datasets"]["pillar"]["trials"]
-    for name, found in study.items():
-        assert (
-            found["planning"][0]["success"]["mean"]
-            == plain["planning"]["pillar"][name]["success"]["mean"]
-        )
-        for row in found["planning"]:
-            assert sum(row["fates"].values()) == trials
-            assert row["fates"]["reached"] == round(row["success"]["mean"] * trials)
-            assert not (name == "truth" and (row["fates"]["missed"] or row["fates"]["unseen"]))
-            assert not (name == "seen" and row["fates"]["missed"]), (
-                "what it knows of obstacles, it knows whole"
-            )
-        by_range = [(row["from_m"], row["to_m"], row["mae"]["n"]) for row in found["by_range"]]
-        assert by_range[0][0] == 0.0
-        assert all(count > 0 for *_, count in by_range)
-        assert sum(row["success"]["n"] for row in found["success_by_clearance"]) == trials
     assert study["truth"]["reliability"]["map"]["said"]["ece"] == 0.0
     assert study["returns"]["reliability"]["map"]["said"]["ece"] > 0.0
-    edges = [
-        row["success"]["mean"] for row in study["truth"]["planning"] if row["search"] == "edges"
-    ]
-    assert edges[0] >= study["truth"]["planning"][0]["success"]["mean"]
+    settings = study["truth"]["risk"]["settings"]
+    assert [one["value"] for one in settings] == [0.1, 0.3, 0.5, 0.7, 0.85]
+    assert settings[0]["success"]["mean"] > plain["planning"]["pillar"]["truth"]["success"]["mean"]
+    assert all(one["collided"]["mean"] == 0 for one in settings), "it asks for free edges"
     text = (tmp_path / "study" / "report.md").read_text()
-    assert "### What became of trials" in text
-    assert "### What became of trials" not in (tmp_path / "plain" / "report.md").read_text()
+    assert "### The careful planner" in text
+    assert "### The careful planner" not in (tmp_path / "plain" / "report.md").read_text()
     pytest.importorskip("matplotlib")
     script = Path(__file__).parents[3] / "docs" / "figures.py"
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "study" / "report.json")])
     runpy.run_path(str(script), run_name="__main__")
-    assert len(list((tmp_path / "study").glob("*.png"))) == 13
+    assert len(list((tmp_path / "study").glob("*.png"))) == 5
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "plain" / "report.json")])
     with pytest.raises(ValueError, match="no study; run bench with --study"):
         runpy.run_path(str(script), run_name="__main__")
 
 
-class Doubtful:
-    """Is the surer of an obstacle the nearer it is to a return."""
-
-    name = "doubtful"
-
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: GridSpec) -> Prediction:
-        near = distance_field(observed, grid)
-        return Prediction(occupancy_probability=np.exp(-near / 0.7).astype(np.float32))
-
-
-def test_curves_pass_through_the_tables_and_bend_as_thresholds_do(dataset: Dataset) -> None:
-    usual = Thresholds().probability
-    few = StudyConfig(
-        clearance_weights=(), safeties_m=(), curve_probabilities=(0.3, 0.6, usual, 0.99)
-    )
-    config = dataclasses.replace(CONFIG, study=True, variants=few)
-    report = build_report(
-        [bench(dataset, [Completed(Doubtful())], config)], seed=0, about={}, tests=False
-    )
-    curve = report["study"]["pillar"]["doubtful"]["thresholds"]
-    tables = (
-        report["reconstruction"]["pillar"]["doubtful"] | report["planning"]["pillar"]["doubtful"]
-    )
-    here = curve[2]
-    assert (here["by"], here["value"]) == ("probability", usual)
-    assert all(here[name] == tables[name] for name in ("precision", "recall", "iou", "success"))
-    recalls = [row["recall"]["mean"] for row in curve]
-    assert recalls == sorted(recalls, reverse=True)
-    assert recalls[0] > recalls[-1]
+def test_paths_can_be_refined_on_the_transform_of_what_is_predicted(dataset: Dataset) -> None:
+    plan = dataclasses.replace(CONFIG.plan, field="transform", edge_check=True)
+    config = dataclasses.replace(CONFIG, plan=plan, thresholds=Thresholds(probability=0.5))
+    found = bench(dataset, [Completed(Copied(dataset, 0.5)), Truth()], config).methods
+    assert found["copied"].trials == found["truth"].trials
+    config = dataclasses.replace(config, plan=dataclasses.replace(plan, field="predicted"))
+    own = bench(dataset, [Completed(Copied(dataset, 0.5))], config).methods["copied"]
+    assert own.trials != found["truth"].trials
 
 
 def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
-    few = StudyConfig(clearance_weights=(), safeties_m=(), range_step_m=9.0)
     lonely = PlanConfig(step_voxels=100)  # a lattice of one node, so no goal
-    config = BenchConfig(samples=2, study=True, plan=lonely, variants=few)
+    config = BenchConfig(samples=2, study=True, plan=lonely)
     report = build_report([bench(dataset, [Truth()], config)], seed=0, about={})
-    rows = report["study"]["pillar"]["truth"]["planning"]
-    assert rows
-    assert all(row["success"]["n"] == sum(row["fates"].values()) == 0 for row in rows)
-    assert "| truth, edt | – |" in to_markdown(report)
+    rows = report["study"]["pillar"]["truth"]["risk"]["settings"]
+    assert [row["success"]["n"] for row in rows] == [0] * 5
+    assert "| truth, probability 0.5 | – | – |" in to_markdown(report)
 
 
 def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset: Dataset) -> None:
@@ -307,14 +248,6 @@ def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset: 
     )
 
 
-def test_no_report_holds_a_number_that_json_lacks(dataset: Dataset) -> None:
-    found = bench(dataset, [Truth()], CONFIG)
-    about = {"a": float("nan"), "b": [float("inf"), {"c": np.float64("nan")}], "d": 1.5, "e": "nan"}
-    report = build_report([found], seed=0, about=about)
-    assert [report[name] for name in "abde"] == [None, [None, {"c": None}], 1.5, "nan"]
-    json.dumps(report, allow_nan=False)
-
-
 class Nameless:
     complete = Nothing.complete
 
@@ -328,16 +261,6 @@ class Plain(Nothing):
         return observed.astype(np.float32)
 
 
-class Flat(Nothing):
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
-        return Prediction(occupancy_probability=np.zeros(7, np.float32))
-
-
-class Listed(Nothing):
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
-        return Prediction(tudf=[[[0.0]]])
-
-
 class Wild(Nothing):
     def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
         return Prediction(occupancy_probability=np.full(observed.shape, 1.5, np.float32))
@@ -346,18 +269,12 @@ class Wild(Nothing):
 @pytest.mark.parametrize(
     ("method", "said"),
     [
-        ("Nameless", "Nameless: lacks `name`"),
-        ("Aimless", "Aimless: lacks `complete`"),
+        ("Nameless", "Nameless: lacks a `name`"),
+        ("Aimless", "Aimless: lacks a method `complete`"),
         (
             "Plain",
             "nothing: gives ndarray, expected a scenegen.model.completion.protocol.Prediction",
         ),
-        (
-            "Flat",
-            r"occupancy_probability is an array of shape \(7,\), expected an array of shape \(24, "
-            r"24, 16\)",
-        ),
-        ("Listed", "nothing: tudf is list"),
         ("Wild", "nothing: occupancy_probability holds 1.5"),
     ],
 )

@@ -18,12 +18,10 @@ from scenegen.model.completion.predictions import predict_split
 from scenegen.model.config import NetworkConfig
 from scenegen.model.evaluation import calibrate as module
 from scenegen.model.evaluation.calibrate import calibrate
-from scenegen.model.evaluation.config import StudyConfig
 from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.network import Network
 from tests.model.evaluation.test_bench import report_of
 
-FEW = StudyConfig(clearance_weights=(), safeties_m=(), range_step_m=9.0)
 TRAINED = {"settings": {"loss": {"occupied_weight": 5.0}}, "seed": 0}
 
 
@@ -84,7 +82,6 @@ def test_bounds_of_others_are_a_row_of_the_study(
         names=("truth",),
         predictions=tmp_path / "p.h5",
         study=True,
-        variants=FEW,
     )
     (row,) = report["study"]["pillar"]["p"]["bounds"]["risks"]
     assert (row["risk"], row["unobserved"]["coverage"]["mean"]) == (0.1, 1.0)

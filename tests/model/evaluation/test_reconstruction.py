@@ -11,7 +11,6 @@ from scenegen.draw import draw_unit
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import ReconstructionConfig
 from scenegen.model.evaluation.metrics import METRICS, measure
 from scenegen.model.evaluation.visibility import (
     CLASSES,
@@ -26,19 +25,13 @@ from scenegen.truth import distance_field
 from tests.conftest import small_recipe
 
 GRID = GridSpec(shape=(7, 6, 5))
-PLAIN = ReconstructionConfig()
 DISTANCES, SHARES = (
     [name for name, one in METRICS.items() if one.needs == needs]
     for needs in ("distance", "occupancy")
 )
 
 
-def score(
-    occupied: np.ndarray,
-    distance: np.ndarray,
-    truth: np.ndarray,
-    config: ReconstructionConfig = PLAIN,
-) -> dict:
+def score(occupied: np.ndarray, distance: np.ndarray, truth: np.ndarray) -> dict:
     """Metrics by name over the whole map."""
     true_distance = distance_field(truth, GridSpec(shape=truth.shape))
     whole = np.zeros(truth.shape, np.uint8)
@@ -49,7 +42,6 @@ def score(
         true_distance,
         classes=whole,
         class_count=1,
-        config=config,
         union=[0],
     )
     np.testing.assert_array_equal(rows[0], rows[1])
@@ -93,7 +85,6 @@ def test_classes_and_their_union_are_measured_on_their_voxels_alone() -> None:
         true_distance,
         classes=classes,
         class_count=3,
-        config=PLAIN,
         union=[0, 2],
     )
     for row, chosen in zip(
@@ -116,13 +107,12 @@ def test_nothing_occupied_and_nothing_predicted_are_defined() -> None:
     assert np.isnan(score(none, far, none)["near_rmse"])
 
 
-def test_near_is_closed_and_strict_leaves_its_border_out() -> None:
+def test_near_is_closed() -> None:
     truth = np.zeros((1, 1, 12), bool)
     truth[0, 0, 0] = True
     distance = distance_field(truth, GridSpec(shape=truth.shape))
     distance[0, 0, 5] += 0.5  # exactly 1.0 m away
     assert score(truth, distance, truth)["near_mae"] == pytest.approx(0.5 / 6)
-    assert score(truth, distance, truth, ReconstructionConfig(strict=True))["near_mae"] == 0
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
@@ -165,11 +155,7 @@ def test_nothing_below_the_ground_counts() -> None:
         said[~scored] = below
         far = np.where(said, np.float32(0), low.tudf)
         count = len(CLASSES)
-        rows.append(
-            measure(
-                said, far, low.occupancy, low.tudf, classes=classes, class_count=count, config=PLAIN
-            )
-        )
+        rows.append(measure(said, far, low.occupancy, low.tudf, classes=classes, class_count=count))
     np.testing.assert_array_equal(*rows)
     assert scored_voxels(low, grid, {"world": {"ground": "grass"}}).all()  # somebody's own kind
     tables["world"]["ground"] = False
@@ -196,7 +182,7 @@ def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans() -> None:
         rows.append(
             measure(
                 said, distance, drawn.occupancy, drawn.tudf,
-                classes=classes, class_count=1, config=PLAIN, certain=certain,
+                classes=classes, class_count=1, certain=certain,
             )
         )  # fmt: skip
     np.testing.assert_array_equal(*rows)

@@ -5,27 +5,27 @@ import pytest
 from scipy import stats
 
 from benchmarks.intervals import POPULATIONS, SPARSE, WORLDS, coverage
-from scenegen.model.evaluation.statistics import caution, estimate, holm, paired_p, summarize
+from scenegen.model.evaluation.statistics import caution, estimate, figure, holm, paired_p
 
 
 def test_mean_spread_and_count_are_those_of_the_samples() -> None:
-    figure = summarize([1.0, 2.0, np.nan, 6.0], [0, 0, 1, 1])
-    assert (figure.mean, figure.n) == (3.0, 3)
-    assert figure.std == pytest.approx(np.std([1, 2, 6], ddof=1))
-    assert figure.low <= 3.0 <= figure.high
-    assert summarize([np.nan], [0]).n == 0
-    alone = summarize([1.0, 2.0], [4, 4])
-    assert (alone.mean, alone.low, alone.high) == (1.5, None, None), (
+    spread = figure([1.0, 2.0, np.nan, 6.0], [0, 0, 1, 1])
+    assert (spread["mean"], spread["n"]) == (3.0, 3)
+    assert spread["std"] == pytest.approx(np.std([1, 2, 6], ddof=1))
+    assert spread["low"] <= 3.0 <= spread["high"]
+    assert figure([np.nan], [0])["n"] == 0
+    alone = figure([1.0, 2.0], [4, 4])
+    assert (alone["mean"], alone["low"], alone["high"]) == (1.5, None, None), (
         "one world says nothing of others"
     )
 
 
 def test_the_interval_of_as_many_samples_a_world_is_students_of_the_worlds_means() -> None:
     values = np.random.default_rng(0).normal(3, 1, (7, 4))
-    found = summarize(values.ravel(), np.repeat(np.arange(7), 4))
+    found = figure(values.ravel(), np.repeat(np.arange(7), 4))
     means = values.mean(axis=1)
     expected = stats.t.interval(0.95, 6, means.mean(), stats.sem(means))
-    assert (found.low, found.high) == pytest.approx(expected)
+    assert (found["low"], found["high"]) == pytest.approx(expected)
     sums = np.stack([values.ravel(), np.ones(28)], axis=1)
     of_mean = estimate(sums, np.repeat(np.arange(7), 4), lambda sums: sums[:, 0] / sums[:, 1])
     assert of_mean.ends == pytest.approx(expected)
@@ -46,13 +46,13 @@ def test_intervals_cover_the_mean_of_worlds_that_differ(worlds: int) -> None:
 
 def test_outcomes_that_are_all_alike_are_not_certain() -> None:
     worlds = np.repeat(np.arange(3), 20)
-    sure = summarize(np.ones(60), worlds, "outcome")
-    assert 0.9 < sure.low < 0.98
-    assert sure.high == 1
-    equal = summarize(np.zeros(60), worlds, "gain")
-    assert equal.low == -equal.high < 0
-    exact = summarize(np.ones(60), worlds, "share")  # the truth's IoU, which chance has no part in
-    assert (exact.low, exact.high) == (1, 1)
+    sure = figure(np.ones(60), worlds, "outcome")
+    assert 0.9 < sure["low"] < 0.98
+    assert sure["high"] == 1
+    equal = figure(np.zeros(60), worlds, "gain")
+    assert equal["low"] == -equal["high"] < 0
+    exact = figure(np.ones(60), worlds, "share")  # the truth's IoU, which chance has no part in
+    assert (exact["low"], exact["high"]) == (1, 1)
 
 
 def test_few_worlds_are_cautioned_against() -> None:

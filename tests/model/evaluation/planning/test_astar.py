@@ -166,7 +166,7 @@ def test_a_map_of_another_shape_is_refused() -> None:
         ("armijo", 0.0),
         ("first_step", np.nan),
         ("goal_faces", "top"),
-        ("clearance", "exact"),
+        ("field", "exact"),
     ],
 )
 def test_parameters_out_of_range_are_refused(name: str, value: object) -> None:

@@ -15,7 +15,7 @@ from scenegen.model.evaluation.calibrate import (
 )
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import plan_path
-from scenegen.model.evaluation.planning.measure import draw_trials, met, plan_carefully
+from scenegen.model.evaluation.planning.measure import draw_trials, judge, met, plan_carefully
 from scenegen.truth import distance_field
 from tests.model.evaluation.planning.test_measure import EAST, FAR, FREE, GRID, filled, scattered
 
@@ -40,7 +40,9 @@ def test_it_never_enters_what_its_map_holds_occupied() -> None:
             done = plan_carefully(occupied, field, goal, GRID, PLAN)
             found += done.path is not None
             assert not occupied.reshape(-1)[done.voxels].any()
-            assert done.judged(occupied, field, GRID, PLAN).success == (done.path is not None)
+            assert judge(done.plan, done.path, occupied, field, GRID, PLAN).success == (
+                done.path is not None
+            )
     assert found > 60
 
 
@@ -48,7 +50,7 @@ def test_it_abstains_where_it_knows_no_way() -> None:
     wall = filled((30,))
     done = plan_carefully(wall, distance_field(wall, GRID), EAST, GRID, PLAN)
     assert (done.path, len(done.voxels), done.plan.reason) == (None, 0, "no_path")
-    assert not done.judged(FREE, FAR, GRID, PLAN).success
+    assert not judge(done.plan, done.path, FREE, FAR, GRID, PLAN).success
     assert plan_carefully(FREE, FAR, EAST, GRID, PLAN).path is not None
 
 

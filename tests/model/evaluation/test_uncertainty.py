@@ -1,10 +1,21 @@
-"""Reliability against numpy's histograms, and the law by which the class weight is inverted."""
+"""Reliability and bounds against slow references, and how class weights are inverted."""
 
 import numpy as np
 import pytest
 
-from scenegen.model.calibration import corrected
-from scenegen.model.evaluation.study.calibration import BINS, REGIONS, count, regions, reliability
+from scenegen.model.calibration import Given, corrected
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.evaluation.uncertainty import (
+    BINS,
+    PARTS,
+    REGIONS,
+    SHARES,
+    ause,
+    count,
+    judge_bounds,
+    regions,
+    reliability,
+)
 
 SHAPE = (40, 40, 40)
 
@@ -21,7 +32,9 @@ def drawn(weight: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndar
 def counted(
     said: np.ndarray, occupied: np.ndarray, unknown: np.ndarray, weight: float
 ) -> np.ndarray:
-    return count([said, corrected(said, weight)], occupied, (1 + 2 * unknown).astype(np.uint8))
+    inside = np.zeros((len(REGIONS), *SHAPE), bool)
+    inside[0], inside[1] = True, unknown
+    return count([said, corrected(said, weight)], occupied, inside)
 
 
 def test_counts_are_those_of_histograms() -> None:
@@ -66,9 +79,8 @@ def test_regions_are_told_by_the_nearest_obstacle() -> None:
     unknown = np.array([True, True, True, True, False])
     true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
     said = np.array([0.9, 1.5, 0.5, 0.5, 0.5], np.float32)
-    bits = regions(np.ones(5, bool), unknown, said, true, seen, near_m=1.0, truncation_m=2.0)
-    parts = {name: [bool(bit >> n & 1) for bit in bits] for n, name in enumerate(REGIONS)}
-    assert parts == {
+    inside = regions(np.ones(5, bool), unknown, said, true, seen, near_m=1.0, truncation_m=2.0)
+    assert dict(zip(REGIONS, inside.tolist(), strict=True)) == {
         "map": [True] * 5,
         "unobserved": [True, True, True, True, False],
         "near": [True, True, False, False, False],
@@ -80,3 +92,36 @@ def test_regions_are_told_by_the_nearest_obstacle() -> None:
     assert not regions(
         nowhere, nowhere, said, true, seen[0] * 0, near_m=1.0, truncation_m=2.0
     ).any()
+
+
+def test_sparsification() -> None:
+    rng = np.random.default_rng(0)
+    error = rng.random(400)
+    assert ause(error, error) == pytest.approx(0, abs=1e-9)
+    assert ause(error, -error) > ause(error, rng.random(400)) > 0.2
+    doubt = rng.random(400)
+    shares = [
+        np.mean(error[np.argsort(doubt)][: int(s * 400)]) - np.mean(np.sort(error)[: int(s * 400)])
+        for s in SHARES
+    ]
+    assert ause(error, doubt) == pytest.approx(np.mean(shares) / error.mean())
+    flat = [error.mean() - np.mean(np.sort(error)[: int(s * 400)]) for s in SHARES]
+    assert ause(error, np.ones(400)) == pytest.approx(np.mean(flat) / error.mean()), (
+        "equal doubt orders nothing"
+    )
+    assert ause(np.zeros(4), np.arange(4)) == 0
+
+
+def test_coverage_and_width_are_counted_by_region() -> None:
+    shape, rng = (6, 6, 6), np.random.default_rng(0)
+    true, distance = 2 * rng.random(shape, np.float32), 2 * rng.random(shape, np.float32)
+    low = (distance * rng.random(shape, np.float32)).astype(np.float32)
+    inside = rng.random((len(REGIONS), *shape)) < 0.5
+    inside[-1] = False
+    said = Prediction(tudf=distance, uncertainty=Given(tudf_low=low, risk=0.1))
+    found, _ = judge_bounds(said, distance, true, inside)
+    for p in range(len(PARTS) - 1):
+        part = inside[p + 1]
+        assert found[0, p, 0] == pytest.approx((true >= low)[part].mean())
+        assert found[0, p, 1] == pytest.approx((distance - low)[part].mean(), rel=1e-5)
+    assert np.isnan(found[0, -1]).all()

@@ -1,7 +1,8 @@
 """Whether probabilities and bounds of distance are what they say."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,31 +38,31 @@ def regions(
     *,
     near_m: float,
     truncation_m: float,
-) -> NDArray[np.uint8]:
-    """Which of `REGIONS` every voxel belongs to, a bit for each: none for voxels that are not
-    `scored`, and otherwise from predicted and true distances and those to the obstacles that
-    returned something; the grids have one shape."""
-    bits = scored.astype(np.uint8)
-    parts = (unknown, unknown & (true <= near_m), unknown & (distance < near_m))
+) -> NDArray[np.bool_]:
+    """The voxels of each of `REGIONS`, (regions, *shape): none that is not `scored`, and otherwise
+    from predicted and true distances and those to the obstacles that returned something; the grids
+    have one shape."""
     met = unknown & (true < truncation_m - 1e-6)
-    for n, part in enumerate((*parts, met & (seen <= true), met & (seen > true)), start=1):
-        bits |= part.astype(np.uint8) << n
-    return bits
+    parts = (unknown & (true <= near_m), unknown & (distance < near_m), met & (seen <= true))
+    return np.stack([scored, unknown, *parts, met & (seen > true)])
 
 
 def count(
-    readings: Sequence[NDArray[np.float32]], occupancy: NDArray[np.bool_], bits: NDArray[np.uint8]
+    readings: Sequence[NDArray[np.float32]],
+    occupancy: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first
-    so many `READINGS`; the grids have one shape, and `bits` tell the `regions`."""
+    so many `READINGS`; the grids have one shape, and `inside` tells the `regions`."""
     counts = np.zeros((len(REGIONS), len(READINGS), BINS, len(COUNTS)))
     for n, said in enumerate(readings):
-        _count(said.reshape(-1), occupancy.reshape(-1), bits.reshape(-1), counts[:, n])
+        masks = inside.reshape(len(inside), -1)
+        _count(said.reshape(-1), occupancy.reshape(-1), masks, counts[:, n])
     return counts
 
 
 @kernel
-def _count(probability, occupancy, bits, counts):
+def _count(probability, occupancy, inside, counts):
     parts, bins, _ = counts.shape
     for v in range(len(probability)):
         q = float(probability[v])
@@ -69,7 +70,7 @@ def _count(probability, occupancy, bits, counts):
         right = q if occupancy[v] else 1.0 - q
         nll, brier = -math.log(max(right, SMALLEST)), (1.0 - right) ** 2
         for region in range(parts):
-            if bits[v] >> region & 1:
+            if inside[region, v]:
                 counts[region, b, 0] += 1.0
                 counts[region, b, 1] += q
                 counts[region, b, 2] += occupancy[v]
@@ -94,11 +95,15 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
             total = maps.sum(axis=0)
             if not total[:, 0].any():
                 continue
-            figures = {}
-            for name, of in SCORES.items():
-                score = estimate(maps.reshape(len(maps), -1), worlds, of)
-                low, high = score.ends
-                figures[name] = {"mean": score.value, "low": low, "high": high}
+            scores = {
+                name: estimate(maps.reshape(len(maps), -1), worlds, partial(_score, name))
+                for name in SCORES
+            }
+            figures = {
+                name: {"mean": one.value, "low": one.ends[0], "high": one.ends[1]}
+                for name, one in scores.items()
+            }
+            ece = figures.pop("ece")
             bins = [
                 {
                     "from": b / BINS,
@@ -110,7 +115,6 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
                 for b, (voxels, p, o, *_) in enumerate(total.tolist())
                 if voxels
             ]
-            ece = figures.pop("ece")
             found.setdefault(region, {})[reading] = {
                 "ece": ece.pop("mean"),
                 **ece,
@@ -120,28 +124,18 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
     return found
 
 
-def _ece(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Expected calibration errors (k,) of sums (k, BINS * counts); NaN of no voxels."""
-    voxels, said, occupied = np.moveaxis(sums.reshape(len(sums), BINS, len(COUNTS)), -1, 0)[:3]
+def _score(name: str, sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One of `SCORES` (k,) of sums (k, BINS * counts): expected calibration errors, or means over
+    voxels; NaN of no voxels."""
+    counts = sums.reshape(len(sums), BINS, len(COUNTS))
+    voxels, said, occupied = np.moveaxis(counts, -1, 0)[:3]
+    wrong = np.abs(said - occupied) if name == "ece" else counts[:, :, COUNTS.index(name)]
     whole = voxels.sum(axis=1)
-    return np.where(whole > 0, np.abs(said - occupied).sum(axis=1) / np.maximum(whole, 1), np.nan)
+    return np.where(whole > 0, wrong.sum(axis=1) / np.maximum(whole, 1), np.nan)
 
 
-def _mean(name: str) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Means over voxels (k,) of a count, of sums (k, BINS * counts); NaN of no voxels."""
-
-    def of(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-        total = sums.reshape(len(sums), BINS, len(COUNTS)).sum(axis=1)
-        voxels, value = total[:, 0], total[:, COUNTS.index(name)]
-        return np.where(voxels > 0, value / np.maximum(voxels, 1), np.nan)
-
-    return of
-
-
-SCORES = {"ece": _ece, "nll": _mean("nll"), "brier": _mean("brier")}
+SCORES = ("ece", "nll", "brier")
 """What probabilities are judged by."""
-
-
 PARTS = REGIONS[1:]
 """Regions that bounds are judged over: those of unknown voxels."""
 JUDGED = ("coverage", "width")
@@ -155,29 +149,24 @@ def judge_bounds(
     said: Prediction,
     distance: NDArray[np.float32],
     true: NDArray[np.float32],
-    bits: NDArray[np.uint8],
+    inside: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], float]:
-    """By risk, region and figure, (risks, PARTS, JUDGED), what the bounds of a prediction whose
-    distances are `distance` are worth on one map; and its area under the sparsification error, of
-    the bounds nearest to `RISK`. NaN over no voxels."""
-    assert said.uncertainty is not None
-    risks, inside = (
-        said.uncertainty.risks,
-        [(bits >> REGIONS.index(part) & 1).astype(bool) for part in PARTS],
-    )
+    """By risk, region of `inside` and figure, (risks, PARTS, JUDGED), what the bounds of a
+    prediction whose distances are `distance` are worth on one map; and its area under the
+    sparsification error, of the bounds nearest to `RISK`. NaN over no voxels, and without
+    bounds."""
+    risks = () if said.uncertainty is None else said.uncertainty.risks
     found = np.full((len(risks), len(PARTS), len(JUDGED)), np.nan)
     sparse = np.nan
-    usual = int(np.argmin([abs(risk - RISK) for risk in risks]))
+    usual = min(risks, key=lambda risk: abs(risk - RISK), default=None)
     for n, risk in enumerate(risks):
         low = said.low(risk)
-        for p, part in enumerate(inside):
+        for p, part in enumerate(inside[1:]):
             if part.any():
-                found[n, p] = (
-                    (true[part] >= low[part] - 1e-4).mean(),
-                    (distance[part] - low[part]).mean(),
-                )
-        if n == usual and inside[0].any():
-            sparse = ause(np.abs(distance - true)[inside[0]], (distance - low)[inside[0]])
+                covers = true[part] >= low[part] - 1e-4
+                found[n, p] = covers.mean(), (distance[part] - low[part]).mean()
+        if risk == usual and inside[1].any():
+            sparse = ause(np.abs(distance - true)[inside[1]], (distance - low)[inside[1]])
     return found, sparse
 
 

@@ -1,0 +1,253 @@
+"""The study that the bench makes on request: whether what a method says of its sureness is so, and
+what a planner makes of it that asks for a risk."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec
+from scenegen.model.calibration import corrected
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.config import LossConfig, Thresholds
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.evaluation.planning.measure import judge, plan_carefully
+from scenegen.model.evaluation.statistics import brief, figure, interval
+from scenegen.model.evaluation.uncertainty import (
+    JUDGED,
+    PARTS,
+    SCORES,
+    bounds_of,
+    count,
+    judge_bounds,
+    regions,
+    reliability,
+)
+from scenegen.model.evaluation.visibility import UNOBSERVED, UNSCORED
+from scenegen.sample import Sample
+from scenegen.truth import distance_field
+
+CLASS_WEIGHT = LossConfig().occupied_weight
+"""The weight of occupied voxels in the loss by which networks are taken to be trained, which is
+inverted."""
+FIXED = {"probability": (0.1, 0.3, 0.5, 0.7, 0.85), "distance": (0.2, 0.4, 0.6)}
+"""Thresholds beside which a planner by risk is set: of probability, or, for methods that predict
+distances alone, of those, metres."""
+TOLD = ("success", "collided", "abstained", "length", "min_clearance")
+"""Figures of a trial."""
+OUTCOMES = TOLD[:3]
+CHANCES = ("independent", "worst_voxel")
+"""How likely a path was said to collide, from the calibrated probabilities of the voxels that it
+meets: were these independent, or were the likeliest alone to count. The truth lies between, where
+voxels are occupied together."""
+EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Bins of these."""
+SHOWN = ("map", "unobserved", "seen", "unseen")
+"""Regions over which the tables show probabilities."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What the careful planner goes by."""
+
+    by: str
+    """``risk`` of the bounds; or a fixed threshold of ``probability`` or of ``distance``,
+    metres."""
+    value: float
+    promised: float | None = None
+    """What share of its paths collides at most, as the method's calibration has it; None where it
+    does not say."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Study:
+    """What was found out about one method on one map."""
+
+    counts: NDArray[np.float64]
+    """See `scenegen.model.evaluation.uncertainty.count`."""
+    bounds: NDArray[np.float64]
+    """(risks, PARTS, JUDGED): see `judge_bounds`."""
+    ause: float
+    """Of the bounds; NaN without any."""
+    settings: tuple[Setting, ...]
+    """What the careful planner goes by, the risks of the bounds first."""
+    careful: NDArray[np.float64]
+    """(goals, settings, figures): see `run_settings`."""
+
+
+def study_map(
+    said: Prediction,
+    distance: NDArray[np.float32],
+    sample: Sample,
+    *,
+    classes: NDArray[np.uint8],
+    seen: NDArray[np.bool_],
+    goals: NDArray[np.float64],
+    grid: GridSpec,
+    config: BenchConfig,
+) -> Study:
+    """Study what a method `said` of a sample's map, whose distances are `distance`; `classes` tells
+    how each voxel was seen (`classify`), `seen` what returned (`seen_occupancy`)."""
+    probability, calibrated = said.occupancy_probability, said.probability
+    inside = regions(
+        classes != UNSCORED,
+        np.isin(classes, UNOBSERVED),
+        distance,
+        sample.tudf,
+        distance_field(seen, grid),
+        near_m=config.near_m,
+        truncation_m=grid.truncation_m,
+    )
+    readings = [] if probability is None else [probability, corrected(probability, CLASS_WEIGHT)]
+    readings += [] if calibrated is None else [calibrated]
+    bounds, ause = judge_bounds(said, distance, sample.tudf, inside)
+    settings, truth = settings_of(said), (sample.occupancy, sample.tudf)
+    return Study(
+        counts=count(readings, sample.occupancy, inside),
+        bounds=bounds,
+        ause=ause,
+        settings=settings,
+        careful=run_settings(settings, said, truth, goals, grid, config.plan),
+    )
+
+
+def settings_of(said: Prediction) -> tuple[Setting, ...]:
+    """Every risk that a method has bounds of, and the fixed thresholds of what it predicts."""
+    by = "distance" if said.occupancy_probability is None else "probability"
+    fixed = tuple(Setting(by=by, value=value) for value in FIXED[by])
+    risks = () if said.uncertainty is None else said.uncertainty.risks
+    promised = getattr(said.uncertainty, "path_risks", ()) or (None,) * len(risks)
+    bounds = (
+        Setting(by="risk", value=risk, promised=most)
+        for risk, most in zip(risks, promised, strict=True)
+    )
+    return (*bounds, *fixed)
+
+
+def run_settings(
+    chosen: Sequence[Setting],
+    said: Prediction,
+    truth: tuple[NDArray[np.bool_], NDArray[np.float32]],
+    goals: NDArray[np.float64],
+    grid: GridSpec,
+    plan: PlanConfig,
+) -> NDArray[np.float64]:
+    """Every trial of one map at each setting, (goals, settings, TOLD and then CHANCES); NaN for
+    what a trial without a path, or a method without calibrated probabilities, lacks."""
+    found = np.full((len(goals), len(chosen), len(TOLD) + len(CHANCES)), np.nan)
+    chance = said.probability
+    for s, setting in enumerate(chosen):
+        blocked, field = _maps(setting, said, grid)
+        for g, goal in enumerate(goals):
+            done = plan_carefully(blocked, field, goal, grid, plan)
+            trial = judge(done.plan, done.path, *truth, grid, plan)
+            planned = done.path is not None
+            found[g, s, : len(TOLD)] = (
+                trial.success,
+                planned and not trial.success,
+                not planned,
+                trial.length_m,
+                trial.min_clearance_m,
+            )
+            if planned and chance is not None:
+                sure = np.minimum(chance.reshape(-1)[done.voxels].astype(np.float64), 1 - 1e-7)
+                free = np.log1p(-sure)
+                found[g, s, len(TOLD) :] = -np.expm1(free.sum()), -np.expm1(free.min())
+    return found
+
+
+def _maps(
+    setting: Setting, said: Prediction, grid: GridSpec
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """The collision map and the field that a setting makes of a prediction."""
+    if setting.by == "risk":
+        low = said.low(setting.value)
+        return low <= 0, low
+    name = "probability" if setting.by == "probability" else "distance_m"
+    at = dataclasses.replace(Thresholds(), **{name: setting.value})
+    return said.occupied(at), said.distance(at, grid)
+
+
+def study_of(
+    studies: Sequence[Study],
+    careful: Sequence[NDArray[np.float64]],
+    worlds: NDArray[np.int64],
+    trial_worlds: NDArray[np.int64],
+) -> dict[str, Any]:
+    """What was studied of one method, as JSON: its ``reliability`` and ``bounds``, None where it
+    has none, from the `studies` of N maps of `worlds` (N,); and the careful planner's ``risk`` from
+    the `careful` rows of all trials. Figures are {mean, std, low, high, n}, as in the tables."""
+    settings = studies[0].settings
+    risks = tuple(setting.value for setting in settings if setting.by == "risk")
+    found = reliability(np.array([one.counts for one in studies]), worlds)
+    bounds, sparse = (
+        np.array([getattr(one, name) for one in studies]) for name in ("bounds", "ause")
+    )
+    return {
+        "reliability": {"class_weight": CLASS_WEIGHT, **found} if found else None,
+        "bounds": bounds_of(bounds, sparse, risks, worlds) if risks else None,
+        "risk": risk_of(
+            np.array(careful).reshape(len(careful), len(settings), len(TOLD) + len(CHANCES)),
+            settings,
+            trial_worlds,
+        ),
+    }
+
+
+def risk_of(
+    trials: NDArray[np.float64], chosen: Sequence[Setting], worlds: NDArray[np.int64]
+) -> dict[str, Any]:
+    """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths
+    were said to collide, how many did, over all settings."""
+    rows = [
+        dataclasses.asdict(setting)
+        | {
+            name: figure(trials[:, s, n], worlds, "outcome" if name in OUTCOMES else "amount")
+            for n, name in enumerate((*TOLD, *CHANCES))
+        }
+        for s, setting in enumerate(chosen)
+    ]
+    collided = trials[:, :, TOLD.index("collided")].reshape(-1)
+    repeated = np.repeat(worlds, len(chosen))
+    paths: dict[str, list[dict[str, Any]]] = {name: [] for name in CHANCES}
+    for n, name in enumerate(CHANCES, start=len(TOLD)):
+        said = trials[:, :, n].reshape(-1)
+        for low, high in pairwise(EDGES):
+            inside = (said >= low) & ((said < high) | (high == EDGES[-1]))
+            if inside.any():
+                told = {"from": low, "to": high, "said": float(said[inside].mean())}
+                had = figure(collided[inside], repeated[inside], "outcome")
+                paths[name].append({**told, "paths": int(inside.sum()), "collided": had})
+    return {"settings": rows, "paths": paths}
+
+
+def study_tables(study: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+    """What `study_of` gave of every method, for people: tables by title, heads and rows; none where
+    nothing was studied."""
+    names = ("promised", *TOLD, *CHANCES)
+    sure, careful, bounds = [], [], []
+    for name, found in study.items():
+        for region in SHOWN:
+            for reading, one in (found["reliability"] or {}).get(region, {}).items():
+                figures = ({**one, "mean": one["ece"]}, *(one[score] for score in SCORES[1:]))
+                cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in figures]
+                sure.append((f"{name}, {region}, {reading}", cells))
+        for row in found["risk"]["settings"]:
+            promised = "–" if row["promised"] is None else f"{row['promised']:.3f}"
+            cells = [promised, *(brief(row[one]) for one in names[1:])]
+            careful.append((f"{name}, {row['by']} {row['value']:g}", cells))
+        for row in (found["bounds"] or {"risks": ()})["risks"]:
+            pairs = ([row[part][judged]["mean"] for judged in JUDGED] for part in PARTS)
+            cells = [", ".join("–" if m is None else f"{m:.3f}" for m in pair) for pair in pairs]
+            cells.append(brief(found["bounds"]["ause"]))
+            bounds.append((f"{name}, risk {row['risk']:g}", cells))
+    tables = (
+        ("Probabilities", ("ECE", "NLL", "Brier"), sure),
+        ("Bounds: coverage, and width in metres", (*PARTS, "AUSE"), bounds),
+        ("The careful planner", names, careful),
+    )
+    return [table for table in tables if table[-1]]
