@@ -17,10 +17,10 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, show_table
-from scenegen.share.licence import USUAL
+from scenegen.share import USUAL
 
 if TYPE_CHECKING:
-    from scenegen.share.upload import Published
+    from scenegen.share.stage import Staged
 
 
 @click.command(
@@ -90,7 +90,7 @@ def publish(
             if talk:
                 note(f"{found.folder} stands; {'nothing is sent' if dry_run else 'sending …'}")
 
-        done = run_publish(
+        found, commit_sent = run_publish(
             request,
             dry_run=dry_run,
             private=options["private"],
@@ -102,19 +102,18 @@ def publish(
             on_staged=staged,
         )
     if not quiet:
-        _show(done, time.perf_counter() - begin, as_json)
+        _show(found, commit_sent, time.perf_counter() - begin, as_json)
 
 
-def _show(done: "Published", seconds: float, as_json: bool) -> None:
+def _show(staged: "Staged", commit: str | None, seconds: float, as_json: bool) -> None:
     """Prints what was made, and sent."""
-    staged = done.staged
     size = sum(staged.files.values())
     if as_json:
         rows = {
             "folder": str(staged.folder),
             "repository": staged.repository,
             "tag": staged.tag,
-            "commit": done.commit,
+            "commit": commit,
             "digest": staged.digest,
             "files": staged.files,
             "bytes": size,
@@ -128,7 +127,7 @@ def _show(done: "Published", seconds: float, as_json: bool) -> None:
         "revision": f"hf://{staged.repository}@{staged.tag}",
         "time": f"{seconds:.1f} s",
     }
-    if done.commit is None:
+    if commit is None:
         listed = {name: f"{size:>12,}" for name, size in staged.files.items()}
         show_table(listed, "would send, in bytes")
         show_table(told | {"next": "the same command without --dry-run"}, "ready")

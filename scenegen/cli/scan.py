@@ -66,10 +66,11 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
             raise click.ClickException(f"{name}: {error}") from None
     rows = {name: _facts(sensor) for name, sensor in found.items()}
     if out is not None:
-        from scenegen.display.pattern import draw_patterns
+        from scenegen.display.panels import to_bytes
+        from scenegen.display.pictures import draw_patterns
         from scenegen.files import write_result
 
-        write_result(out, draw_patterns(list(found.values())))
+        write_result(out, to_bytes(draw_patterns(found), ".png"))
     if as_json:
         print(json.dumps(rows))
     elif names:

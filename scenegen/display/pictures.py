@@ -2,14 +2,15 @@
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim import GridSpec, Sensor
+from lidarsim.sensors.device import angles_deg
 from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
 from scenegen.display.oblique import VIEW, View
@@ -26,6 +27,7 @@ from scenegen.display.panels import (
     draw_panel,
     frame_box,
     line,
+    plain,
     put_ball,
     put_box,
     put_points,
@@ -45,6 +47,8 @@ PIXELS = 1000
 """Pixels across the picture of a world."""
 SUN = np.array((-0.35, -0.55, 0.9)) / np.linalg.norm((-0.35, -0.55, 0.9))
 """Unit vector towards the light."""
+DOTS = {"cmap": "turbo", "linewidths": 0, "antialiased": False}
+"""How the rays of a pattern look."""
 CUT, PLAIN = 0.3, 0.88
 """Greys of solids where the picture cuts through them, and of planes."""
 
@@ -159,6 +163,23 @@ def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
     size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
     around = line(f"a map of {size} m around it", MAP, 1.2)
     add_legend(figure, [ball("sensor"), around, line("the box of all points")])
+    return figure
+
+
+def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
+    """Draws a panel for every sensor by its name, one below the other: every ray is a dot, from
+    blue for the first to red for the last in time. Degrees; azimuth grows to the left, as for the
+    body."""
+    angles = [angles_deg(sensor.directions_body.reshape(-1, 3)) for sensor in sensors.values()]
+    talls = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) for up, around in angles]
+    height = sum(talls) + 0.7 * len(talls)
+    figure = Figure(figsize=(6.4, height), dpi=100, layout="constrained")
+    panels = figure.subplots(len(talls), squeeze=False, height_ratios=talls)[:, 0]
+    for panel, (name, sensor), (up, around) in zip(panels, sensors.items(), angles, strict=True):
+        panel.scatter(around, up, s=1, c=sensor.times_s.reshape(-1), **DOTS)
+        panel.set(xlabel="azimuth / °", ylabel="elevation / °", title=plain(name))
+        panel.invert_xaxis()
+        panel.grid(alpha=0.4)
     return figure
 
 

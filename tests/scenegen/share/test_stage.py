@@ -33,6 +33,13 @@ from tests.scenegen.display.test_page import Seen
 CHECKS = (("files", "14 files hold"),)
 
 
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures have their own tests."""
+    monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)
+    monkeypatch.setattr("scenegen.display.panels.DPI", 20)
+
+
 @pytest.fixture(scope="module")
 def out(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A published folder; not to be changed."""
@@ -259,7 +266,7 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked: Request, dataset:
     ):
         stage(asked, CHECKS)
     shard.unlink()
-    with pytest.raises(PublishError, match=r"val-00000.h5: is missing"):
+    with pytest.raises(PublishError, match=r"val-00000.h5: is not the file"):
         stage(asked, CHECKS)
     assert list(asked.out.parent.iterdir()) == []
 
