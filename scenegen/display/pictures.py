@@ -23,7 +23,6 @@ from scenegen.display.panels import (
     add_legend,
     ball,
     blank,
-    dot,
     draw_panel,
     frame_box,
     line,
@@ -31,7 +30,6 @@ from scenegen.display.panels import (
     put_ball,
     put_box,
     put_points,
-    put_title,
     to_bytes,
 )
 from scenegen.errors import DatasetError
@@ -39,6 +37,8 @@ from scenegen.errors import DatasetError
 if TYPE_CHECKING:
     from scenegen.worlds.world import World
 
+MARKS = [ball("sensor"), line("the map's box"), ball("returns", INK, ".")]
+"""What the marks of samples mean."""
 FRAMES, TURN_S, TURN_DPI = 36, 8, 90
 """Pictures of a turntable, and how long it takes to go round, seconds."""
 MOST_DRAWN = 500_000
@@ -63,8 +63,8 @@ def draw_sample(
     empty, and says so. Raises DatasetError as `draw_voxels`.
     """
     grid = Grid(2, 3, title or look.name, scale=1.25)
-    for n, name in enumerate(panels):
-        draw_panel(grid.panel(0, n), look, name)
+    for panel, name in zip(grid.panels[0], panels, strict=False):
+        draw_panel(panel, look, name)
     height = look.grid.shape[2]
     levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
     for n, level in enumerate(levels):
@@ -85,12 +85,10 @@ def draw_sheet(looks: Sequence[Look], *, title: str, columns: int = 4) -> Figure
     DatasetError as `draw_voxels`."""
     columns = min(columns, len(looks))
     grid = Grid(-(-len(looks) // columns), columns, title)
-    for n, look in enumerate(looks):
-        panel = grid.panel(n // columns, n % columns)
-        _with_returns(panel, look, VIEW, 0.6)
-        panel.set_title(look.name, color=INK, fontsize=9)
+    for panel, look in zip(grid.panels.flat, looks, strict=False):
+        _with_returns(panel, look, VIEW, 0.6, look.name)
     grid.bar_of_heights(looks)
-    return grid.finish([ball("sensor"), line("the map's box"), dot("returns")])
+    return grid.finish(MARKS)
 
 
 def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
@@ -107,12 +105,12 @@ def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
         view = View(azimuth=VIEW.azimuth + 2 * math.pi * turn / frames)
         figure = blank(6.4, 4.8, title, dpi=TURN_DPI)
         panel = figure.add_axes((0.01, 0.06, 0.86, 0.86))
-        _with_returns(panel, look, view, 1.2)
+        _with_returns(panel, look, view, 1.2, "")
         across, upward = view.project((low + high) / 2)
         panel.set_xlim(across - reach, across + reach)  # the same in every picture
         panel.set_ylim(upward - 0.75 * reach, upward + 0.75 * reach)
         add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
-        add_legend(figure, [ball("sensor"), dot("returns"), line("the map's box")])
+        add_legend(figure, MARKS)
         pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
     file, pause = io.BytesIO(), TURN_S * 1000 // frames
     film = {"save_all": True, "append_images": pictures[1:], "duration": pause, "loop": 0}
@@ -120,10 +118,9 @@ def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
     return file.getvalue()
 
 
-def _with_returns(panel: Any, look: Look, view: View, size: float) -> None:
+def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -> None:
     """Occupied voxels with the returns over them."""
-    draw_panel(panel, look, "occupancy", ticks=False, view=view)
-    put_title(panel, "")
+    draw_panel(panel, look, "occupancy", title=title, ticks=False, view=view)
     if look.points is not None:
         places = view.project(look.points).T
         panel.scatter(*places, s=size, color=INK, linewidths=0, zorder=6)
