@@ -166,7 +166,8 @@ def frame_box(
     if ticks:
         _put_ticks(panel, low, high, 0.035 * span, view)
     room = 0.12 * span if ticks else 0.03 * span
-    left, down, right, up = *(corners.min(axis=0) - room), *(corners.max(axis=0) + room)
+    left, down = corners.min(axis=0) - room
+    right, up = corners.max(axis=0) + room
     panel.set(xlim=(left, right), ylim=(down, up))
     panel.set_aspect("equal")
     panel.set_axis_off()

@@ -10,26 +10,22 @@ import hashlib
 import json
 import os
 import stat
-import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
-from functools import lru_cache
+from collections.abc import Iterable, Mapping
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from lidarsim.jit import cache_root, folder_trouble, is_ours
 from scenegen.errors import StoreError, printable
+from scenegen.files import draft_of, remove_drafts, write_whole
 from scenegen.stores import note_file, store_of
 
 AT_A_TIME = 8
 """Files that are fetched at the same time, where all are needed."""
-STALE_S = 24 * 3600.0
-"""Age after which a copy that was never finished counts as left behind, seconds."""
 
 
-@dataclass(frozen=True)
-class Note:
+class Note(NamedTuple):
     """What a folder of copies is of."""
 
     store: str
@@ -45,12 +41,8 @@ def keep(store: str, name: str, manifest: bytes) -> Path:
     """
     folder = _root() / _digest(store.encode())[:16] / _digest(manifest)[:16]
     _check(folder)
-    with _told(store):
-        _put(folder / name, manifest)
-        for draft in folder.glob(".*.tmp"):
-            with contextlib.suppress(FileNotFoundError):
-                if time.time() - draft.lstat().st_mtime > STALE_S:
-                    draft.unlink()
+    _put(folder / name, manifest)
+    remove_drafts(folder)
     return folder
 
 
@@ -62,22 +54,10 @@ def note(folder: Path, store: str, files: Mapping[str, str]) -> None:
     StoreError.
     """
     path = note_file(folder)
-    with _told(store):
-        if not path.is_file():
-            for other in sorted(folder.parent.glob("*.place")):
-                _share(other, folder, files)
-        _put(path, json.dumps(asdict(Note(store, dict(files)))).encode())
-
-
-@contextlib.contextmanager
-def _told(store: str) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise StoreError(
-            f"{printable(error)}: copies of {store} go there; free some space, or name another "
-            f"folder by SCENEGEN_CACHE"
-        ) from None
+    if not path.is_file():
+        for other in sorted(folder.parent.glob("*.place")):
+            _share(other, folder, files)
+    _put(path, json.dumps(Note(store, files)._asdict()).encode())
 
 
 def fetch(path: Path) -> bool:
@@ -91,28 +71,30 @@ def fetch(path: Path) -> bool:
         return False
     if _is_whole(path, about.files[path.name]):
         return True
-    with _told(about.store):
-        handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
-        try:
-            with open(handle, "r+b") as file:
-                try:
-                    store_of(about.store).read(path.name, file, 1 << 62)
-                except FileNotFoundError:
-                    return False
-                file.flush()
-                file.seek(0)
-                if _sum(file) != about.files[path.name]:
-                    raise StoreError(
-                        f"{about.store}/{path.name}: is not the file that the manifest lists; if "
-                        f"a run goes on there, "
-                        "wait for its end and give the same command again; else generate the "
-                        "dataset again"
-                    )
-                _stamp(file.fileno())
-                os.fsync(file.fileno())
-            Path(draft).replace(path)
-        finally:
-            Path(draft).unlink(missing_ok=True)
+    draft = draft_of(path)
+    try:
+        with open(draft, "x+b", opener=partial(os.open, mode=0o600)) as file:
+            try:
+                store_of(about.store).read(path.name, file, 1 << 62)
+            except FileNotFoundError:
+                return False
+            file.seek(0)
+            if _sum(file) != about.files[path.name]:
+                raise StoreError(
+                    f"{about.store}/{path.name}: is not the file that the manifest lists; if a run "
+                    "goes on there, wait for its end and give the same command again; else "
+                    "generate the dataset again"
+                )
+            _stamp(file.fileno())
+            os.fsync(file.fileno())
+        draft.replace(path)
+    except OSError as error:
+        raise StoreError(
+            f"{printable(error)}: copies of {about.store} go there; free some space, or name "
+            "another folder by SCENEGEN_CACHE"
+        ) from None
+    finally:
+        draft.unlink(missing_ok=True)
     return True
 
 
@@ -151,11 +133,7 @@ def fetch_all(folder: Path, names: Iterable[str]) -> None:
 
     def one(name: str) -> None:
         if not fetch(folder / name):
-            about = note_of(folder)
-            raise StoreError(
-                f"{about.store if about else folder}/{name}: is missing, though the manifest "
-                f"lists it"
-            )
+            raise StoreError(f"{folder / name}: is missing at the store, though it is listed")
 
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
@@ -202,7 +180,7 @@ def _check(folder: Path) -> None:
     if trouble := folder_trouble(folder):
         raise StoreError(
             f"{trouble}: copies of datasets go there; see to it, or name another folder by "
-            f"SCENEGEN_CACHE"
+            "SCENEGEN_CACHE"
         )
 
 
@@ -218,14 +196,8 @@ def _share(other: Path, folder: Path, files: Mapping[str, str]) -> None:
 
 def _put(path: Path, content: bytes) -> None:
     """Have `content` be at `path`, which is written only where it is not."""
-    if path.is_file() and path.read_bytes() == content:
-        return
-    handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
-    with open(handle, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    Path(draft).replace(path)
+    if not (path.is_file() and path.read_bytes() == content):
+        write_whole(path, content)
 
 
 def _digest(content: bytes) -> str:

@@ -140,7 +140,7 @@ def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -
     store = StorePath(f"s3://{bucket}/d").store
     for turn in range(20):
         name = f"race-{turn}"
-        version = store.put_whole(name, b"first") if of_what else None
+        version = store.put(name, b"first") if of_what else None
         start, won = threading.Barrier(8), list[bytes]()
 
         def put(
@@ -152,7 +152,7 @@ def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -
         ) -> None:
             start.wait()
             try:
-                store.put_if(name, mine, version)
+                store.put(name, mine, version)
                 won.append(mine)
             except StoreError:  # a conflict, or what Ceph answers to some that lose a race, 500
                 pass
@@ -203,7 +203,7 @@ def test_a_full_store_and_refused_credentials_name_the_shard_and_lose_nothing(
     ceph: Ceph, bucket: str, here: Path, tmp_path: Path
 ) -> None:
     cases: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
-        "the store is full (QuotaExceeded)": (
+        "the store is full (": (
             lambda: [
                 ceph.admin(
                     "quota", "set", "--quota-scope=bucket", "--bucket", bucket, "--max-size=200000"
@@ -212,7 +212,7 @@ def test_a_full_store_and_refused_credentials_name_the_shard_and_lose_nothing(
             ],
             lambda: ceph.admin("quota", "disable", "--quota-scope=bucket", "--bucket", bucket),
         ),
-        "the store refuses the credentials (UserSuspended)": (
+        "the store refuses the credentials (403 UserSuspended)": (
             lambda: ceph.admin("user", "suspend", "--uid", USER),
             lambda: ceph.admin("user", "enable", "--uid", USER),
         ),
