@@ -10,10 +10,9 @@ import rich_click as click
 from scenegen.cli.options import (
     dataset_argument,
     examples,
-    json_option,
     kind_option,
     out_option,
-    quiet_option,
+    printing,
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, show_table
@@ -49,15 +48,14 @@ if TYPE_CHECKING:
 @click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
 @kind_option
 @workers_option
-@json_option
-@quiet_option
+@printing
 def publish(
     dataset: Path | str,
     repo: str,
     out: Path | None,
     dry_run: bool,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Verify a dataset, make a folder of it for the Hugging Face Hub, and send that.
@@ -66,7 +64,6 @@ def publish(
     keeps, or HF_TOKEN.
     """
     begin = time.perf_counter()
-    talk = not (quiet or as_json)
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
@@ -101,7 +98,7 @@ def publish(
             on_done=progress.count,
             on_staged=staged,
         )
-    if not quiet:
+    if talk or as_json:
         _show(found, commit_sent, time.perf_counter() - begin, as_json)
 
 

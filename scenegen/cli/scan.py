@@ -18,7 +18,7 @@ from scenegen.cli.options import (
     lidar_option,
     noise_option,
     out_option,
-    quiet_option,
+    printing,
     seed_option,
     was_given,
 )
@@ -148,9 +148,8 @@ def _cell(value: Any) -> str:
     help="Frame of the points: the body when the scan begins, or the world.",
 )
 @seed_option("What the noise, and the flight, are drawn by.")
-@out_option("The file to write: .ply, .pcd, .npz or .bin.", Path("scan.ply"), file=True)
-@json_option
-@quiet_option
+@out_option("The file to write: .ply, .pcd, .npz or .bin.", default=Path("scan.ply"), file=True)
+@printing
 def scan(
     world: Path,
     pose: tuple[float, ...] | None,
@@ -163,7 +162,7 @@ def scan(
     seed: int,
     out: Path,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
 ) -> None:
     """Scan the world of an MJCF file, once or along a flight, and write the returns as points.
 
@@ -195,7 +194,7 @@ def scan(
         rows.append(_write_scan(file, found, sensor, at, chain, drawn, engine, frame))
     if as_json:
         print(json.dumps(rows[0] if every is None else {"scans": rows}))
-    elif not quiet:
+    elif talk:
         told = {name: value for name, value in rows[0].items() if name != "quaternion"}
         if len(rows) > 1:
             told |= {"file": f"{rows[0]['file']} … {rows[-1]['file']}", "scans": len(rows)}

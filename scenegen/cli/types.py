@@ -10,6 +10,7 @@ from click.shell_completion import CompletionItem
 
 from lidarsim.parameters import Bounds
 from lidarsim.registry import MOST_NAMED, Registry, suggestion
+from scenegen.errors import printable
 
 MOST_REPEATED = 60
 """Characters of a value that an error repeats."""
@@ -153,7 +154,7 @@ class Written(click.ParamType):
         try:
             return self.read(value)
         except ValueError as error:
-            self.fail(str(error), param, ctx)
+            self.fail(printable(error), param, ctx)
 
 
 class Number(Written):
@@ -168,21 +169,6 @@ class Numbers(Written):
 
     def __init__(self, name: str, count: int):
         super().__init__(partial(_numbers, name, count), name)
-
-
-class ShardRange(Written):
-    """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
-
-    def __init__(self) -> None:
-        super().__init__(_range, "first:stop")
-
-
-class Ranges(Written):
-    """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20. The
-    value has (first, stop) of each."""
-
-    def __init__(self) -> None:
-        super().__init__(lambda text: tuple(map(_one_or_range, text.split(","))), "n,first:stop")
 
 
 def _number(bounds: Bounds, text: str) -> float:
@@ -203,7 +189,8 @@ def _numbers(name: str, count: int, text: str) -> tuple[float, ...]:
     return tuple(_number(Bounds(), part) for part in parts)
 
 
-def _range(text: str) -> tuple[int, int]:
+def read_range(text: str) -> tuple[int, int]:
+    """FIRST:STOP, as in Python: numbers from FIRST to one before STOP."""
     first, colon, stop = text.partition(":")
     short = len(text) <= 40  # and no more digits than int() takes
     if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
@@ -212,7 +199,11 @@ def _range(text: str) -> tuple[int, int]:
     return int(first), int(stop)
 
 
-def _one_or_range(text: str) -> tuple[int, int]:
-    if text.isdecimal() and len(text) <= 12:
-        return int(text), int(text) + 1
-    return _range(text)
+def read_ranges(text: str) -> tuple[tuple[int, int], ...]:
+    """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20. The
+    value has (first, stop) of each."""
+    alone = [one.isdecimal() and len(one) <= 12 for one in text.split(",")]
+    return tuple(
+        (int(one), int(one) + 1) if number else read_range(one)
+        for number, one in zip(alone, text.split(","), strict=True)
+    )
