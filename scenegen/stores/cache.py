@@ -50,14 +50,9 @@ def note(folder: Path, store: str, files: Mapping[str, str]) -> None:
     """Note what a folder of copies is of: from now on its `files`, names with their SHA-256, can be
     fetched.
 
-    What another manifest of the same store lists by the same name and digest is shared. Raises
-    StoreError.
+    Raises StoreError.
     """
-    path = note_file(folder)
-    if not path.is_file():
-        for other in sorted(folder.parent.glob("*.place")):
-            _share(other, folder, files)
-    _put(path, json.dumps(Note(store, files)._asdict()).encode())
+    _put(note_file(folder), json.dumps(Note(store, files)._asdict()).encode())
 
 
 def fetch(path: Path) -> bool:
@@ -182,16 +177,6 @@ def _check(folder: Path) -> None:
             f"{trouble}: copies of datasets go there; see to it, or name another folder by "
             "SCENEGEN_CACHE"
         )
-
-
-def _share(other: Path, folder: Path, files: Mapping[str, str]) -> None:
-    """Put into `folder` those of `files` that the folder of the note `other` holds, as links to the
-    same bytes."""
-    with contextlib.suppress(ValueError, TypeError):
-        for name, digest in Note(**json.loads(other.read_bytes())).files.items():
-            if files.get(name) == digest:
-                with contextlib.suppress(OSError):
-                    (folder / name).hardlink_to(other.with_suffix("") / name)
 
 
 def _put(path: Path, content: bytes) -> None:

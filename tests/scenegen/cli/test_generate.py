@@ -187,22 +187,6 @@ def test_what_a_scene_leaves_out_is_said_once(
     assert run(capfd, *words, "--quiet")[2] == ""
 
 
-def test_a_scene_recipe_needs_its_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "r.toml").write_text('kind = "scene"')
-    code, _, error = run(capsys, "generate", "--recipe", tmp_path / "r.toml")
-    assert code == 1
-    assert "give a scene" in error
-
-
-def test_an_unwritable_folder_ends_in_one_line(
-    small: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = f"generate --recipe {small} --n 3 --out /proc/nowhere/d --quiet"
-    code, _, error = run(capsys, command)
-    assert (code, error.count("\n")) == (1, 1)
-    assert "choose another place" in error
-
-
 def test_the_first_run_says_why_it_takes_longer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

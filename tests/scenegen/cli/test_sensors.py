@@ -2,9 +2,7 @@
 
 import json
 import math
-import re
 from pathlib import Path
-from typing import Any
 
 import matplotlib.image
 import numpy as np
@@ -211,32 +209,6 @@ def test_what_cannot_be_ends_in_one_line(
     assert (ended, said, error.count("\n")) == (code, "", 1), error
     assert told in error
     assert set(here.iterdir()) == before
-
-
-def test_the_documented_sensor_and_flight_are_such(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    page = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8")
-    (sensor,) = (
-        text
-        for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
-        if "my_lidar.toml" in text
-    )
-    (here / "my_lidar.toml").write_text(sensor)
-    assert json.loads(run(capsys, "sensors", "my_lidar.toml", "--json")[1])["my_lidar.toml"][
-        "shape"
-    ] == [6, 900]
-    at = f"{AT} --lidar my_lidar.toml --noise datasheet --json"
-    assert json.loads(run(capsys, at)[1])["returns"] > 1000
-    (flight,) = (
-        text
-        for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-        if "poses_in_flight" in text
-    )
-    monkeypatch.chdir(ROOT)
-    found: dict[str, Any] = {}
-    exec(flight.replace("every_m=0.5", "every_m=3.0"), found)
-    assert len(found["points"]) > 1000
 
 
 def test_a_map_of_a_real_place_is_scanned_and_told_of(

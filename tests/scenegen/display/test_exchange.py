@@ -1,9 +1,6 @@
 """What is written in another format, an independent reader finds again."""
 
 import json
-import multiprocessing
-import os
-import signal
 import struct
 import subprocess
 import sys
@@ -162,33 +159,6 @@ def test_a_stopped_conversion_goes_on(
     for other, choices in ((to, {"label": 70}), ("ply", {})):
         with pytest.raises(DatasetError, match="another conversion"):
             converted(made, out, other, **choices)
-
-
-@pytest.mark.parametrize("killed_at", [0, 1])
-def test_what_a_killed_conversion_leaves_is_taken_away(
-    killed_at: int, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At its own description, or at the first sample."""
-    plain, put = Path.replace, list[Path]()
-
-    def dies(draft: Path, path: Path) -> None:
-        if len(put) == killed_at:
-            os.kill(os.getpid(), signal.SIGKILL)
-        put.append(path)
-        plain(draft, path)
-
-    out = tmp_path / "out"
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "replace", dies)
-        killed = multiprocessing.get_context("fork").Process(
-            target=converted, args=(made, out, "semantickitti")
-        )
-        killed.start()
-        killed.join()
-    assert killed.exitcode == -signal.SIGKILL
-    assert list(out.rglob("*.tmp"))
-    converted(made, out, "semantickitti")
-    assert not list(out.rglob("*.tmp"))
 
 
 def test_a_folder_of_others_is_let_be(made: Path, tmp_path: Path, capsys: Any) -> None:

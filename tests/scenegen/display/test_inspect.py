@@ -11,7 +11,6 @@ import pytest
 
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect, misfits
 from scenegen.source import DrawnWorlds
 from scenegen.truth.difficulty import Difficulty, difficulty
@@ -152,15 +151,6 @@ def test_a_split_without_returns_gives_valid_json(
         code, said, _ = run(capsys, "inspect", folder, *words)
         assert code == 0
         assert "nan" not in said.lower()
-
-
-def test_an_unfinished_dataset_is_told_as_far_as_it_is(tmp_path: Path) -> None:
-    folder = make(tmp_path / "d", shards=(0, 2))
-    found = inspect(folder)
-    assert found["complete"] is False
-    assert found["samples"] == len(Dataset(folder, partial=True).split("train")) == 6
-    assert list(found["splits"]) == ["train"]
-    check(found["splits"]["train"]["statistics"], recomputed(fields(folder, "train"), np.arange(6)))
 
 
 HOSTILE = "<script>alert(1)</script>"

@@ -120,17 +120,6 @@ def test_what_is_predicted_comes_with_the_sample(made: Path) -> None:
         assert guess["name"] == HOSTILE
 
 
-def test_datasets_of_a_folder_are_served_by_their_numbers(made: Path, dataset: Path) -> None:
-    (dataset / "train-00000.h5").unlink()
-    with served([made, dataset]) as server:
-        assert [one["name"] for one in Seen(ask(server, "/")[2]).data()["live"]["datasets"]] == [
-            "pillar: pillar"
-        ] * 2
-        assert ask(server, "/sample/0/train/0")[0] == 200
-        assert ask(server, "/sample/1/train/0")[0] == 404
-        assert ask(server, "/sample/1/train/4")[0] == 200
-
-
 def test_a_stranger_s_name_is_refused(made: Path) -> None:
     with served(made) as server:
         port = server.server_address[1]

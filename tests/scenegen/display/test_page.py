@@ -16,7 +16,7 @@ import pytest
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
-from scenegen.display.look import look_at, looks, spread
+from scenegen.display.look import look_at, looks
 from scenegen.display.page import HERE, MOST_VOXELS, page
 from scenegen.errors import DatasetError
 from tests.command_line import run
@@ -145,12 +145,6 @@ def test_an_incomplete_dataset_is_shown_with_a_line(
     data = Seen((tmp_path / "page.html").read_text(encoding="utf-8")).data()
     assert "incomplete" in data["notes"][0]
     assert [sample["name"] for sample in data["samples"]] == ["train 0", "train 5", "train 10"]
-
-
-def test_numbers_are_spread_over_the_split(made: Path) -> None:
-    dataset = Dataset(made)
-    assert spread(dataset, "train", 100) == list(range(11))
-    assert spread(dataset, "train", 3) == [0, 5, 10]
 
 
 def test_what_cannot_be_shown_is_an_error(made: Path) -> None:

@@ -385,18 +385,6 @@ def _digest(task: tuple[Any, int]) -> bytes:
     return split[number].sha256()
 
 
-def test_a_manifest_of_a_place_shares_what_an_earlier_one_listed(store: Path, made: Path) -> None:
-    shutil.copytree(made, store / "lab" / "pillar")
-    forget()
-    first = locate(NAME, whole=True)
-    path = store / "lab" / "pillar" / "dataset.json"
-    path.write_text(json.dumps(json.loads(path.read_text())))  # the same, written otherwise
-    forget()
-    second = locate(NAME)
-    assert second != first
-    assert (second / "train-00000.h5").samefile(first / "train-00000.h5")
-
-
 def test_commands_take_a_place_and_refuse_it_where_they_cannot(
     store: Path,
     made: Path,
