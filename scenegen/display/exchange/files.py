@@ -1,18 +1,83 @@
-"""Formats of single samples: point clouds, NumPy archives, SemanticKITTI, OctoMap, WebDataset."""
+"""Formats of single samples: point clouds, NumPy archives, SemanticKITTI, OctoMap, WebDataset.
+
+Clouds of points are .ply and .pcd (binary), .npz (NumPy), and .bin (x y z intensity, float32, as in
+KITTI).
+"""
 
 import io
 import json
 import tarfile
 import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Sensor
 from scenegen.display.exchange import Choices
-from scenegen.display.points import encode_points
 from scenegen.errors import DatasetError
+from scenegen.files import write_result
 from scenegen.sample import Sample
+
+SUFFIXES = (".ply", ".pcd", ".npz", ".bin")
+"""Kinds of files."""
+
+
+def write_points(
+    path: Path,
+    points: NDArray[np.float64],
+    intensity: NDArray[np.float64] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> None:
+    """Writes points in the kind of file that the name says.
+
+    Args:
+        path: The file.
+        points: Positions (M, 3), metres.
+        intensity: Of each point (M,), if there is any; a .bin has 0 where there is none.
+        about: Arrays and texts by name that an .npz holds, too.
+
+    Raises:
+        DatasetError: The name says none of the kinds.
+    """
+    if path.suffix not in SUFFIXES:
+        raise DatasetError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}")
+    write_result(path, encode_points(path.suffix, points, intensity, about))
+
+
+def encode_points(
+    suffix: str,
+    points: NDArray[np.float64],
+    intensity: NDArray[np.float64] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> bytes:
+    """What a file of the kind `suffix` holds; for the arguments see `write_points`."""
+    if suffix == ".npz":
+        file = io.BytesIO()
+        more = {} if intensity is None else {"intensity": intensity}
+        np.savez_compressed(file, allow_pickle=False, points=points, **more, **(about or {}))
+        return file.getvalue()
+    names, columns = ["x", "y", "z"], [points]
+    if intensity is not None or suffix == ".bin":
+        names.append("intensity")
+        columns.append(np.zeros((len(points), 1)) if intensity is None else intensity[:, None])
+    content = np.concatenate(columns, axis=1).astype("<f4").tobytes()
+    count, fields = len(points), len(names)
+    match suffix:
+        case ".ply":
+            head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+            head += "".join(f"property float {name}\n" for name in names) + "end_header\n"
+        case ".pcd":
+            head = (
+                f"VERSION 0.7\nFIELDS {' '.join(names)}\nSIZE{' 4' * fields}\nTYPE{' F' * fields}"
+            )
+            head += f"\nCOUNT{' 1' * fields}\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+            head += f"POINTS {count}\nDATA binary\n"
+        case _:
+            head = ""
+    return head.encode() + content
 
 
 class OneEach:
