@@ -106,19 +106,10 @@ def _show(staged: "Staged", commit: str | None, seconds: float, as_json: bool) -
     """Prints what was made, and sent."""
     size = sum(staged.files.values())
     if as_json:
-        rows = {
-            "folder": str(staged.folder),
-            "repository": staged.repository,
-            "tag": staged.tag,
-            "commit": commit,
-            "digest": staged.digest,
-            "files": staged.files,
-            "bytes": size,
-            "seconds": seconds,
-        }
-        print(json.dumps(rows))
+        told = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
+        print(json.dumps(vars(staged) | told))
         return
-    told = {
+    said = {
         "folder": staged.folder,
         "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
         "revision": f"hf://{staged.repository}@{staged.tag}",
@@ -127,7 +118,7 @@ def _show(staged: "Staged", commit: str | None, seconds: float, as_json: bool) -
     if commit is None:
         listed = {name: f"{size:>12,}" for name, size in staged.files.items()}
         show_table(listed, "would send, in bytes")
-        show_table(told | {"next": "the same command without --dry-run"}, "ready")
+        show_table(said | {"next": "the same command without --dry-run"}, "ready")
     else:
         page = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
-        show_table(told | {"page": page}, "published")
+        show_table(said | {"page": page}, "published")

@@ -98,19 +98,22 @@ class OutputFolder(click.Path):
         self.stores = stores
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
-        """The folder."""
-        from scenegen.stores import folder_of
+        """The folder; none that is named with a scheme, where no such thing is written to."""
+        from scenegen.stores import STORES, folder_of, is_remote
 
-        _refuse_remote(self, value, param, ctx, stores=self.stores)
-        return folder_of(value) if self.stores and isinstance(value, str) else Path(value)
+        scheme = str(value).partition("://")[0]
+        if is_remote(value) and not (self.stores and scheme in STORES.known):
+            hint = " or s3://bucket/folder" if self.stores else "; only datasets go to s3://"
+            self.fail(f"{scheme}://… is not written to; give a folder{hint}", param, ctx)
+        return folder_of(str(value))
 
 
-class OutputFile(click.Path):
+class OutputFile(OutputFolder):
     """A file to write: a new one, or one as scenegen wrote it; with `folders`, also a folder that
     is there, or any file, of which the command says whether it is replaced."""
 
     def __init__(self, *, folders: bool = False) -> None:
-        super().__init__(path_type=Path)
+        super().__init__()
         self.folders = folders
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
@@ -118,8 +121,7 @@ class OutputFile(click.Path):
         from scenegen.errors import DatasetError
         from scenegen.files import check_ours, check_target
 
-        _refuse_remote(self, value, param, ctx)
-        path = Path(value)
+        path = super().convert(value, param, ctx)
         if self.folders and path.is_dir():
             return path
         try:
@@ -127,18 +129,6 @@ class OutputFile(click.Path):
         except DatasetError as error:
             self.fail(str(error), param, ctx)
         return path
-
-
-def _refuse_remote(
-    kind: click.ParamType, value: Any, param: Any, ctx: Any, *, stores: bool = False
-) -> None:
-    """Fails where a name with a scheme is given to write to, and no such thing is written there."""
-    from scenegen.stores import STORES, is_remote
-
-    scheme = str(value).partition("://")[0]
-    if is_remote(value) and not (stores and scheme in STORES.known):
-        hint = " or s3://bucket/folder" if stores else "; only generate and rescan write to s3://"
-        kind.fail(f"{scheme}://… is not written to; give a folder{hint}", param, ctx)
 
 
 class Written(click.ParamType):

@@ -2,6 +2,7 @@
 to a figure."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -184,17 +185,14 @@ def _path_legend(names: Sequence[str]) -> list[Any]:
         line(plain(name), style["color"], 2.2, style["linestyle"])
         for name, style in _path_styles(names).items()
     ]
-    cross = ball("meets an obstacle", "black", "X")
-    return [*paths, ball("start", rgb(START)), ball("goal", rgb(GOAL)), cross]
+    ends = [ball("start", rgb(START)), ball("goal", rgb(GOAL))]
+    return [*paths, *ends, ball("meets an obstacle", "black", "X")]
 
 
 def _path_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Colour and dashes of each method's path."""
-    others = [name for name in names if name not in STYLES]
-    dashes = [
-        STYLES.get(name) or OTHER_STYLES[others.index(name) % len(OTHER_STYLES)] for name in names
-    ]
+    dashes = itertools.cycle(OTHER_STYLES)
     return {
-        name: {"color": rgb(shade), "linestyle": dash}
-        for name, shade, dash in zip(names, path_colours(names), dashes, strict=True)
+        name: {"color": rgb(shade), "linestyle": STYLES.get(name) or next(dashes)}
+        for name, shade in zip(names, path_colours(names), strict=True)
     }

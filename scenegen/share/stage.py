@@ -201,19 +201,7 @@ def check_out(dataset: Path, out: Path) -> None:
 
 
 def _check_foreign(out: Path) -> None:
-    foreign = sorted(foreign_files(out))
-    if foreign:
-        raise PublishError(
-            f"--out {out}: holds {foreign[0]}, which publish did not put there; choose another "
-            f"folder"
-        )
-
-
-def foreign_files(out: Path) -> set[str]:
-    """What is in `out`, a folder of a former run or none, that its own list does not name; all of
-    it where no former run made the folder."""
-    if not out.is_dir():
-        return set()
+    """Raise PublishError where `out` holds what its own list, of a former run, does not name."""
     there = {
         str(path.relative_to(out))
         for path in out.rglob("*")
@@ -221,12 +209,13 @@ def foreign_files(out: Path) -> set[str]:
     }
     with contextlib.suppress(DatasetError, OSError, UnicodeDecodeError):
         manifest.read(out)
-        there -= {
-            line.partition("  ")[2]
-            for line in (out / SUMS).read_text(encoding="utf-8").splitlines()
-        }
-        there.discard(SUMS)
-    return there
+        listed = (out / SUMS).read_text(encoding="utf-8").splitlines()
+        there -= {SUMS, *(line.partition("  ")[2] for line in listed)}
+    if there:
+        raise PublishError(
+            f"--out {out}: holds {min(there)}, which publish did not put there; choose another "
+            "folder"
+        )
 
 
 @contextlib.contextmanager
