@@ -80,23 +80,6 @@ def test_a_split_range_makes_its_shards_alone(
     assert (said["complete"], said["samples_written"]) == (True, 5)
 
 
-def test_a_scene_gives_training_samples_of_one_world(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recipe = tmp_path / "r.toml"
-    recipe.write_text(
-        SMALL.replace('kind = "pillar"', "").split("[world]")[0]
-        + "[flight]"
-        + SMALL.split("[flight]")[1]
-    )
-    room = ROOT / "scenes" / "room_with_gap.xml"
-    command = f"generate --scene {room} --recipe {recipe} --n 7 --out {tmp_path / 'd'} --json"
-    code, said, error = run(capsys, command)
-    assert (code, error) == (0, "")
-    assert json.loads(said)["samples"] == {"train": 7, "val": 0, "test": 0}
-    assert Dataset(tmp_path / "d").split("train").names == [("train", 0, n) for n in range(7)]
-
-
 BAD_USE = {
     "an unknown kind": ("--kind piller", "did you mean 'pillar'?"),
     "a scene without its option": ("room.xml", "give it as --scene room.xml"),
@@ -134,17 +117,6 @@ def test_a_grid_that_the_network_cannot_take_is_mentioned(
     )
     for silent in ("--quiet", "--json"):
         assert run(capsys, *words, tmp_path / "odd.toml", silent)[2] == ""
-
-
-def test_the_recipe_in_the_documentation_makes_maps_that_the_network_takes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = (ROOT / "docs" / "recipes.md").read_text().split("```toml\n")[1].split("```")[0]
-    (tmp_path / "r.toml").write_text(text)
-    command = f"generate --recipe {tmp_path / 'r.toml'} --out {tmp_path / 'd'} --dry-run"
-    code, _, error = run(capsys, command)
-    assert code == 0
-    assert "multiples" not in error
 
 
 BAD_SCENES = {

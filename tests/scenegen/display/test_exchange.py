@@ -1,7 +1,6 @@
 """What is written in another format, an independent reader finds again."""
 
 import json
-import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ import pytest
 import trimesh
 
 from lidarsim import GridSpec
+from lidarsim.engines.voxels import FREE, OCCUPIED
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange import Choices
@@ -22,6 +22,7 @@ from scenegen.display.exchange.recordings import rerun as import_rerun
 from scenegen.errors import DatasetError
 from scenegen.sample import Sample
 from scenegen.source import read_world
+from scenegen.worlds.octomap import read_octomap
 from tests.command_line import run
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
@@ -87,50 +88,17 @@ def read_pcd(path: Path) -> np.ndarray:
 
 
 def test_octomap(made: Path, tmp_path: Path) -> None:
+    """Cells are multiples of the voxel: a map moves by up to half a voxel."""
     out = converted(made, tmp_path / "out", "octomap")
-    voxel = Dataset(made).grid.voxel_m
+    voxel_m = Dataset(made).grid.voxel_m
     for number, sample in samples_of(made):
-        resolution, size, leaves, nodes = read_octomap(out / "val" / f"{number}.bt")
-        assert (resolution, size) == (voxel, nodes)
-        known = sample.observed | sample.free
-        assert len(leaves) == known.sum() > 0
-        for centre, occupied in leaves.items():
-            place = (np.array(centre) - sample.origin) / voxel - 0.5
-            index = tuple(np.rint(place).astype(int))
-            assert np.abs(place - index).max() <= 0.5 + 1e-6
-            assert known[index]
-            assert sample.observed[index] == occupied
-
-
-def read_octomap(path: Path) -> tuple[float, int, dict[tuple[float, ...], bool], int]:
-    """Resolution, stated size, leaves by their centres, and counted nodes, read recursively."""
-    head, _, body = path.read_bytes().partition(b"\ndata\n")
-    assert head.startswith(b"# Octomap OcTree binary file\nid OcTree\n")
-    said = dict(line.split(" ", 1) for line in head.decode().splitlines()[1:])
-    resolution, at, nodes = float(said["res"]), 0, 1
-    leaves: dict[tuple[float, ...], bool] = {}
-
-    def read(centre: tuple[float, ...], width: float) -> None:
-        nonlocal at, nodes
-        (word,) = struct.unpack_from("<H", body, at)
-        at += 2
-        inner = []
-        for child in range(8):
-            state = word >> 2 * child & 3
-            sides = (width / 4 if child >> axis & 1 else -width / 4 for axis in range(3))
-            middle = tuple(map(sum, zip(centre, sides, strict=True)))
-            nodes += state != 0
-            if state == 3:
-                inner.append(middle)
-            elif state:
-                assert width / 2 == pytest.approx(resolution)
-                leaves[middle] = state == 2
-        for middle in inner:
-            read(middle, width / 2)
-
-    read((0.0, 0.0, 0.0), resolution * 2**16)
-    assert at == len(body)
-    return resolution, int(said["size"]), leaves, nodes
+        found = read_octomap(out / "val" / f"{number}.bt")
+        assert found.voxel_m == voxel_m
+        for state, mask in ((OCCUPIED, sample.observed), (FREE, sample.free & ~sample.observed)):
+            there = np.argwhere(found.states == state) * voxel_m + found.bounds[0]
+            moved = there - np.argwhere(mask) * voxel_m - sample.origin
+            assert len(there)
+            assert np.abs(moved).max() <= voxel_m / 2 + 1e-6
 
 
 def test_a_stopped_conversion_goes_on(

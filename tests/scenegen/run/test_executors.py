@@ -1,7 +1,6 @@
 """Where the shards of a dataset are written changes nothing of it."""
 
 import marshal
-import shutil
 import socket
 import subprocess
 import sys
@@ -17,7 +16,6 @@ from scenegen.run.remote import Outcome, sent
 from scenegen.run.software import identity
 from scenegen.run.workers import rank_of
 from scenegen.source import DrawnWorlds
-from tests.command_line import ROOT
 from tests.conftest import small_recipe
 from tests.scenegen.run.backwards import Backwards
 
@@ -115,25 +113,6 @@ def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(
     assert said.endswith(f"(on {socket.gethostname()})")
     assert "mujoco" not in said
     assert not list((tmp_path / "d").glob("*.h5"))
-
-
-def test_the_digest_of_the_source_follows_every_file(tmp_path: Path) -> None:
-    """A copy elsewhere has the same one, until any file of it changes."""
-    for package in ("lidarsim", "scenegen"):
-        ignore = shutil.ignore_patterns("*.safetensors", "__pycache__", "*.js")
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=ignore)
-    code = "from scenegen.run.software import identity; print(identity()['source'])"
-
-    def digest() -> str:
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-        )
-        return done.stdout.strip()
-
-    assert digest() == identity()["source"]
-    with (tmp_path / "scenegen" / "model" / "columns.py").open("a") as file:
-        file.write("#")
-    assert digest() != identity()["source"]
 
 
 def test_a_machine_without_scenegen_says_so() -> None:
