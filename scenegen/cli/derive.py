@@ -7,13 +7,12 @@ from typing import Any
 
 import rich_click as click
 
-from lidarsim.engines import ENGINES
 from scenegen import SPLITS
 from scenegen.cli.generate import make
 from scenegen.cli.options import (
-    SENSING,
     dataset_argument,
     datasets_argument,
+    engine_option,
     force_option,
     lidar_option,
     mapping_given,
@@ -28,7 +27,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import announce_compilation
-from scenegen.cli.types import Named, Written, read_ranges
+from scenegen.cli.types import Written, read_ranges
 from scenegen.dataset.choose import FIGURES, NUMBERS, Choice, Condition
 from scenegen.worlds.mapping import Mapper
 
@@ -41,12 +40,7 @@ making = together(force_option, workers_option, printing)
 @lidar_option("the dataset's")
 @noise_option
 @mapping_options("the dataset's")
-@click.option(
-    "--engine",
-    type=Named(ENGINES),
-    panel=SENSING,
-    help="What casts the rays.  [default: what cast the dataset's]",
-)
+@engine_option("What casts the rays.  [default: what cast the dataset's]")
 @out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
 def rescan(

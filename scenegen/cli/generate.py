@@ -12,6 +12,7 @@ import rich_click as click
 from lidarsim.engines import DEFAULT, ENGINES
 from scenegen.cli.options import (
     SENSING,
+    engine_option,
     examples,
     force_option,
     lidar_option,
@@ -100,13 +101,8 @@ count = partial(of_size, type=click.IntRange(min=1), show_default=True)
     panel=SENSING,
     tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.",
 )
-@click.option(
-    "--engine",
-    type=Named(ENGINES),
-    default=DEFAULT,
-    show_default=True,
-    panel=SENSING,
-    help=f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.",
+@engine_option(
+    f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.", default=DEFAULT
 )
 @count("-n", "--n", default=2500, help="Training samples.")
 @of_size("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")

@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeVar
 import rich_click as click
 from click.core import ParameterSource
 
+from lidarsim.engines import ENGINES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
@@ -151,6 +152,13 @@ def lidar_option(default: str) -> Decorator[Any]:
         panel=SENSING,
         help="The sensor: a name (`scenegen sensors` lists them), a .toml file, or MODULE:CLASS."
         f"  [default: {default}]",
+    )
+
+
+def engine_option(help: str, **more: Any) -> Decorator[Any]:
+    """--engine, by name or as MODULE:CLASS."""
+    return click.option(
+        "--engine", type=Named(ENGINES), panel=SENSING, show_default=True, help=help, **more
     )
 
 

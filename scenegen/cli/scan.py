@@ -12,11 +12,12 @@ from lidarsim.engines import ENGINES
 from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
-    SENSING,
+    engine_option,
     examples,
     json_option,
     lidar_option,
     noise_option,
+    options_of,
     out_option,
     printing,
     seed_option,
@@ -24,6 +25,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
+from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.worlds import MAPS
 
@@ -131,21 +133,8 @@ def _cell(value: Any) -> str:
 )
 @lidar_option("raster")
 @noise_option
-@click.option(
-    "--engine",
-    type=Named(ENGINES),
-    default="analytic",
-    show_default=True,
-    panel=SENSING,
-    help="What casts the rays.",
-)
-@click.option(
-    "--frame",
-    type=click.Choice(["body", "world"]),
-    default="body",
-    show_default=True,
-    help="Frame of the points: the body when the scan begins, or the world.",
-)
+@engine_option("What casts the rays.", default="analytic")
+@options_of(Choices, frame="Frame of the points: the body when the scan begins, or the world.")
 @seed_option("What the noise, and the flight, are drawn by.")
 @out_option("The file to write: .ply, .pcd, .npz or .bin.", default=Path("scan.ply"), file=True)
 @printing

@@ -175,24 +175,16 @@ def frame_box(
 
 def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
     """Numbers along an edge of each axis, and its name in their middle."""
-
-    def put(place: Any, way: Any, text: str, size: int) -> None:
-        at = view.project(place) + way
-        panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
-
-    x, y, z = 0, 1, 2
-    edges = (
-        (x, (low[y], low[z]), (0.3, -1)),
-        (y, (high[x], low[z]), (1, -0.6)),
-        (z, (low[x], low[y]), (-1.1, 0)),
-    )
-    for axis, fixed, way in edges:
-        out = apart * np.array(way)
+    (x, y, z), (right, _, _), along = low, high, np.nan
+    edges = ((along, y, z), (right, along, z), (x, y, along))
+    for axis, (edge, way) in enumerate(zip(edges, ((0.3, -1), (1, -0.6), (-1.1, 0)), strict=True)):
         marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low[axis], high[axis])
-        for mark in marks[(marks >= low[axis] - 1e-9) & (marks <= high[axis] + 1e-9)]:
-            put(np.insert(fixed, axis, mark), out, f"{mark:g}", 7)
-        middle = (low[axis] + high[axis]) / 2
-        put(np.insert(fixed, axis, middle), 2.6 * out, f"{'xyz'[axis]} / m", 8)
+        marks = marks[(marks >= low[axis] - 1e-9) & (marks <= high[axis] + 1e-9)]
+        told = [(mark, apart, f"{mark:g}", 7) for mark in marks]
+        told.append(((low[axis] + high[axis]) / 2, 2.6 * apart, f"{'xyz'[axis]} / m", 8))
+        for place, out, text, size in told:
+            at = view.project(np.where(np.isnan(edge), place, edge)) + out * np.array(way)
+            panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
 
 
 def add_bar(

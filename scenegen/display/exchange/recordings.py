@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Sensor
 from scenegen.display.colours import HEIGHTS, MISSED, SENSOR, colour
 from scenegen.display.exchange.files import Together
+from scenegen.display.look import MASKS
 from scenegen.sample import Sample
-
-MASKS = ("observed", "free", "occupancy")
 
 _RULE = "\n" + 80 * "=" + "\nMSG: "
 _TIME = f"{_RULE}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
