@@ -133,7 +133,7 @@ def packed(look: Look) -> dict[str, Any]:
         from_sensor = look.points - look.position
         reach = float(np.abs(from_sensor).max(initial=1e-6))
         packed = _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes())
-        more |= {"points": packed, "reach": reach, "own": look.own}
+        more |= {"points": packed, "reach": reach, "own": len(look.scans[0])}
     return {
         "name": look.name,
         "shape": list(grid.shape),

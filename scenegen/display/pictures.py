@@ -97,9 +97,7 @@ def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
     from PIL import Image
 
     low, high = look.corners
-    wide, tall = float(np.linalg.norm(look.grid.extent_m[:2])), look.grid.extent_m[2]
-    upright = wide * math.sin(VIEW.elevation) + tall * math.cos(VIEW.elevation)
-    reach = 0.51 * max(wide, upright / 0.75)
+    reach = 0.5 * float(np.linalg.norm(look.grid.extent_m))  # of the box, however it is turned
     pictures = []
     for turn in range(frames):
         view = View(azimuth=VIEW.azimuth + 2 * math.pi * turn / frames)

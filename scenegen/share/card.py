@@ -21,8 +21,6 @@ from scenegen.share.regenerate import ORIGINAL, RECIPE, command, source_file
 if TYPE_CHECKING:
     from scenegen.share.stage import Request
 
-SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
-"""Samples below which the Hub's size category is this."""
 MOST_NAMED = 50
 """Classes that a card names."""
 PAPER = (
@@ -81,8 +79,6 @@ def facts(
     return {
         **_notes(made),
         "name": name,
-        "json_name": json.dumps(name),
-        "key": name.replace("-", "_"),
         "owner": owner,
         "repository": request.repository,
         "url": f"https://huggingface.co/datasets/{request.repository}",
@@ -100,18 +96,15 @@ def facts(
         "lidar": made.lidar,
         "digest": made.digest,
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
-        "voxel_m": f"{voxel_m:g}",
-        "exact_voxel_m": repr(voxel_m),
+        "voxel_m": voxel_m,
         "truncation_m": f"{made.grid.truncation_m:g}",
         "command": command(made, name),
         "samples": told["samples"],
-        "size": next((size for most, size in SIZES if told["samples"] < most), "1M<n<10M"),
         "split": splits[0],
         "data_files": "\n".join(f'  - split: {one}\n    path: "{one}-*.h5"' for one in splits),
         "pictures": pictures,
         "fields": _fields(made),
         "statistics": _statistics({split: told["splits"][split] for split in splits}),
-        "measured": ", ".join(f"{told['splits'][one]['sampled']} of {one}" for one in splits),
         "megabytes": f"{told['bytes'] / 1e6:.0f}",
         "kilobytes": f"{told['bytes_per_sample'] / 1e3:.0f}",
         "checks": "\n".join(f"- {check}: {detail}" for check, detail in checks),
@@ -206,8 +199,9 @@ def _fields(made: Manifest) -> str:
 
 
 def _statistics(splits: Mapping[str, Any]) -> str:
-    counts = [[key, *(str(it[key]) for it in splits.values())] for key in ("samples", "worlds")]
-    rows = [["", *splits], *counts]
+    rows = [["", *splits]]
+    for name, key in (("samples", "samples"), ("worlds", "worlds"), ("measured", "sampled")):
+        rows.append([name, *(str(it[key]) for it in splits.values())])
     for key, (label, unit, factor) in LABELS.items():
         found = [it["statistics"][key] for it in splits.values()]
         cells = [

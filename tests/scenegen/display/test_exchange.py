@@ -156,11 +156,9 @@ def test_a_format_of_ones_own(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     (tmp_path / "my_format_of_tests.py").write_text(
-        "class Counts:\n"
-        "    def __init__(self, choices): pass\n"
-        "    def names(self, split, number): return (f'{split}-{number}.txt',)\n"
-        "    def encode(self, sample, grid, lidar): return "
-        "(str(sample.occupancy.sum()).encode(),)\n"
+        "class Counts:\n    def __init__(self, choices): pass\n    def names(self, split, "
+        "number): return (f'{split}-{number}.txt',)\n    def encode(self, sample, grid, lidar): "
+        "return (str(sample.occupancy.sum()).encode(),)\n"
     )
     monkeypatch.chdir(tmp_path)
     command = f"convert {made} --to my_format_of_tests:Counts -o out --quiet"

@@ -123,11 +123,10 @@ def test_a_machine_without_scenegen_says_so() -> None:
         for name, cell in zip(there.__code__.co_freevars, there.__closure__, strict=True)
     }
     code = (
-        "import marshal, sys, types\n"
-        "code, cells = marshal.load(sys.stdin.buffer)\n"
-        "closure = tuple(types.CellType(cells[name]) for name in code.co_freevars)\n"
-        "print(*types.FunctionType(code, {'__builtins__': __builtins__}, None, None, "
-        "closure)(b''), sep='\\n')\n"
+        "import marshal, sys, types\ncode, cells = marshal.load(sys.stdin.buffer)\nclosure = "
+        "tuple(types.CellType(cells[name]) for name in "
+        "code.co_freevars)\nprint(*types.FunctionType(code, {'__builtins__': __builtins__}, None, "
+        "None, closure)(b''), sep='\\n')\n"
     )
     given = marshal.dumps((there.__code__, cells))
     words = [sys.executable, "-I", "-S", "-c", code]

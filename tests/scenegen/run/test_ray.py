@@ -114,12 +114,10 @@ def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_pat
     ours, others = tmp_path / "ours", tmp_path / "others"
     task = ray.remote(beat).remote(others)
     code = (
-        "from pathlib import Path\n"
-        "from scenegen.run import executor\n"
-        "from scenegen.cli import stops\n"
-        "from tests.scenegen.run.test_ray import beat\n"
-        "stops.answer()\n"
-        f"list(executor('ray://auto', 1)(beat, [Path({str(ours)!r})], lambda: None))\n"
+        "from pathlib import Path\nfrom scenegen.run import executor\nfrom scenegen.cli import "
+        "stops\nfrom tests.scenegen.run.test_ray import "
+        f"beat\nstops.answer()\nlist(executor('ray://auto', 1)(beat, [Path({str(ours)!r})], "
+        "lambda: None))\n"
     )
     environment = os.environ | {"RAY_ADDRESS": connected.address, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen([sys.executable, "-c", code], env=environment) as running:
@@ -138,10 +136,8 @@ def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_pat
 def test_usage_is_never_reported() -> None:
     """The switch is off before Ray is imported, and Ray's own opinion is asked."""
     code = (
-        "from scenegen.run import executor\n"
-        "executor('ray', 1)\n"
-        "from ray._common.usage import usage_lib\n"
-        "assert not usage_lib.usage_stats_enabled()\n"
+        "from scenegen.run import executor\nexecutor('ray', 1)\nfrom ray._common.usage import "
+        "usage_lib\nassert not usage_lib.usage_stats_enabled()\n"
     )
     clean = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
     subprocess.run([sys.executable, "-c", code], check=True, env=clean, timeout=120)

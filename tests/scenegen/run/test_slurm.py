@@ -123,11 +123,9 @@ def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(
         ["sbatch", "--parsable", "--wrap", "sleep 60"], capture_output=True, text=True, check=True
     )
     words = (
-        "import time\n"
-        "from scenegen.run import executor\n"
-        "from scenegen.cli import stops\n"
-        "stops.answer()\n"
-        "list(executor('slurm', 2)(time.sleep, [60] * 3, lambda: print('begun', flush=True)))\n"
+        "import time\nfrom scenegen.run import executor\nfrom scenegen.cli import "
+        "stops\nstops.answer()\nlist(executor('slurm', 2)(time.sleep, [60] * 3, lambda: "
+        "print('begun', flush=True)))\n"
     )
     with subprocess.Popen(
         [sys.executable, "-c", words], stdout=subprocess.PIPE, text=True
