@@ -1,12 +1,9 @@
-"""What is in a dataset, in a folder of datasets, or in a world: counts, sizes, statistics, what
-does not fit, and a page of it for a browser."""
+"""What is in a dataset, in a folder of datasets, or in a world: counts, sizes, statistics, and what
+does not fit."""
 
-import base64
-import html
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +16,7 @@ from scenegen.dataset.choose import FIGURES
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Entry, load
-from scenegen.display.look import looks, spread
+from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
 from scenegen.run.workers import run
 from scenegen.stores.cache import bytes_in
@@ -50,7 +47,6 @@ def inspect(
     folder: Path,
     *,
     most: int | None = MOST_MEASURED,
-    values: bool = False,
     workers: int = 1,
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
@@ -60,7 +56,6 @@ def inspect(
     Args:
         folder: The dataset.
         most: Samples of a split that are measured, evenly spread; None for all.
-        values: Whether every split has the figures of the measured samples, too.
         workers: Processes that measure.
         on_start: Called with the number of samples that are measured, once processes run.
         on_done: Called with the number of every few.
@@ -111,8 +106,6 @@ def inspect(
             "sampled": len(table),
             "statistics": {name: _summary(column) for name, column in columns.items()},
         }
-        if values:
-            told[split.name]["values"] = {name: one.tolist() for name, one in columns.items()}
     size, samples = bytes_in(folder), sum(map(len, splits))
     sizes = {"bytes": size, "bytes_per_sample": size / max(samples, 1)}
     return {**found, "samples": samples, **sizes, "splits": told}
@@ -203,8 +196,6 @@ def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
     ]
 
 
-SHOWN, BINS = 8, 24
-"""Samples in the picture of a split, and bars of a histogram."""
 LABELS = {
     "occupied": ("voxels occupied", "%", 100),
     "observed": ("voxels observed", "%", 100),
@@ -220,89 +211,3 @@ LABELS = {
     "traversability": ("traversability", "", 1),
 }
 """Statistics of a sample: what they are called, their unit, and the factor to it."""
-HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<style>
-body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; background: #fff;
-  margin: 0 auto; padding: 1rem; max-width: 70rem; }
-dl { display: grid; grid-template-columns: auto 1fr; gap: 0 1rem; }
-dd { margin: 0; overflow-wrap: anywhere; }
-.charts { display: flex; flex-wrap: wrap; gap: 1rem; }
-figure { margin: 0; flex: 1 1 18rem; max-width: 24rem; }
-figcaption { font-weight: 600; }
-small { color: #59636e; }
-svg, img { width: 100%; height: auto; }
-.note { color: #8a2b00; }
-</style>
-"""
-
-
-def statistics_page(dataset: Dataset, found: Mapping[str, Any], notes: Sequence[str]) -> str:
-    """The page of what `inspect` gives with `values`. No text of the dataset is taken for HTML."""
-    title = _text(f"{dataset.folder.name}: {found['kind']}")
-    grid = dataset.grid
-    about = {
-        "seed": found["seed"],
-        "digest": found["digest"] or "incomplete",
-        "grid": f"{' × '.join(map(str, grid.shape))} voxels of {grid.voxel_m:g} m",
-        "sensor": dataset.lidar,
-        "samples": found["samples"],
-        "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a sample",
-    }
-    parts = [f"{HEAD}<title>{title}</title></head><body><h1>{title}</h1>"]
-    parts += [f"<p class='note'>{_text(line)}</p>" for line in notes]
-    rows = [f"<dt>{name}</dt><dd>{_text(value)}</dd>" for name, value in about.items()]
-    parts += ["<dl>", *rows, "</dl>"]
-    for name, split in found["splits"].items():
-        parts.append(
-            f"<h2>{_text(name)}</h2><p>{split['samples']} samples of {split['worlds']} worlds; "
-            f"{split['sampled']} were measured.</p><div class='charts'>"
-        )
-        for key, (label, unit, factor) in LABELS.items():
-            parts.append(_histogram(label, unit, np.array(split["values"][key]) * factor))
-        parts.append(f"</div>{_picture(dataset, name)}")
-    return f"{''.join(parts)}</body></html>\n"
-
-
-def _histogram(label: str, unit: str, values: Any) -> str:
-    if not len(values):
-        return ""
-    counts, edges = np.histogram(values, BINS)
-    highs = 90 * counts / counts.max()
-    bars = [
-        f"<rect x='{10 + 12.5 * n:.1f}' y='{100 - high:.1f}' width='11.5' height='{high:.1f}' "
-        "fill='#1560bd'/>"
-        for n, high in enumerate(highs)
-    ]
-    bars += [
-        f"<text x='{x}' y='115' text-anchor='{anchor}' font-size='12'>{edge:.3g} {unit}</text>"
-        for x, anchor, edge in ((10, "start", edges[0]), (310, "end", edges[-1]))
-    ]
-    return (
-        f"<figure><figcaption>{label}</figcaption><svg viewBox='0 0 320 120' role='img' "
-        f"aria-label='{label}'>{''.join(bars)}</svg><small>{values.mean():.2f} ± "
-        f"{values.std():.2f} {unit}, at most {counts.max()} samples a bar</small></figure>"
-    )
-
-
-def _picture(dataset: Dataset, split: str) -> str:
-    """A sheet of samples; none without matplotlib, or where none can be read."""
-    if find_spec("matplotlib") is None:
-        return ""
-    from scenegen.display.panels import to_bytes
-    from scenegen.display.pictures import draw_sheet
-
-    try:
-        shown, _ = looks(dataset, split, spread(dataset, split, SHOWN))
-        image = to_bytes(draw_sheet(shown, title=""), ".webp")
-    except DatasetError:
-        return ""
-    content = base64.b64encode(image).decode()
-    return f"<img alt='{SHOWN} samples of {_text(split)}' src='data:image/webp;base64,{content}'>"
-
-
-def _text(value: object) -> str:
-    return html.escape(str(value))

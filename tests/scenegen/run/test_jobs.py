@@ -87,9 +87,9 @@ def test_an_array_is_no_larger_than_the_cluster_takes(slurm: Submitit, tmp_path:
     assert not list(tmp_path.glob("scenegen-slurm-*"))
 
 
-@pytest.mark.parametrize("minutes", ["1:00:00", "0", "9" * 99])
+@pytest.mark.parametrize("minutes", ["1:00:00", "0", "9" * 99, "&"])
 def test_a_time_limit_is_in_whole_minutes(slurm: Submitit, minutes: str) -> None:
-    with pytest.raises(DatasetError, match="expected whole minutes"):
+    with pytest.raises(DatasetError, match="the time in whole minutes"):
         executor(f"slurm://?time={minutes}", 1)
 
 
