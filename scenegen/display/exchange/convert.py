@@ -118,7 +118,8 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, Co
         except (DatasetError, ValueError) as error:
             broken += [f"{rows.split} {number} is left out: {printable(error)}" for number in found]
             continue
-        for path, content in zip(paths, contents, strict=True):
+        several = (contents,) if isinstance(contents, bytes) else contents
+        for path, content in zip(paths, several, strict=True):
             make_parent(path)
             write_whole(path, content, sync=False)
         written += len(found)

@@ -171,7 +171,7 @@ REFUSED = {
     "misspelt noise": ("scan room.xml --flight --noise rnage:1", 2, "did you mean 'range'"),
     "no pose": ("scan room.xml", 2, "--pose X,Y,Z,YAW and --flight"),
     "a pose of no numbers": ("scan room.xml --pose 1,2,3,nan", 2, "is not a finite number"),
-    "an unknown kind of file": ("scan room.xml --flight -o a.las", 2, ".ply, .pcd, .npz, .bin"),
+    "an unknown kind of file": ("scan room.xml --flight -o a.las", 2, ".ply, .pcd, .bin, .npz"),
     "an engine that knows no surfaces": (
         "scan room.xml --flight --engine mujoco --noise faint",
         1,
