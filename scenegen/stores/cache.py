@@ -5,24 +5,26 @@ A folder of copies is of one store and one manifest, and beside it lies a note o
 kernels', it serves only where nobody but this user may write.
 """
 
-import contextlib
 import hashlib
 import json
 import os
 import stat
+import tempfile
 import time
-from collections.abc import Iterable, Mapping
-from functools import lru_cache, partial
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, NamedTuple
 
 from lidarsim.jit import cache_root, folder_trouble, is_ours
 from scenegen.errors import StoreError, printable
-from scenegen.files import draft_of, remove_drafts, write_whole
 from scenegen.stores import note_file, store_of
 
 AT_A_TIME = 8
 """Files that are fetched at the same time, where all are needed."""
+STALE_S = 24 * 3600.0
+"""Age after which a copy that was never finished counts as left behind, seconds."""
 
 
 class Note(NamedTuple):
@@ -41,8 +43,11 @@ def keep(store: str, name: str, manifest: bytes) -> Path:
     """
     folder = _root() / _digest(store.encode())[:16] / _digest(manifest)[:16]
     _check(folder)
-    _put(folder / name, manifest)
-    remove_drafts(folder)
+    _put(folder / name, store, manifest)
+    for draft in folder.glob(".*.tmp"):
+        with suppress(FileNotFoundError):
+            if time.time() - draft.lstat().st_mtime > STALE_S:
+                draft.unlink()
     return folder
 
 
@@ -52,7 +57,30 @@ def note(folder: Path, store: str, files: Mapping[str, str]) -> None:
 
     Raises StoreError.
     """
-    _put(note_file(folder), json.dumps(Note(store, files)._asdict()).encode())
+    _put(note_file(folder), store, json.dumps(Note(store, files)._asdict()).encode())
+
+
+@contextmanager
+def _draft(path: Path, store: str) -> Iterator[IO[bytes]]:
+    """A file that takes the place of `path` when the block ends well. Raises StoreError where the
+    disk refuses."""
+    try:
+        handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
+        try:
+            with open(handle, "w+b") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            Path(draft).replace(path)
+        finally:
+            Path(draft).unlink(missing_ok=True)
+    except FileNotFoundError:
+        raise  # the store's: it has no such object
+    except OSError as error:
+        raise StoreError(
+            f"{printable(error)}: copies of {store} go there; free some space, or name another "
+            "folder by SCENEGEN_CACHE"
+        ) from None
 
 
 def fetch(path: Path) -> bool:
@@ -66,13 +94,9 @@ def fetch(path: Path) -> bool:
         return False
     if _is_whole(path, about.files[path.name]):
         return True
-    draft = draft_of(path)
     try:
-        with open(draft, "x+b", opener=partial(os.open, mode=0o600)) as file:
-            try:
-                store_of(about.store).read(path.name, file, 1 << 62)
-            except FileNotFoundError:
-                return False
+        with _draft(path, about.store) as file:
+            store_of(about.store).read(path.name, file, 1 << 62)
             file.seek(0)
             if _sum(file) != about.files[path.name]:
                 raise StoreError(
@@ -81,15 +105,8 @@ def fetch(path: Path) -> bool:
                     "generate the dataset again"
                 )
             _stamp(file.fileno())
-            os.fsync(file.fileno())
-        draft.replace(path)
-    except OSError as error:
-        raise StoreError(
-            f"{printable(error)}: copies of {about.store} go there; free some space, or name "
-            "another folder by SCENEGEN_CACHE"
-        ) from None
-    finally:
-        draft.unlink(missing_ok=True)
+    except FileNotFoundError:
+        return False
     return True
 
 
@@ -114,7 +131,7 @@ def _is_whole(path: Path, digest: str) -> bool:
 def _stamp(handle: int) -> None:
     """Note that a file is the one listed: its time of change becomes its size, in nanoseconds,
     until it changes."""
-    with contextlib.suppress(OSError):  # a root's copy, that this user may only read
+    with suppress(OSError):  # a root's copy, that this user may only read
         os.utime(handle, ns=(time.time_ns(), os.fstat(handle).st_size))
 
 
@@ -179,10 +196,11 @@ def _check(folder: Path) -> None:
         )
 
 
-def _put(path: Path, content: bytes) -> None:
+def _put(path: Path, store: str, content: bytes) -> None:
     """Have `content` be at `path`, which is written only where it is not."""
     if not (path.is_file() and path.read_bytes() == content):
-        write_whole(path, content)
+        with _draft(path, store) as file:
+            file.write(content)
 
 
 def _digest(content: bytes) -> str:
