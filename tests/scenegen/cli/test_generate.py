@@ -7,7 +7,9 @@ import mujoco
 import pytest
 
 from lidarsim.engines import ENGINES
+from scenegen.cli.options import find_datasets
 from scenegen.cli.types import Named
+from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT, SMALL, run
 
@@ -196,3 +198,15 @@ def test_a_world_of_ones_own_as_the_docs_show_it(
     assert len(Dataset(tmp_path / "d").split("train")) == 2
     code, said, _ = run(capsys, *words)
     assert (code, "nothing was left to make" in said) == (0, True)
+
+
+def test_folders_under_data_without_samples_are_left_out(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, "generate", "--recipe", small, "--n", 3, "--workers", 1, "--quiet")[0] == 0
+    empty = manifest.read(Path("data/pillar"))
+    Path("data/begun").mkdir()
+    manifest.write(Path("data/begun"), {**empty, "shards": [], "complete": False, "digest": None})
+    assert find_datasets((), shown=True) == (Path("data/pillar"),)
+    assert capsys.readouterr().err == "data/begun: holds no samples yet, so it is left out\n"

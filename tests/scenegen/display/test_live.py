@@ -5,11 +5,7 @@ import base64
 import gzip
 import http.client
 import json
-import os
-import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -162,16 +158,3 @@ def test_an_address_that_cannot_be_had_is_an_error(made: Path, capsys: Any, tmp_
             code, _, said = run(capsys, f"view {made} {words}")
             assert (code in (1, 2), said.count("\n")) == (True, 1)
             assert part in said
-
-
-def test_ctrl_c_ends_it_with_the_code_of_stops(made: Path) -> None:
-    words = [sys.executable, "-m", "scenegen", "view", made, "--port", "0"]
-    with subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("http://127.0.0.1:")
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert said.count("\n") == 1

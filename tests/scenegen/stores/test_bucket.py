@@ -5,12 +5,11 @@ python -m pytest -m slow -n0 tests/scenegen/stores/test_bucket.py      as root, 
 ceph-mon ceph-osd radosgw
 """
 
-import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from scenegen.errors import StoreError
 from scenegen.stores import StorePath
 from scenegen.verification import verify
 from tests.command_line import SMALL
-from tests.scenegen.stores.ceph import KEY, SECRET, USER, Ceph, missing
+from tests.scenegen.stores.ceph import KEY, SECRET, Ceph, missing
 from tests.scenegen.stores.conftest import forget
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(missing()), reason=missing())]
@@ -192,48 +191,4 @@ def test_a_server_that_stays_away_ends_the_run_in_one_line_and_loses_nothing(
     ceph.begin()
     assert wait_for(bucket, there) < SHARDS
     Run(tmp_path, f"s3://{bucket}/d").ends(0)
-    assert objects(bucket) == files(here)
-
-
-def test_a_full_store_and_refused_credentials_name_the_shard_and_lose_nothing(
-    ceph: Ceph, bucket: str, here: Path, tmp_path: Path
-) -> None:
-    cases: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
-        "the store is full (": (
-            lambda: [
-                ceph.admin(
-                    "quota", "set", "--quota-scope=bucket", "--bucket", bucket, "--max-size=200000"
-                ),
-                ceph.admin("quota", "enable", "--quota-scope=bucket", "--bucket", bucket),
-            ],
-            lambda: ceph.admin("quota", "disable", "--quota-scope=bucket", "--bucket", bucket),
-        ),
-        "the store refuses the credentials (403 UserSuspended)": (
-            lambda: ceph.admin("user", "suspend", "--uid", USER),
-            lambda: ceph.admin("user", "enable", "--uid", USER),
-        ),
-    }
-    for told, (refuse, allow) in cases.items():
-        run = Run(tmp_path, f"s3://{bucket}/d")
-        wait_for(bucket, wait_for(bucket, 0) + 8)
-        refuse()
-        said = run.ends(1)
-        assert told in said
-        assert f"s3://{bucket}/d/" in said
-        assert any(f"{split}-0" in said for split in ("train", "val", "test"))
-        allow()
-    Run(tmp_path, f"s3://{bucket}/d").ends(0)
-    assert objects(bucket) == files(here)
-
-
-def test_two_drivers_at_once_and_a_killed_one_end_with_equal_bits(
-    bucket: str, here: Path, tmp_path: Path
-) -> None:
-    killed = Run(tmp_path, f"s3://{bucket}/d")
-    wait_for(bucket, 5)
-    killed.process.send_signal(signal.SIGKILL)
-    killed.process.communicate()
-    runs = [Run(tmp_path, f"s3://{bucket}/d") for _ in range(2)]
-    for run in runs:
-        run.ends(0)
     assert objects(bucket) == files(here)
