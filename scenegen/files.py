@@ -54,13 +54,12 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
             f"{path}: cannot be opened ({error.strerror}); give a file that can be read"
         ) from None
     status = os.fstat(handle)
-    if stat.S_ISREG(status.st_mode) and status.st_size <= most_bytes:
+    regular = stat.S_ISREG(status.st_mode)
+    if regular and status.st_size <= most_bytes:
         return open(handle, "rb")
     os.close(handle)
-    fault = f"{status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
-    if not stat.S_ISREG(status.st_mode):
-        fault = "is not a regular file; give a file"
-    raise DatasetError(f"{path}: {fault}")
+    large = f"{status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
+    raise DatasetError(f"{path}: {large if regular else 'is not a regular file; give a file'}")
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
@@ -120,13 +119,13 @@ def make_parent(path: Path) -> None:
         raise disk_error(path.parent, error) from None
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Put `content` at `path`: complete and on disk, or not at all. Raises as `whole`, and as
-    `StorePath.put`."""
+def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
+    """Put `content` at `path`: complete and on disk, or not at all; without `sync`, when the system
+    sees fit. Raises as `whole`, and as `StorePath.put`."""
     if isinstance(path, StorePath):
         path.put(content)
         return
-    with _draft(path) as (_, file):
+    with _draft(path, sync) as (_, file):
         file.write(content)
 
 
@@ -150,7 +149,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _draft(path: Path) -> Iterator[tuple[Path, BinaryIO]]:
+def _draft(path: Path, sync: bool = True) -> Iterator[tuple[Path, BinaryIO]]:
     """What `whole` gives, and the same file opened for writing."""
     check_target(path)
     draft = draft_of(path)
@@ -163,19 +162,20 @@ def _draft(path: Path) -> Iterator[tuple[Path, BinaryIO]]:
                 with open(handle, "wb") as file:
                     yield draft, file
                     file.flush()
+                    there = os.fstat(file.fileno())
                     with suppress(AttributeError, OSError):
-                        os.setxattr(
-                            file.fileno(), MARK, str(os.fstat(file.fileno()).st_mtime_ns).encode()
-                        )
-                    os.fsync(file.fileno())
-                    if not os.path.samestat(draft.lstat(), os.fstat(file.fileno())):
+                        os.setxattr(file.fileno(), MARK, str(there.st_mtime_ns).encode())
+                    if sync:
+                        os.fsync(file.fileno())
+                    if not os.path.samestat(draft.lstat(), there):
                         raise DatasetError(f"{path}: was exchanged while it was written")
                 check_target(path)
                 draft.replace(path)
             except BaseException:
                 draft.unlink(missing_ok=True)
                 raise
-        sync_folder(path.parent)
+        if sync:
+            sync_folder(path.parent)
     except OSError as error:
         raise disk_error(path, error) from None
 

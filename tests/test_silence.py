@@ -97,7 +97,7 @@ grid = {shape = [16, 16, 16]}
 """
 COMMANDS = {
     "generate": ["--recipe small.toml --n 4 --val 40 --test 2 --out d --workers 1"],
-    "inspect": ["d --html i.html"],
+    "inspect": ["d"],
     "world": ["d 0 -o w.xml"],
     "verify": ["d --workers 1"],
     "train": ["d --epochs 1 --width 1 --out run --device cpu"],
@@ -135,7 +135,7 @@ COMMANDS = {
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = (
-    "again bench c.safetensors d e.onnx i.html k merged n.onnx o.h5 others p.h5 p.png "
+    "again bench c.safetensors d e.onnx k merged n.onnx o.h5 others p.h5 p.png "
     "publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
 )
 """What commands are asked to leave where they run."""

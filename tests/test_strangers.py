@@ -37,7 +37,6 @@ FILES: tuple[tuple[tuple[object, ...], str], ...] = (
     ((*SCAN, "--every", 5, "-o", "s.npz"), "s-001.npz"),
     (("sensors", "raster", "-o", "s.png"), "s.png"),
     (("recipe", "pillar", "-o", "new/r.toml"), "new/r.toml"),
-    (("inspect", "d", "--html", "i.html"), "i.html"),
     (("view", "d", "--html", "v.html", "--n", 1), "v.html"),
     (("export", "n.safetensors"), "n.onnx"),
     (("calibrate", "n.safetensors", "d", "-o", "c.safetensors"), "c.safetensors"),

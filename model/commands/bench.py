@@ -81,7 +81,7 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
     type=click.Path(path_type=Path),
     help="HDF5 file of somebody's predictions: one more row.",
 )
-@out_option("Folder of the report.", Path("bench"))
+@out_option("Folder of the report.", default=Path("bench"))
 @options_of(BenchConfig, split="The split that is measured; calibrate on val alone.")
 @click.option(
     "--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most."

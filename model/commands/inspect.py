@@ -14,22 +14,16 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
-from scenegen.cli.types import OutputFile
 from scenegen.worlds import is_map
 from scenegen.worlds.mapping import Mapper
 
 
-@click.command(epilog=examples("inspect data/pillar", "inspect data/pillar --html report.html"))
+@click.command(epilog=examples("inspect data/pillar", "inspect scenes/forest.xml --json"))
 @dataset_argument
-@click.option(
-    "--html", "out", type=OutputFile(), help="Also write a page with histograms and pictures."
-)
 @click.option("--all", "every", is_flag=True, help="Measure all samples, not 200 of each split.")
 @workers_option
 @json_option
-def inspect(
-    dataset: Path | str, out: Path | None, every: bool, workers: int, as_json: bool
-) -> None:
+def inspect(dataset: Path | str, every: bool, workers: int, as_json: bool) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
 
     A folder of datasets is listed; of a world (.xml), an OctoMap (.bt, .ot), a scan, a file of
@@ -41,12 +35,10 @@ def inspect(
     path = Path(dataset)
     several = path.is_dir() and not (path / NAME).exists() and any(path.glob(f"*/{NAME}"))
     facts = None if several else _facts(path)
-    if out is not None and (several or facts is not None):
-        raise click.UsageError("--html: is for one dataset")
     if several:
         _show_all(inspect_all(path), as_json)
     elif facts is None:
-        _inspect_dataset(dataset, out, every, workers, as_json)
+        _inspect_dataset(dataset, every, workers, as_json)
     elif as_json:
         print(json.dumps(facts))
     else:
@@ -70,12 +62,9 @@ def _facts(path: Path) -> dict[str, Any] | None:
     return facts.prediction_facts(path) if path.suffix == ".h5" else facts.run_facts(path)
 
 
-def _inspect_dataset(
-    dataset: Path | str, out: Path | None, every: bool, workers: int, as_json: bool
-) -> None:
-    from scenegen.display.inspect import MOST_MEASURED, misfits, statistics_page
+def _inspect_dataset(dataset: Path | str, every: bool, workers: int, as_json: bool) -> None:
+    from scenegen.display.inspect import MOST_MEASURED, misfits
     from scenegen.display.inspect import inspect as examine
-    from scenegen.files import write_result
     from scenegen.model.config import NetworkConfig
 
     opened = open_dataset(dataset, shown=not as_json)
@@ -83,7 +72,6 @@ def _inspect_dataset(
         found = examine(
             opened.folder,
             most=None if every else MOST_MEASURED,
-            values=out is not None,
             workers=workers,
             on_start=progress.start,
             on_done=progress.count,
@@ -93,10 +81,6 @@ def _inspect_dataset(
         NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)
     except ValueError as error:
         warnings.append(str(error))
-    if out is not None:
-        write_result(out, statistics_page(opened, found, warnings).encode())
-        for split in found["splits"].values():
-            del split["values"]
     if as_json:
         print(json.dumps(found | {"warnings": warnings}))
         return

@@ -34,7 +34,7 @@ from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
     help="A run to train and to judge, several times for several.  [default: all]",
 )
 @device_option
-@out_option("Folder of the study.", Path("study"))
+@out_option("Folder of the study.", default=Path("study"))
 @click.option(
     "--from",
     "given",

@@ -10,7 +10,7 @@ import sys
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import Any, ClassVar, NoReturn, TextIO
 
 import rich_click as click
 
@@ -142,8 +142,9 @@ def _end(error: BaseException) -> tuple[int, str]:
 
 
 def _open_streams() -> None:
-    """Makes both output streams forgiving, with characters that the terminal cannot show as
-    escapes."""
+    """Makes both output streams forgiving, line by line, with characters that the terminal cannot
+    show as escapes."""
+    _Forgiving.trouble.clear()
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -152,38 +153,30 @@ def _open_streams() -> None:
             os.open(os.devnull, os.O_RDONLY)
         here: TextIO | None = getattr(sys, name)
         if number and (here is None or here is getattr(sys, f"__{name}__")):
-            setattr(sys, name, _Stream(_Forgiving(number), here.encoding if here else "utf-8"))
+            file = io.BufferedWriter(_Forgiving(number, "w", closefd=False))
+            encoding = here.encoding if here else "utf-8"
+            text = io.TextIOWrapper(file, encoding, "backslashreplace", line_buffering=True)
+            setattr(sys, name, text)
 
 
 def _lost_output() -> OSError | None:
     """Why not all that was printed has reached standard output, if so. That nobody reads any more
     is no reason."""
     sys.stdout.flush()
-    trouble = sys.stdout.file.trouble if isinstance(sys.stdout, _Stream) else None
+    trouble = _Forgiving.trouble.get(1)
     return None if isinstance(trouble, BrokenPipeError) else trouble
 
 
 class _Forgiving(io.FileIO):
     """A file descriptor that takes everything; what it cannot write is gone."""
 
-    trouble: OSError | None = None
-
-    def __init__(self, number: int):
-        super().__init__(number, "w", closefd=False)
+    trouble: ClassVar[dict[int, OSError]] = {}
+    """What was in the way last, by descriptor."""
 
     def write(self, content: Any) -> int:
         """Writes, or says that it was."""
         try:
             return super().write(content)
         except OSError as error:
-            self.trouble = error
+            self.trouble[self.fileno()] = error
             return len(content)
-
-
-class _Stream(io.TextIOWrapper):
-    """Text on a forgiving file descriptor, line by line."""
-
-    def __init__(self, file: _Forgiving, encoding: str):
-        buffer = io.BufferedWriter(file)
-        super().__init__(buffer, encoding, errors="backslashreplace", line_buffering=True)
-        self.file = file

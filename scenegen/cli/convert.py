@@ -82,9 +82,9 @@ def convert(
     for line in done.broken:
         note(line)
     if done.broken:
+        count = len(done.broken)
         raise DatasetError(
-            f"{found.folder}: {len(done.broken)} samples could not be read; the others are in "
-            f"{target}"
+            f"{found.folder}: {count} samples could not be read; the others are in {target}"
         )
     if not quiet:
         others = f"; {done.others} are for the other ranks to write there" if done.others else ""
@@ -114,7 +114,16 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
             "give the number of one of the dataset's worlds, and none for an .xml file"
         )
     if out is not None and surfaces:
-        _write_surfaces(dataset, split, number, out)
+        from scenegen.display.exchange.glb import encode_world
+        from scenegen.files import write_result
+        from scenegen.source import read_world
+        from scenegen.worlds.world import solid
+
+        if number is None:
+            found = read_world(Path(dataset))
+        else:
+            found = open_dataset(dataset, shown=True).compile(split, number)
+        write_result(out, encode_world(solid(found, str(dataset))))
         say(f"written: {out}")
         return
     from scenegen.dataset.archive import DOCUMENT, write_extracted
@@ -130,17 +139,3 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
         )
     else:
         sys.stdout.buffer.write(files[DOCUMENT])
-
-
-def _write_surfaces(dataset: Path | str, split: str, number: int | None, out: Path) -> None:
-    from scenegen.display.exchange.glb import encode_world
-    from scenegen.files import write_result
-    from scenegen.source import read_world
-    from scenegen.worlds.world import solid
-
-    if number is None:
-        found = read_world(Path(dataset))
-    else:
-        found = open_dataset(dataset, shown=True).compile(split, number)
-    content = encode_world(solid(found, str(dataset)))
-    write_result(out, content)

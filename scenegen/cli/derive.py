@@ -7,31 +7,31 @@ from typing import Any
 
 import rich_click as click
 
-from lidarsim.engines import ENGINES
 from scenegen import SPLITS
 from scenegen.cli.generate import make
 from scenegen.cli.options import (
-    SENSING,
     dataset_argument,
     datasets_argument,
+    engine_option,
     force_option,
-    json_option,
     lidar_option,
     mapping_given,
     mapping_options,
     noise_option,
     open_dataset,
     out_option,
-    quiet_option,
+    printing,
     splits_option,
     together,
+    without,
     workers_option,
 )
 from scenegen.cli.show import announce_compilation
-from scenegen.cli.types import Named, Ranges, Written
+from scenegen.cli.types import Written, read_ranges
 from scenegen.dataset.choose import FIGURES, NUMBERS, Choice, Condition
+from scenegen.worlds.mapping import Mapper
 
-making = together(force_option, workers_option, json_option, quiet_option)
+making = together(force_option, workers_option, printing)
 """Options of all that make a dataset of others."""
 
 
@@ -40,24 +40,16 @@ making = together(force_option, workers_option, json_option, quiet_option)
 @lidar_option("the dataset's")
 @noise_option
 @mapping_options("the dataset's")
-@click.option(
-    "--engine",
-    type=Named(ENGINES),
-    panel=SENSING,
-    help="What casts the rays.  [default: what cast the dataset's]",
-)
-@out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True)
+@engine_option("What casts the rays.  [default: what cast the dataset's]")
+@out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
 def rescan(
     dataset: Path | str,
     lidar: str | None,
     noise: str | None,
     engine: str | None,
-    out: Path | None,
-    workers: int,
-    force: bool,
-    as_json: bool,
-    quiet: bool,
+    out: Path,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Scan the worlds of a dataset again, from the same poses: a pair, sample by sample.
@@ -65,8 +57,7 @@ def rescan(
     What is not said of the sensor and of maps is as in the dataset, but for noise. Given again
     after a stop, it goes on where it was.
     """
-    begin, out = time.perf_counter(), _given(out)
-    talk = not (quiet or as_json)
+    begin = time.perf_counter()
     if talk:
         announce_compilation()
     from scenegen.dataset.rescan import plan_rescan
@@ -77,7 +68,7 @@ def rescan(
     chain = named_noise(noise, sensor or source.lidar)
     mapping = mapping_given(options)
     plan = plan_rescan(source, out, lidar=sensor, chain=chain, engine=engine, mapping=mapping)
-    make(plan, begin=begin, workers=workers, force=force, as_json=as_json, quiet=quiet)
+    make(plan, begin=begin, talk=talk, **without(Mapper, options))
 
 
 @click.command()
@@ -95,7 +86,7 @@ def rescan(
 )
 @click.option(
     "--worlds",
-    type=Ranges(),
+    type=Written(read_ranges, "N,FIRST:STOP"),
     default=(),
     help="Samples of these worlds alone: numbers, or FIRST:STOP, as in 3,10:20.",
 )
@@ -106,7 +97,7 @@ def rescan(
     help="Samples for which this holds, such as occupied>=0.05; repeatable. Names are "
     f"{', '.join((*NUMBERS, *FIGURES))}.",
 )
-@out_option("Folder of the new dataset.")
+@out_option("Folder of the new dataset.", required=True)
 @making
 def take(
     dataset: Path | str,
@@ -115,7 +106,7 @@ def take(
     kinds: tuple[str, ...],
     worlds: Any,
     where: Any,
-    out: Path | None,
+    out: Path,
     **options: Any,
 ) -> None:
     """Make a dataset of some samples of another: of a split, of some worlds, or of those that a
@@ -124,20 +115,20 @@ def take(
     Samples stay as they are, bit for bit, and the manifest says where they are from. Given again
     after a stop, it goes on where it was.
     """
-    begin, out = time.perf_counter(), _given(out)
+    begin = time.perf_counter()
     from scenegen.dataset.gather import plan_take
 
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
     choice = Choice(splits=chosen, most=most, kinds=kinds, worlds=worlds, where=where)
-    source = open_dataset(dataset, shown=not options["quiet"], partial=False)
+    source = open_dataset(dataset, shown=options["talk"], partial=False)
     make(plan_take(source, out, choice, workers=options["workers"]), begin=begin, **options)
 
 
 @click.command()
 @datasets_argument
-@out_option("Folder of the new dataset.")
+@out_option("Folder of the new dataset.", required=True)
 @making
-def merge(datasets: tuple[Path | str, ...], out: Path | None, **options: Any) -> None:
+def merge(datasets: tuple[Path | str, ...], out: Path, **options: Any) -> None:
     """Make one dataset of several that share grid, sensor and fields.
 
     Samples stay as they are, bit for bit, and in their splits; the manifest says where they are
@@ -148,12 +139,5 @@ def merge(datasets: tuple[Path | str, ...], out: Path | None, **options: Any) ->
         raise click.UsageError("give two datasets or more, and the folder of the new one with -o")
     from scenegen.dataset.gather import plan_merge
 
-    out = _given(out)
-    sources = [open_dataset(one, shown=not options["quiet"], partial=False) for one in datasets]
+    sources = [open_dataset(one, shown=options["talk"], partial=False) for one in datasets]
     make(plan_merge(sources, out, workers=options["workers"]), begin=begin, **options)
-
-
-def _given(out: Path | None) -> Path:
-    if out is None:
-        raise click.UsageError("give the new dataset's folder with -o")
-    return out

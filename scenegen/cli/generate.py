@@ -1,9 +1,9 @@
 """`scenegen generate` and `scenegen recipe`: from options to a plan, and from a plan to a
 dataset."""
 
-import dataclasses
 import json
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +12,9 @@ import rich_click as click
 from lidarsim.engines import DEFAULT, ENGINES
 from scenegen.cli.options import (
     SENSING,
+    engine_option,
     examples,
     force_option,
-    json_option,
     lidar_option,
     mapping_given,
     mapping_options,
@@ -22,8 +22,9 @@ from scenegen.cli.options import (
     on_option,
     options_of,
     out_option,
-    quiet_option,
+    printing,
     seed_option,
+    without,
     workers_option,
 )
 from scenegen.cli.show import (
@@ -36,7 +37,7 @@ from scenegen.cli.show import (
     say,
     show_table,
 )
-from scenegen.cli.types import Named, ShardRange
+from scenegen.cli.types import Named, Written, read_range
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
 from scenegen.worlds.mapping import Mapper
@@ -48,9 +49,9 @@ if TYPE_CHECKING:
 KIND = Named(KINDS, others={".xml": "--scene", ".toml": "--recipe"}, more=("mixed",))
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
-WORLDS, SIZE = "Worlds", "Size and files"
-"""Groups of options on the help page."""
-MAPPING = {field.name for field in dataclasses.fields(Mapper)}
+of_worlds, of_size = (partial(click.option, panel=panel) for panel in ("Worlds", "Size and files"))
+"""Options by their groups on the help page."""
+count = partial(of_size, type=click.IntRange(min=1), show_default=True)
 
 
 @click.command(
@@ -61,40 +62,34 @@ MAPPING = {field.name for field in dataclasses.fields(Mapper)}
     )
 )
 @click.argument("named", metavar="[KIND]", type=KIND, required=False)
-@click.option(
+@of_worlds(
     "--kind",
     type=KIND,
-    panel=WORLDS,
     help=f"Kind of random worlds: {', '.join(KINDS.known)}; mixed for all; or MODULE:CLASS.",
 )
-@click.option(
+@of_worlds(
     "--difficulty",
     type=click.Choice(["easy", "medium", "hard"]),
-    panel=WORLDS,
     help="Which preset of the kind.  [default: medium]",
 )
-@click.option(
+@of_worlds(
     "--scene",
     type=click.Path(path_type=Path),
-    panel=WORLDS,
     help="An MJCF file of your own world, or a folder of them.",
 )
-@click.option(
+@of_worlds(
     "--recipe",
     type=click.Path(path_type=Path),
-    panel=WORLDS,
     help="TOML file with what differs from the preset.",
 )
-@click.option(
+@of_worlds(
     "--allow-unseen",
     is_flag=True,
-    panel=WORLDS,
     help="Take scenes with geoms that rays cannot see; leave these out.",
 )
-@click.option(
+@of_worlds(
     "--labels",
     type=click.Choice(["class", "name", "material", "group"]),
-    panel=WORLDS,
     help="Say of every return and voxel which geom it is of, and which class: the kinds' "
     "own classes, or by names, materials or groups of geoms.",
 )
@@ -106,49 +101,21 @@ MAPPING = {field.name for field in dataclasses.fields(Mapper)}
     panel=SENSING,
     tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.",
 )
-@click.option(
-    "--engine",
-    type=Named(ENGINES),
-    default=DEFAULT,
-    show_default=True,
-    panel=SENSING,
-    help=f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.",
+@engine_option(
+    f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.", default=DEFAULT
 )
-@click.option(
-    *("-n", "--n"),
-    type=click.IntRange(min=1),
-    default=2500,
-    show_default=True,
-    panel=SIZE,
-    help="Training samples.",
-)
-@click.option(
-    "--val",
-    type=click.IntRange(min=0),
-    panel=SIZE,
-    help="Validation samples.  [default: a tenth of --n]",
-)
-@click.option(
-    "--test", type=click.IntRange(min=0), panel=SIZE, help="Test samples.  [default: a fifth]"
-)
-@click.option(
-    "--shard-samples",
-    type=click.IntRange(min=1),
-    default=USUAL_IN_SHARD,
-    show_default=True,
-    panel=SIZE,
-    help="Samples in a file.",
-)
-@click.option(
+@count("-n", "--n", default=2500, help="Training samples.")
+@of_size("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")
+@of_size("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth]")
+@count("--shard-samples", default=USUAL_IN_SHARD, help="Samples in a file.")
+@of_size(
     "--split-range",
-    type=ShardRange(),
-    panel=SIZE,
+    type=Written(read_range, "FIRST:STOP"),
     help="Only these shards, for a cluster; --dry-run counts them.",
 )
-@click.option(
+@of_size(
     "--compact",
     is_flag=True,
-    panel=SIZE,
     help="Leave out what readers can derive: free space and distances.",
 )
 @seed_option("The same seed, the same dataset.")
@@ -159,15 +126,14 @@ MAPPING = {field.name for field in dataclasses.fields(Mapper)}
 )
 @workers_option
 @on_option
-@json_option
-@quiet_option
+@printing
 def generate(
     named: str | None,
     workers: int,
     on: str,
     dry_run: bool,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where
@@ -182,7 +148,6 @@ def generate(
     if {"kind", "scene"} <= set(given):
         raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     shards, force = options.pop("split_range"), options.pop("force")
-    talk = not (quiet or as_json)
     if talk:
         announce_compilation()
     from scenegen.dataset.build import check_folder
@@ -191,13 +156,15 @@ def generate(
     from scenegen.run.workers import keep_memory
 
     keep_memory()
-    asked = {key: value for key, value in options.items() if key not in MAPPING}
     plan = plan_generation(
-        mapping=mapping_given(options), tell=note if talk else lambda line: None, **asked
+        mapping=mapping_given(options),
+        tell=note if talk else lambda line: None,
+        **without(Mapper, options),
     )
-    count = len(plan.shards)
-    if shards and shards[1] > count:
-        raise click.UsageError(f"--split-range {shards[0]}:{shards[1]}: there are {count} shards")
+    if shards and shards[1] > len(plan.shards):
+        raise click.UsageError(
+            f"--split-range {shards[0]}:{shards[1]}: there are {len(plan.shards)} shards"
+        )
     check_folder(plan, force=force)
     grid = plan.parameters["grid"]["shape"]
     if talk and any(edge % NETWORK_EDGE for edge in grid):
@@ -216,7 +183,7 @@ def generate(
         shards=shards,
         force=force,
         as_json=as_json,
-        quiet=quiet,
+        talk=talk,
     )
 
 
@@ -246,7 +213,7 @@ def make(
     workers: int,
     force: bool,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     execute: "Executor | None" = None,
     shards: tuple[int, int] | None = None,
 ) -> None:
@@ -258,7 +225,7 @@ def make(
         workers: Processes.
         force: Replace another dataset in the folder.
         as_json: Print the result as JSON.
-        quiet: Print nothing.
+        talk: Print it for people, with a bar meanwhile.
         execute: What does the work; processes of this machine unless given.
         shards: First of the shards that are made, and the one after the last; all unless given.
     """
@@ -268,7 +235,6 @@ def make(
     execute = execute or Local("", workers)
     chosen = execute.mine(plan.shards[slice(*shards)] if shards else plan.shards)
     names = {shard.file.name for shard in chosen}
-    talk = not (quiet or as_json)
 
     def count(report: Any, fresh: bool) -> None:
         progress.count(report.samples if report.file in names else 0)
@@ -325,8 +291,7 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     found = preset(kind, lidar=named_lidar(lidar) if lidar else None)
     if not isinstance(found.lidar, Lidar):
         raise RecipeError(
-            f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate "
-            f"--lidar"
+            f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate"
         )
     counts = {"train": 0, "val": 0, "test": 0}
     given = manifest.parameters(

@@ -4,13 +4,14 @@ import dataclasses
 import math
 import typing
 from collections.abc import Callable, Mapping
-from functools import reduce
+from functools import reduce, wraps
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import rich_click as click
 from click.core import ParameterSource
 
+from lidarsim.engines import ENGINES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
@@ -22,8 +23,8 @@ from scenegen.cli.types import (
     Numbers,
     OutputFile,
     OutputFolder,
+    Written,
 )
-from scenegen.errors import printable
 from scenegen.limits import MOST_WORKERS
 from scenegen.run import EXECUTORS, LOCAL
 from scenegen.worlds.mapping import Mapper
@@ -48,10 +49,10 @@ def examples(*commands: str) -> str:
     return "\n\n".join(["Examples:", *(f"scenegen {command}" for command in commands)])
 
 
-def _workers(ctx: Any, parameter: Any, given: int | None) -> int:
+def _cores() -> int:
     from scenegen.run.workers import cores
 
-    return given or cores()
+    return cores()
 
 
 dataset_argument = click.argument("dataset", type=DatasetPath())
@@ -59,9 +60,10 @@ datasets_argument = click.argument("datasets", nargs=-1, type=DatasetPath())
 workers_option = click.option(
     "--workers",
     type=click.IntRange(1, MOST_WORKERS),
-    callback=_workers,
+    default=_cores,
+    show_default="all cores",
     panel=RUNNING,
-    help="Processes.  [default: all cores]",
+    help="Processes.",
 )
 on_option = click.option(
     "--on",
@@ -93,6 +95,19 @@ kind_option = click.option(
 )
 
 
+def printing(function: Function) -> Function:
+    """--json and --quiet, below all other options. The command is told by `as_json` whether to
+    print JSON, and by `talk` whether to print for people."""
+
+    @json_option
+    @quiet_option
+    @wraps(function)
+    def command(*, as_json: bool, quiet: bool, **options: Any) -> Any:
+        return function(as_json=as_json, talk=not (as_json or quiet), **options)
+
+    return typing.cast(Function, command)
+
+
 def split_option(default: str, help: str) -> Decorator[Any]:
     """--split, one of a dataset's."""
     return click.option(
@@ -119,15 +134,13 @@ def seed_option(help: str) -> Decorator[Any]:
 
 
 def out_option(
-    help: str, default: Path | None = None, *, file: bool = False, stores: bool = False
+    help: str, *, file: bool = False, stores: bool = False, **more: Any
 ) -> Decorator[Any]:
     """-o: the folder, with `stores` also one in a store, or, with `file`, the file to write; the
     parameter is `out`."""
     kind = OutputFile() if file else OutputFolder(stores=stores)
     names = ("--output", "--out") if file else ("--out", "--output")
-    return click.option(
-        "-o", *names, "out", type=kind, default=default, show_default=True, help=help
-    )
+    return click.option("-o", *names, "out", type=kind, show_default=True, help=help, **more)
 
 
 def lidar_option(default: str) -> Decorator[Any]:
@@ -142,23 +155,27 @@ def lidar_option(default: str) -> Decorator[Any]:
     )
 
 
-def _noise(ctx: Any, parameter: Any, given: str | None) -> str | None:
+def engine_option(help: str, **more: Any) -> Decorator[Any]:
+    """--engine, by name or as MODULE:CLASS."""
+    return click.option(
+        "--engine", type=Named(ENGINES), panel=SENSING, show_default=True, help=help, **more
+    )
+
+
+def _noise(given: str) -> str:
     """The text as it is, if each of its stages can be read; the chain is made once the sensor is
     known."""
     from lidarsim.noise.chain import DATASHEET, Noise
 
-    try:
-        for stage in [] if given is None else given.split(","):
-            if stage.strip() != DATASHEET:
-                Noise.parse(stage)
-    except ValueError as error:
-        raise click.BadParameter(printable(error)) from None
+    for stage in given.split(","):
+        if stage.strip() != DATASHEET:
+            Noise.parse(stage)
     return given
 
 
 noise_option = click.option(
     "--noise",
-    callback=_noise,
+    type=Written(_noise, "STAGE:VALUE…,…"),
     metavar="STAGE:VALUE…,…",
     panel=SENSING,
     help="Faults of the sensor, such as range:0.02,dropout:0.05, or datasheet for what it comes "
@@ -249,6 +266,11 @@ def taken(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def without(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of `options` that are no fields of the dataclass `config`."""
+    return {name: options[name] for name in options.keys() - taken(config, options)}
+
+
 def was_given(name: str) -> bool:
     """Whether the user gave the current command's parameter `name`, by whatever means."""
     context = click.get_current_context()
@@ -281,7 +303,6 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Pat
             note(f"{folder}: holds no samples yet, so it is left out")
     if not found:
         raise click.UsageError(
-            "no dataset given, and none under data/; make one with `scenegen generate --kind "
-            "pillar`"
+            "no dataset given, and none under data/; make one: `scenegen generate --kind pillar`"
         )
     return found

@@ -10,17 +10,16 @@ import rich_click as click
 from scenegen.cli.options import (
     dataset_argument,
     examples,
-    json_option,
     kind_option,
     out_option,
-    quiet_option,
+    printing,
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, show_table
-from scenegen.share.licence import USUAL
+from scenegen.share import USUAL
 
 if TYPE_CHECKING:
-    from scenegen.share.upload import Published
+    from scenegen.share.stage import Staged
 
 
 @click.command(
@@ -49,15 +48,14 @@ if TYPE_CHECKING:
 @click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
 @kind_option
 @workers_option
-@json_option
-@quiet_option
+@printing
 def publish(
     dataset: Path | str,
     repo: str,
     out: Path | None,
     dry_run: bool,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Verify a dataset, make a folder of it for the Hugging Face Hub, and send that.
@@ -66,7 +64,6 @@ def publish(
     keeps, or HF_TOKEN.
     """
     begin = time.perf_counter()
-    talk = not (quiet or as_json)
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
@@ -90,7 +87,7 @@ def publish(
             if talk:
                 note(f"{found.folder} stands; {'nothing is sent' if dry_run else 'sending …'}")
 
-        done = run_publish(
+        found, commit_sent = run_publish(
             request,
             dry_run=dry_run,
             private=options["private"],
@@ -101,37 +98,27 @@ def publish(
             on_done=progress.count,
             on_staged=staged,
         )
-    if not quiet:
-        _show(done, time.perf_counter() - begin, as_json)
+    if talk or as_json:
+        _show(found, commit_sent, time.perf_counter() - begin, as_json)
 
 
-def _show(done: "Published", seconds: float, as_json: bool) -> None:
+def _show(staged: "Staged", commit: str | None, seconds: float, as_json: bool) -> None:
     """Prints what was made, and sent."""
-    staged = done.staged
     size = sum(staged.files.values())
     if as_json:
-        rows = {
-            "folder": str(staged.folder),
-            "repository": staged.repository,
-            "tag": staged.tag,
-            "commit": done.commit,
-            "digest": staged.digest,
-            "files": staged.files,
-            "bytes": size,
-            "seconds": seconds,
-        }
-        print(json.dumps(rows))
+        told = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
+        print(json.dumps(vars(staged) | told))
         return
-    told = {
+    said = {
         "folder": staged.folder,
         "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
         "revision": f"hf://{staged.repository}@{staged.tag}",
         "time": f"{seconds:.1f} s",
     }
-    if done.commit is None:
+    if commit is None:
         listed = {name: f"{size:>12,}" for name, size in staged.files.items()}
         show_table(listed, "would send, in bytes")
-        show_table(told | {"next": "the same command without --dry-run"}, "ready")
+        show_table(said | {"next": "the same command without --dry-run"}, "ready")
     else:
         page = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
-        show_table(told | {"page": page}, "published")
+        show_table(said | {"page": page}, "published")

@@ -12,18 +12,20 @@ from lidarsim.engines import ENGINES
 from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
-    SENSING,
+    engine_option,
     examples,
     json_option,
     lidar_option,
     noise_option,
+    options_of,
     out_option,
-    quiet_option,
+    printing,
     seed_option,
     was_given,
 )
 from scenegen.cli.show import say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
+from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.worlds import MAPS
 
@@ -66,10 +68,11 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
             raise click.ClickException(f"{name}: {error}") from None
     rows = {name: _facts(sensor) for name, sensor in found.items()}
     if out is not None:
-        from scenegen.display.pattern import draw_patterns
+        from scenegen.display.panels import to_bytes
+        from scenegen.display.pictures import draw_patterns
         from scenegen.files import write_result
 
-        write_result(out, draw_patterns(list(found.values())))
+        write_result(out, to_bytes(draw_patterns(found), ".png"))
     if as_json:
         print(json.dumps(rows))
     elif names:
@@ -91,7 +94,6 @@ def _facts(sensor: "Sensor") -> dict[str, Any]:
         [round(float(angles.min()), 2), round(float(angles.max()), 2)]
         for angles in angles_deg(sensor.directions_body)
     )
-    told = {name: getattr(sensor, name, "") for name in ("noise", "source", "checked", "error")}
     return {
         "shape": list(sensor.shape),
         "elevation_deg": up,
@@ -99,8 +101,8 @@ def _facts(sensor: "Sensor") -> dict[str, Any]:
         "scan_s": round(float(np.max(sensor.times_s)), 6),
         "min_range_m": getattr(sensor, "min_range_m", 0.0),
         "max_range_m": sensor.max_range_m,
-        **told,
-        "source": told["source"] or str(sensor),
+        "source": getattr(sensor, "source", "") or str(sensor),
+        **{name: getattr(sensor, name, "") for name in ("noise", "checked", "error")},
     }
 
 
@@ -131,25 +133,11 @@ def _cell(value: Any) -> str:
 )
 @lidar_option("raster")
 @noise_option
-@click.option(
-    "--engine",
-    type=Named(ENGINES),
-    default="analytic",
-    show_default=True,
-    panel=SENSING,
-    help="What casts the rays.",
-)
-@click.option(
-    "--frame",
-    type=click.Choice(["body", "world"]),
-    default="body",
-    show_default=True,
-    help="Frame of the points: the body when the scan begins, or the world.",
-)
+@engine_option("What casts the rays.", default="analytic")
+@options_of(Choices, frame="Frame of the points: the body when the scan begins, or the world.")
 @seed_option("What the noise, and the flight, are drawn by.")
-@out_option("The file to write: .ply, .pcd, .npz or .bin.", Path("scan.ply"), file=True)
-@json_option
-@quiet_option
+@out_option("The file to write: .ply, .pcd, .npz or .bin.", default=Path("scan.ply"), file=True)
+@printing
 def scan(
     world: Path,
     pose: tuple[float, ...] | None,
@@ -162,7 +150,7 @@ def scan(
     seed: int,
     out: Path,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
 ) -> None:
     """Scan the world of an MJCF file, once or along a flight, and write the returns as points.
 
@@ -174,18 +162,27 @@ def scan(
         raise click.UsageError("--every goes with --flight")
     if world.suffix in MAPS and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
-    from scenegen.display.points import SUFFIXES
+    from lidarsim import Pose
+    from scenegen.display.exchange.files import SUFFIXES
     from scenegen.files import check_ours
     from scenegen.source import read_world
     from scenegen.tables import named_lidar, named_noise
+    from scenegen.worlds.flight import pose_in_flight, poses_in_flight
 
     if out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
     found = read_world(world)
-    poses = _poses(found, pose, every, seed)
-    files = [out] if every is None else [_numbered(out, number) for number in range(len(poses))]
+    files = [out]
+    if pose is not None:
+        poses = [Pose.level(pose[:3], math.radians(pose[3]))]
+    elif every is None:
+        poses = [pose_in_flight(found, seed=seed)]
+    else:
+        poses = poses_in_flight(found, every_m=every, seed=seed)
+        stems = (f"{out.stem}-{number:03d}{out.suffix}" for number in range(len(poses)))
+        files = [out.with_name(stem) for stem in stems]
     for file in files:
         check_ours(file)
     rows = []
@@ -194,29 +191,11 @@ def scan(
         rows.append(_write_scan(file, found, sensor, at, chain, drawn, engine, frame))
     if as_json:
         print(json.dumps(rows[0] if every is None else {"scans": rows}))
-    elif not quiet:
+    elif talk:
         told = {name: value for name, value in rows[0].items() if name != "quaternion"}
         if len(rows) > 1:
-            told |= {"file": f"{rows[0]['file']} … {rows[-1]['file']}", "scans": len(rows)}
+            told |= {"file": f"{files[0]} … {files[-1]}", "scans": len(rows)}
         show_table(told)
-
-
-def _numbered(out: Path, number: int) -> Path:
-    return out.with_name(f"{out.stem}-{number:03d}{out.suffix}")
-
-
-def _poses(
-    world: "World | Place", pose: tuple[float, ...] | None, every: float | None, seed: int
-) -> "list[Pose]":
-    """The pose given, one in a random flight, or those `every` so many metres of it."""
-    from lidarsim import Pose
-    from scenegen.worlds.flight import pose_in_flight, poses_in_flight
-
-    if pose is not None:
-        return [Pose.level(pose[:3], math.radians(pose[3]))]
-    if every is not None:
-        return poses_in_flight(world, every_m=every, seed=seed)
-    return [pose_in_flight(world, seed=seed)]
 
 
 def _write_scan(
@@ -234,7 +213,7 @@ def _write_scan(
 
     from lidarsim import cast
     from lidarsim.pose import rotate
-    from scenegen.display.points import write_points
+    from scenegen.display.exchange.files import write_points
     from scenegen.draw import scan_world
     from scenegen.worlds.mapping import Known
     from scenegen.worlds.place import Place

@@ -16,8 +16,8 @@ from scenegen.run import undone_if_stopped
 
 ENDLESS = 1 << 30
 """Columns of what is no terminal."""
-BARS, PLAIN_BARS = "▁▂▃▄▅▆▇█", "_.-=*#"
-"""From low to high; the second where the terminal has no others."""
+BARS = "▁▂▃▄▅▆▇█"
+"""From low to high."""
 SHOW_CURSOR = b"\x1b[?25h\n"
 """Undoes what a progress bar does to a terminal."""
 
@@ -75,14 +75,8 @@ def curve(values: Sequence[float], *, most: int = 60) -> str:
     if len(values) > most:
         values = [values[n * (len(values) - 1) // max(most - 1, 1)] for n in range(most)]
     least, height = min(values), max(values) - min(values)
-    try:
-        BARS.encode(sys.stdout.encoding or "ascii")
-        bars = BARS
-    except UnicodeEncodeError:
-        bars = PLAIN_BARS
-    return "".join(
-        bars[round((value - least) / (height or 1) * (len(bars) - 1))] for value in values
-    )
+    step = (len(BARS) - 1) / (height or 1)
+    return "".join(BARS[round((value - least) * step)] for value in values)
 
 
 def per_split(counts: Mapping[str, int]) -> str:

@@ -10,6 +10,7 @@ from click.shell_completion import CompletionItem
 
 from lidarsim.parameters import Bounds
 from lidarsim.registry import MOST_NAMED, Registry, suggestion
+from scenegen.errors import printable
 
 MOST_REPEATED = 60
 """Characters of a value that an error repeats."""
@@ -97,19 +98,22 @@ class OutputFolder(click.Path):
         self.stores = stores
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
-        """The folder."""
-        from scenegen.stores import folder_of
+        """The folder; none that is named with a scheme, where no such thing is written to."""
+        from scenegen.stores import STORES, folder_of, is_remote
 
-        _refuse_remote(self, value, param, ctx, stores=self.stores)
-        return folder_of(value) if self.stores and isinstance(value, str) else Path(value)
+        scheme = str(value).partition("://")[0]
+        if is_remote(value) and not (self.stores and scheme in STORES.known):
+            hint = " or s3://bucket/folder" if self.stores else "; only datasets go to s3://"
+            self.fail(f"{scheme}://… is not written to; give a folder{hint}", param, ctx)
+        return folder_of(str(value))
 
 
-class OutputFile(click.Path):
+class OutputFile(OutputFolder):
     """A file to write: a new one, or one as scenegen wrote it; with `folders`, also a folder that
     is there, or any file, of which the command says whether it is replaced."""
 
     def __init__(self, *, folders: bool = False) -> None:
-        super().__init__(path_type=Path)
+        super().__init__()
         self.folders = folders
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
@@ -117,8 +121,7 @@ class OutputFile(click.Path):
         from scenegen.errors import DatasetError
         from scenegen.files import check_ours, check_target
 
-        _refuse_remote(self, value, param, ctx)
-        path = Path(value)
+        path = super().convert(value, param, ctx)
         if self.folders and path.is_dir():
             return path
         try:
@@ -126,18 +129,6 @@ class OutputFile(click.Path):
         except DatasetError as error:
             self.fail(str(error), param, ctx)
         return path
-
-
-def _refuse_remote(
-    kind: click.ParamType, value: Any, param: Any, ctx: Any, *, stores: bool = False
-) -> None:
-    """Fails where a name with a scheme is given to write to, and no such thing is written there."""
-    from scenegen.stores import STORES, is_remote
-
-    scheme = str(value).partition("://")[0]
-    if is_remote(value) and not (stores and scheme in STORES.known):
-        hint = " or s3://bucket/folder" if stores else "; only generate and rescan write to s3://"
-        kind.fail(f"{scheme}://… is not written to; give a folder{hint}", param, ctx)
 
 
 class Written(click.ParamType):
@@ -153,7 +144,7 @@ class Written(click.ParamType):
         try:
             return self.read(value)
         except ValueError as error:
-            self.fail(str(error), param, ctx)
+            self.fail(printable(error), param, ctx)
 
 
 class Number(Written):
@@ -168,21 +159,6 @@ class Numbers(Written):
 
     def __init__(self, name: str, count: int):
         super().__init__(partial(_numbers, name, count), name)
-
-
-class ShardRange(Written):
-    """FIRST:STOP, as in Python: shard numbers from FIRST to one before STOP."""
-
-    def __init__(self) -> None:
-        super().__init__(_range, "first:stop")
-
-
-class Ranges(Written):
-    """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20. The
-    value has (first, stop) of each."""
-
-    def __init__(self) -> None:
-        super().__init__(lambda text: tuple(map(_one_or_range, text.split(","))), "n,first:stop")
 
 
 def _number(bounds: Bounds, text: str) -> float:
@@ -203,7 +179,8 @@ def _numbers(name: str, count: int, text: str) -> tuple[float, ...]:
     return tuple(_number(Bounds(), part) for part in parts)
 
 
-def _range(text: str) -> tuple[int, int]:
+def read_range(text: str) -> tuple[int, int]:
+    """FIRST:STOP, as in Python: numbers from FIRST to one before STOP."""
     first, colon, stop = text.partition(":")
     short = len(text) <= 40  # and no more digits than int() takes
     if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
@@ -212,7 +189,11 @@ def _range(text: str) -> tuple[int, int]:
     return int(first), int(stop)
 
 
-def _one_or_range(text: str) -> tuple[int, int]:
-    if text.isdecimal() and len(text) <= 12:
-        return int(text), int(text) + 1
-    return _range(text)
+def read_ranges(text: str) -> tuple[tuple[int, int], ...]:
+    """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20. The
+    value has (first, stop) of each."""
+    alone = [one.isdecimal() and len(one) <= 12 for one in text.split(",")]
+    return tuple(
+        (int(one), int(one) + 1) if number else read_range(one)
+        for number, one in zip(alone, text.split(","), strict=True)
+    )

@@ -10,10 +10,9 @@ import rich_click as click
 from scenegen.cli.options import (
     dataset_argument,
     examples,
-    json_option,
     kind_option,
     on_option,
-    quiet_option,
+    printing,
     seed_option,
     workers_option,
 )
@@ -42,8 +41,7 @@ if TYPE_CHECKING:
 )
 @workers_option
 @on_option
-@json_option
-@quiet_option
+@printing
 def verify(
     dataset: Path | str,
     quick: bool,
@@ -53,11 +51,10 @@ def verify(
     workers: int,
     on: str,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
 ) -> None:
     """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
     check fails."""
-    talk = not (quiet or as_json)
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate

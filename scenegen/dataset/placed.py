@@ -119,7 +119,7 @@ def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) 
         "digests": report.digests.hex(),
     }
     assert isinstance(spec.folder, StorePath)
-    spec.folder.store.put_whole(spec.file.with_suffix(SUFFIX).name, json.dumps(said).encode())
+    spec.folder.store.put(spec.file.with_suffix(SUFFIX).name, json.dumps(said).encode())
 
 
 def _rejections(said: dict[str, dict[str, int]]) -> Rejections:

@@ -2,12 +2,12 @@
 to a figure."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
@@ -56,19 +56,16 @@ def draw_completions(looks: Sequence[Look], *, title: str) -> Figure:
     grid = Grid(len(looks) + alone, 2 + len(names), title)
     for row, look in enumerate(looks):
         for n, (name, head) in enumerate((("points", "scan"), ("occupancy", "truth"))):
-            draw_panel(panel := grid.panel(row, n), look, name, ticks=alone)
-            put_title(panel, head if row == 0 else "")
+            draw_panel(grid.panels[row, n], look, name, title=head, ticks=alone)
         for guess in look.guesses:
-            panel = grid.panel(row, 2 + names.index(guess.name))
+            panel = grid.panels[row, 2 + names.index(guess.name)]
             frame_box(panel, *look.corners, ticks=alone)
             draw_voxels(panel, look, guess.occupied, truth=look.masks.get("occupancy"))
             put_title(panel, plain(guess.name))
     if alone:
         (look,) = looks
-        grid.level(1, 1, look, at_sensor(look), look.tudf, "distances, truth")
-        for guess in look.guesses:
-            column, title = 2 + names.index(guess.name), f"distances, {plain(guess.name)}"
-            grid.level(1, column, look, at_sensor(look), guess.tudf, title)
+        for n, (name, tudf) in enumerate(_distances(look).items()):
+            grid.level(1, 1 + n, look, at_sensor(look), tudf, f"distances, {plain(name)}")
         grid.bar_of_distances(look, row=1)
     missed = Patch(color=rgb(MISSED), label="missed: occupied, not predicted")
     invented = Patch(color=rgb(INVENTED), label="invented: predicted, not occupied")
@@ -82,13 +79,16 @@ def draw_distances(looks: Sequence[Look], *, title: str) -> Figure:
     names = methods_of(looks)
     grid = Grid(len(looks), 1 + len(names), title)
     for row, look in enumerate(looks):
-        shown = {"truth": look.tudf, **{guess.name: guess.tudf for guess in look.guesses}}
-        for name, tudf in shown.items():
-            column = 0 if name == "truth" else 1 + names.index(name)
-            title = plain(name) if row == 0 else ""
-            grid.level(row, column, look, at_sensor(look), tudf, title)
+        for name, tudf in _distances(look).items():
+            column = ["truth", *names].index(name)
+            grid.level(row, column, look, at_sensor(look), tudf, plain(name))
     grid.bar_of_distances(looks[0])
     return grid.finish([ball("sensor")])
+
+
+def _distances(look: Look) -> dict[str, Any]:
+    """The true distances, and each method's, by name."""
+    return {"truth": look.tudf, **{guess.name: guess.tudf for guess in look.guesses}}
 
 
 def draw_paths(looks: Sequence[Look], *, title: str) -> Figure:
@@ -98,8 +98,7 @@ def draw_paths(looks: Sequence[Look], *, title: str) -> Figure:
     columns = min(len(looks), 3)
     scale = 1.45 if columns < 3 else 1.2
     grid = Grid(math.ceil(len(looks) / columns), columns, title, scale)
-    for n, look in enumerate(looks):
-        panel = grid.panel(n // columns, n % columns)
+    for panel, look in zip(grid.panels.flat, looks, strict=False):
         _draw_paths_in(panel, look, look.guesses, names, ticks=len(looks) == 1)
         put_title(panel, look.name)
     grid.bar_of_heights(looks)
@@ -113,14 +112,14 @@ def draw_example(looks: Sequence[Look], *, title: str) -> Figure:
     grid = Grid(len(looks), 1 + len(names), title)
     for row, look in enumerate(looks):
         for guess in look.guesses:
-            panel = grid.panel(row, names.index(guess.name))
+            panel = grid.panels[row, names.index(guess.name)]
             masks = {**look.masks, "occupancy": guess.occupied}
             believed = dataclasses.replace(look, masks=masks)
             _draw_paths_in(panel, believed, (guess,), names, ticks=False, hits=False)
-            put_title(panel, plain(guess.name) if row == 0 else "")
-        panel = grid.panel(row, len(names))
+            put_title(panel, plain(guess.name))
+        panel = grid.panels[row, -1]
         _draw_paths_in(panel, look, look.guesses, names, ticks=False)
-        put_title(panel, "truth" if row == 0 else "")
+        put_title(panel, "truth")
     grid.bar_of_heights(looks)
     return grid.finish(_path_legend(names))
 
@@ -186,17 +185,14 @@ def _path_legend(names: Sequence[str]) -> list[Any]:
         line(plain(name), style["color"], 2.2, style["linestyle"])
         for name, style in _path_styles(names).items()
     ]
-    cross = Line2D([], [], marker="X", linestyle="", color="black", label="meets an obstacle")
-    return [*paths, ball("start", rgb(START)), ball("goal", rgb(GOAL)), cross]
+    ends = [ball("start", rgb(START)), ball("goal", rgb(GOAL))]
+    return [*paths, *ends, ball("meets an obstacle", "black", "X")]
 
 
 def _path_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Colour and dashes of each method's path."""
-    others = [name for name in names if name not in STYLES]
-    dashes = [
-        STYLES.get(name) or OTHER_STYLES[others.index(name) % len(OTHER_STYLES)] for name in names
-    ]
+    dashes = itertools.cycle(OTHER_STYLES)
     return {
-        name: {"color": rgb(shade), "linestyle": dash}
-        for name, shade, dash in zip(names, path_colours(names), dashes, strict=True)
+        name: {"color": rgb(shade), "linestyle": STYLES.get(name) or next(dashes)}
+        for name, shade in zip(names, path_colours(names), strict=True)
     }

@@ -1,12 +1,9 @@
-"""What is in a dataset, in a folder of datasets, or in a world: counts, sizes, statistics, what
-does not fit, and a page of it for a browser."""
+"""What is in a dataset, in a folder of datasets, or in a world: counts, sizes, statistics, and what
+does not fit."""
 
-import base64
-import html
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +14,9 @@ from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
 from scenegen.dataset.choose import FIGURES
 from scenegen.dataset.manifest import NAME
-from scenegen.dataset.read import Dataset, Split
-from scenegen.dataset.trust import load
-from scenegen.display.look import looks, spread
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.trust import Entry, load
+from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
 from scenegen.run.workers import run
 from scenegen.stores.cache import bytes_in
@@ -50,7 +47,6 @@ def inspect(
     folder: Path,
     *,
     most: int | None = MOST_MEASURED,
-    values: bool = False,
     workers: int = 1,
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
@@ -60,7 +56,6 @@ def inspect(
     Args:
         folder: The dataset.
         most: Samples of a split that are measured, evenly spread; None for all.
-        values: Whether every split has the figures of the measured samples, too.
         workers: Processes that measure.
         on_start: Called with the number of samples that are measured, once processes run.
         on_done: Called with the number of every few.
@@ -74,88 +69,71 @@ def inspect(
     """
     dataset = Dataset(folder, partial=True)
     it = dataset.manifest
-    found = {
-        "kind": it.kind,
-        "seed": it.seed,
-        "complete": it.complete,
-        "digest": it.digest,
-        "fields": list(it.fields),
-        "grid": it.parameters["grid"],
-        "rejected": it.rejected,
-        "mapping": it.parameters.get("mapping"),
-    }
+    found = {name: getattr(it, name) for name in ("kind", "seed", "complete", "digest", "rejected")}
+    found |= {"fields": list(it.fields), "grid": it.parameters["grid"]}
+    found["mapping"] = it.parameters.get("mapping")
     if it.sources:
         found["sources"] = [
             {
                 **{"kind": one.kind, "seed": one.seed, "digest": one.digest},
                 "taken": entry["taken"],
-                "samples": {
-                    split: sum(
-                        shard.samples
-                        for shard in it.shards
-                        if it.home(shard) is one and shard.split == split
-                    )
-                    for split in SPLITS
-                },
+                "samples": _counts(shard for shard in it.shards if it.home(shard) is one),
             }
             for one, entry in zip(it.sources, it.parameters["sources"], strict=True)
         ]
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
-    tasks = [(split.name, part) for split in splits for part in _parts(split, most)]
-    measured: list[Rows] = [{}] * len(tasks)
+    tasks = []
+    for split in splits:
+        chosen = spread(dataset, split.name, most or len(split))
+        tasks += [(split.name, chosen[n : n + AT_ONCE]) for n in range(0, len(chosen), AT_ONCE)]
+    measured: dict[int, NDArray[np.float64]] = {}
     begun = partial(on_start, sum(len(part) for _, part in tasks))
     with closing(run(partial(_measure, dataset), enumerate(tasks), workers, begun)) as results:
         for number, rows in results:
             measured[number] = rows
-            on_done(len(tasks[number][1]))
+            on_done(len(rows))
     told = {}
     for split in splits:
-        mine = [n for n, (name, _) in enumerate(tasks) if name == split.name]
-        rows = {name: np.concatenate([measured[n][name] for n in mine]) for name in FIGURES}
+        table = np.concatenate(
+            [measured[n] for n, (name, _) in enumerate(tasks) if name == split.name]
+        )
+        columns = {
+            name: column[~np.isnan(column)] for name, column in zip(FIGURES, table.T, strict=True)
+        }
         told[split.name] = {
             "samples": len(split),
             "worlds": split.count_worlds(),
-            "sampled": sum(len(tasks[n][1]) for n in mine),
-            "statistics": {name: _spread(row) for name, row in rows.items()},
-            **({"values": {name: row.tolist() for name, row in rows.items()}} if values else {}),
+            "sampled": len(table),
+            "statistics": {name: _summary(column) for name, column in columns.items()},
         }
     size, samples = bytes_in(folder), sum(map(len, splits))
     sizes = {"bytes": size, "bytes_per_sample": size / max(samples, 1)}
     return {**found, "samples": samples, **sizes, "splits": told}
 
 
-Rows = dict[str, NDArray[np.float64]]
-"""Figures of samples by name; a sample that lacks one is left out."""
+def _measure(dataset: Dataset, task: tuple[int, tuple[str, list[int]]]) -> tuple[int, Any]:
+    """The number of a task, and the figures of its samples, a row each; NaN where a sample lacks
+    one."""
+    number, (split, chosen) = task
+    samples = (dataset.split(split)[index] for index in chosen)
+    rows = [[figure(sample) for figure in FIGURES.values()] for sample in samples]
+    return number, np.array(rows, dtype=np.float64)
 
 
-def _parts(split: Split, most: int | None) -> list[NDArray[np.int64]]:
-    """Indices of the samples that are measured, some at a time."""
-    count = len(split)
-    asked = count if most is None else min(most, count)
-    found = np.unique(np.linspace(0, count - 1, asked).astype(int))
-    return np.split(found, range(AT_ONCE, len(found), AT_ONCE))
-
-
-def _measure(dataset: Dataset, task: tuple[int, tuple[str, NDArray[np.int64]]]) -> tuple[int, Rows]:
-    """The number of a task, and the figures of its samples."""
-    number, (name, chosen) = task
-    split = dataset.split(name)
-    rows = []
-    for index in chosen.tolist():
-        sample = split[index]
-        rows.append([figure(sample) for figure in FIGURES.values()])
-    columns = np.array(rows, dtype=np.float64).T
-    return number, {
-        name: column[~np.isnan(column)] for name, column in zip(FIGURES, columns, strict=True)
+def _summary(values: NDArray[np.float64]) -> dict[str, float | None]:
+    """How numbers spread."""
+    return {
+        name: float(getattr(values, name)()) if len(values) else None
+        for name in ("mean", "std", "min", "max")
     }
 
 
-def _spread(values: NDArray[np.float64]) -> dict[str, float | None]:
-    """How numbers spread."""
-    if not len(values):
-        return dict.fromkeys(("mean", "std", "min", "max"))
-    found = {"mean": values.mean(), "std": values.std(), "min": values.min(), "max": values.max()}
-    return {name: float(value) for name, value in found.items()}
+def _counts(shards: Iterable[Entry]) -> dict[str, int]:
+    """Samples of each split."""
+    counts = dict.fromkeys(SPLITS, 0)
+    for shard in shards:
+        counts[shard.split] += shard.samples
+    return counts
 
 
 def inspect_all(folder: Path) -> list[dict[str, Any]]:
@@ -166,15 +144,8 @@ def inspect_all(folder: Path) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"folder": str(path.parent)}
         try:
             it = load(path.parent)
-            samples = {
-                name: sum(one.samples for one in it.shards if one.split == name) for name in SPLITS
-            }
-            row |= {
-                "kind": it.kind,
-                "samples": samples,
-                "complete": it.complete,
-                "digest": it.digest,
-            }
+            row |= {name: getattr(it, name) for name in ("kind", "complete", "digest")}
+            row["samples"] = _counts(it.shards)
         except DatasetError as error:
             row["fault"] = printable(error)
         found.append(row)
@@ -225,8 +196,6 @@ def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
     ]
 
 
-SHOWN, BINS = 8, 24
-"""Samples in the picture of a split, and bars of a histogram."""
 LABELS = {
     "occupied": ("voxels occupied", "%", 100),
     "observed": ("voxels observed", "%", 100),
@@ -242,95 +211,3 @@ LABELS = {
     "traversability": ("traversability", "", 1),
 }
 """Statistics of a sample: what they are called, their unit, and the factor to it."""
-HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<style>
-body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; background: #fff;
-  margin: 0 auto; padding: 1rem; max-width: 70rem; }
-dl { display: grid; grid-template-columns: auto 1fr; gap: 0 1rem; }
-dd { margin: 0; overflow-wrap: anywhere; }
-.charts { display: flex; flex-wrap: wrap; gap: 1rem; }
-figure { margin: 0; flex: 1 1 18rem; max-width: 24rem; }
-figcaption { font-weight: 600; }
-small { color: #59636e; }
-svg, img { width: 100%; height: auto; }
-.note { color: #8a2b00; }
-</style>
-"""
-
-
-def statistics_page(dataset: Dataset, found: Mapping[str, Any], notes: Sequence[str]) -> str:
-    """The page of what `inspect` gives with `values`. No text of the dataset is taken for HTML."""
-    title = f"{dataset.folder.name}: {found['kind']}"
-    grid = dataset.grid
-    about = {
-        "seed": found["seed"],
-        "digest": found["digest"] or "incomplete",
-        "grid": f"{' × '.join(map(str, grid.shape))} voxels of {grid.voxel_m:g} m",
-        "sensor": dataset.lidar,
-        "samples": found["samples"],
-        "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a sample",
-    }
-    parts = [f"<title>{_text(title)}</title></head><body><h1>{_text(title)}</h1>"]
-    parts += [f"<p class='note'>{_text(line)}</p>" for line in notes]
-    parts.append(
-        "<dl>"
-        + "".join(f"<dt>{name}</dt><dd>{_text(value)}</dd>" for name, value in about.items())
-        + "</dl>"
-    )
-    for name, split in found["splits"].items():
-        parts.append(
-            f"<h2>{_text(name)}</h2><p>{split['samples']} samples of {split['worlds']} worlds; "
-            f"{split['sampled']} "
-            "were measured.</p><div class='charts'>"
-        )
-        parts += [
-            _histogram(label, unit, np.array(split["values"][key]) * factor)
-            for key, (label, unit, factor) in LABELS.items()
-        ]
-        parts.append(f"</div>{_picture(dataset, name)}")
-    return f"{HEAD}{''.join(parts)}</body></html>\n"
-
-
-def _histogram(label: str, unit: str, values: Any) -> str:
-    if not len(values):
-        return ""
-    counts, edges = np.histogram(values, BINS)
-    bars = "".join(
-        f"<rect x='{10 + 12.5 * n:.1f}' y='{100 - 90 * count / counts.max():.1f}' width='11.5' "
-        f"height='{90 * count / counts.max():.1f}' fill='#1560bd'/>"
-        for n, count in enumerate(counts)
-    )
-    ends = "".join(
-        f"<text x='{x}' y='115' text-anchor='{anchor}' font-size='12'>{edge:.3g} {unit}</text>"
-        for x, anchor, edge in ((10, "start", edges[0]), (310, "end", edges[-1]))
-    )
-    return (
-        f"<figure><figcaption>{_text(label)}</figcaption>"
-        f"<svg viewBox='0 0 320 120' role='img' aria-label='{_text(label)}'>{bars}{ends}</svg>"
-        f"<small>{values.mean():.2f} ± {values.std():.2f} {unit}, at most {counts.max()} samples a "
-        "bar</small></figure>"
-    )
-
-
-def _picture(dataset: Dataset, split: str) -> str:
-    """A sheet of samples; none without matplotlib, or where none can be read."""
-    if find_spec("matplotlib") is None:
-        return ""
-    from scenegen.display.panels import to_bytes
-    from scenegen.display.pictures import draw_sheet
-
-    try:
-        shown, _ = looks(dataset, split, spread(dataset, split, SHOWN))
-        image = to_bytes(draw_sheet(shown, title=""), ".webp")
-    except DatasetError:
-        return ""
-    content = base64.b64encode(image).decode()
-    return f"<img alt='{SHOWN} samples of {_text(split)}' src='data:image/webp;base64,{content}'>"
-
-
-def _text(value: object) -> str:
-    return html.escape(str(value))

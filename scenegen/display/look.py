@@ -65,12 +65,8 @@ class Look:
     own beside them."""
     tudf: NDArray[np.float32] | None = None
     """Distances, of the grid's shape."""
-    points: NDArray[np.float64] | None = None
-    """Returns (M, 3) of all scans, those of its own first."""
-    own: int = 0
-    """How many returns its own scan has."""
-    scans: int = 1
-    """How many scans it has."""
+    scans: Sequence[NDArray[np.float64]] = ()
+    """Returns (M, 3) of each scan, its own first; none where they could not be read."""
     rays: int = 0
     """How many rays they have."""
     guesses: tuple[Guess, ...] = ()
@@ -83,6 +79,11 @@ class Look:
         """Least and greatest corner of the grid (3,)."""
         return self.origin, self.origin + self.grid.extent_m
 
+    @property
+    def points(self) -> NDArray[np.float64] | None:
+        """Returns (M, 3) of all scans."""
+        return np.concatenate(self.scans) if self.scans else None
+
     def figures(self) -> dict[str, str]:
         """Statistics in words, by name."""
         shares = dict(self.masks)
@@ -90,10 +91,10 @@ class Look:
             shares["unknown"] = ~(shares["observed"] | shares["free"])
         found = {name: f"{100 * mask.mean():.2f} %" for name, mask in shares.items()}
         if self.points is not None:
-            several = f" in {self.scans} scans" if self.scans > 1 else ""
+            several = f" in {len(self.scans)} scans" if len(self.scans) > 1 else ""
             found["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
-            if self.own:
-                ranges = np.linalg.norm(self.points[: self.own] - self.position, axis=1)
+            if len(own := self.scans[0]):
+                ranges = np.linalg.norm(own - self.position, axis=1)
                 found["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:
             found["mean distance"] = f"{self.tudf.mean():.2f} m"
@@ -134,8 +135,7 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
             raise ValueError("ranges are no lengths")
         return [each.points() for each in found]
 
-    points = read("the scan", scan)
-    scans = 1 if points is None else len(points)
+    scans = read("the scan", scan) or ()
     masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
     return Look(
         name=name,
@@ -145,10 +145,8 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
         quaternion=quaternion,
         masks={what: mask for what, mask in masks.items() if mask is not None},
         tudf=read("tudf", lambda: sample.tudf),
-        points=None if points is None else np.concatenate(points),
-        own=0 if points is None else len(points[0]),
         scans=scans,
-        rays=int(np.prod(lidar.shape)) * scans,
+        rays=int(np.prod(lidar.shape)) * len(scans),
         missing=tuple(missing),
     )
 

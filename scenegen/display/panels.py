@@ -90,11 +90,19 @@ def put_box(panel: Any, low: Any, high: Any) -> None:
     panel.add_collection(LineCollection(edges, colors=MAP, linewidths=1.4, zorder=6))
 
 
-def draw_panel(panel: Any, look: Look, name: str, *, ticks: bool = True, view: View = VIEW) -> None:
+def draw_panel(
+    panel: Any,
+    look: Look,
+    name: str,
+    *,
+    title: str | None = None,
+    ticks: bool = True,
+    view: View = VIEW,
+) -> None:
     """Draws `points`, or the mask `name`, and the sensor in the map's box. Raises DatasetError as
     `draw_voxels`."""
     low, high = look.corners
-    put_title(panel, name)
+    put_title(panel, name if title is None else title)
     frame_box(panel, low, high, ticks=ticks, view=view)
     if name == "points" and look.points is not None:
         put_points(panel, look.points, low[2], high[2], 4, view)
@@ -139,23 +147,6 @@ def say_unread(panel: Any) -> None:
     panel.text(0.5, 0.5, "could not be read", transform=panel.transAxes, ha="center", color=SOFT)
 
 
-def draw_level(panel: Any, look: Look, level: int, tudf: NDArray[np.float32] | None) -> None:
-    """Draws one level of distances `tudf` (X, Y, Z), x right and y up, in metres of the world."""
-    z = look.origin[2] + (level + 0.5) * look.grid.voxel_m
-    put_title(panel, f"distances at z = {z:.2f} m")
-    if tudf is None:
-        say_unread(panel)
-        return
-    (left, down, _), (right, up, _) = look.corners
-    shades = colour(tudf[:, :, level].T / look.grid.truncation_m, DISTANCES)
-    panel.imshow(shades, origin="lower", extent=(left, right, down, up), interpolation="nearest")
-    if abs(z - look.position[2]) <= look.grid.voxel_m:
-        put_ball(panel, look.position[:2])
-    panel.set_xlabel("x / m", color=INK, fontsize=8)
-    panel.set_ylabel("y / m", color=INK, fontsize=8)
-    panel.tick_params(labelsize=8, colors=INK)
-
-
 def frame_box(
     panel: Any,
     low: NDArray[np.float64],
@@ -166,41 +157,34 @@ def frame_box(
 ) -> None:
     """Draws a box with its axes in metres, and sets the limits of `panel` around it. Ticks stand
     where they do for `VIEW`."""
-    hidden, front = box_edges(low, high, view)
+    hidden, front = map(view.project, box_edges(low, high, view))
     for edges, shade, width, order in ((hidden, SOFT, 0.6, 1), (front, INK, 0.8, 5)):
-        lines = LineCollection(view.project(edges), colors=shade, linewidths=width, zorder=order)
+        lines = LineCollection(edges, colors=shade, linewidths=width, zorder=order)
         panel.add_collection(lines)
-    corners = view.project(np.concatenate([hidden, front]).reshape(-1, 3))
+    corners = np.concatenate([hidden, front]).reshape(-1, 2)
     span = np.ptp(corners, axis=0).max()
     if ticks:
         _put_ticks(panel, low, high, 0.035 * span, view)
     room = 0.12 * span if ticks else 0.03 * span
-    panel.set_xlim(corners[:, 0].min() - room, corners[:, 0].max() + room)
-    panel.set_ylim(corners[:, 1].min() - room, corners[:, 1].max() + room)
+    left, down = corners.min(axis=0) - room
+    right, up = corners.max(axis=0) + room
+    panel.set(xlim=(left, right), ylim=(down, up))
     panel.set_aspect("equal")
     panel.set_axis_off()
 
 
 def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
     """Numbers along an edge of each axis, and its name in their middle."""
-
-    def put(place: Any, way: Any, text: str, size: int) -> None:
-        at = view.project(place) + way
-        panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
-
-    x, y, z = 0, 1, 2
-    edges = (
-        (x, (low[y], low[z]), (0.3, -1)),
-        (y, (high[x], low[z]), (1, -0.6)),
-        (z, (low[x], low[y]), (-1.1, 0)),
-    )
-    for axis, fixed, way in edges:
-        out = apart * np.array(way)
+    (x, y, z), (right, _, _), along = low, high, np.nan
+    edges = ((along, y, z), (right, along, z), (x, y, along))
+    for axis, (edge, way) in enumerate(zip(edges, ((0.3, -1), (1, -0.6), (-1.1, 0)), strict=True)):
         marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low[axis], high[axis])
-        for mark in marks[(marks >= low[axis] - 1e-9) & (marks <= high[axis] + 1e-9)]:
-            put(np.insert(fixed, axis, mark), out, f"{mark:g}", 7)
-        middle = (low[axis] + high[axis]) / 2
-        put(np.insert(fixed, axis, middle), 2.6 * out, f"{'xyz'[axis]} / m", 8)
+        marks = marks[(marks >= low[axis] - 1e-9) & (marks <= high[axis] + 1e-9)]
+        told = [(mark, apart, f"{mark:g}", 7) for mark in marks]
+        told.append(((low[axis] + high[axis]) / 2, 2.6 * apart, f"{'xyz'[axis]} / m", 8))
+        for place, out, text, size in told:
+            at = view.project(np.where(np.isnan(edge), place, edge)) + out * np.array(way)
+            panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
 
 
 def add_bar(
@@ -213,14 +197,9 @@ def add_bar(
     bar.ax.tick_params(labelsize=8, colors=INK)
 
 
-def ball(label: str, colour: Any = RED) -> Line2D:
-    """A ball, for a legend."""
-    return Line2D([], [], marker="o", linestyle="", color=colour, label=label)
-
-
-def dot(label: str) -> Line2D:
-    """A dot, for a legend."""
-    return Line2D([], [], marker=".", linestyle="", color=INK, label=label)
+def ball(label: str, colour: Any = RED, marker: str = "o") -> Line2D:
+    """A ball, or another mark, for a legend."""
+    return Line2D([], [], marker=marker, linestyle="", color=colour, label=label)
 
 
 def line(label: str, colour: Any = INK, width: float = 0.8, style: Any = "-") -> Line2D:
@@ -239,50 +218,54 @@ class Grid:
     """A figure of panels in rows and columns, with bars at its right and a legend below."""
 
     def __init__(self, rows: int, columns: int, title: str, scale: float = 1.0):
-        self._rows, self._wide, self._tall = rows, scale * WIDE, scale * TALL
-        self._width = max(self._wide * columns + 0.95, 6.5)
-        self._height = self._tall * rows + 0.85
-        self.figure = blank(self._width, self._height, title)
-
-    def panel(self, row: int, column: int, inset: Place = (0, 0, 1, 1)) -> Any:
-        """The axes of a panel, or of a part of it: `inset` in shares of the panel."""
-        left, down, wide, tall = inset
-        panel_left = 0.05 + self._wide * column
-        panel_down = 0.4 + self._tall * (self._rows - 1 - row)
-        panel_wide, panel_tall = 0.98 * self._wide, 0.92 * self._tall
-        place = (
-            (panel_left + left * panel_wide) / self._width,
-            (panel_down + down * panel_tall) / self._height,
-            wide * panel_wide / self._width,
-            tall * panel_tall / self._height,
+        wide, tall = max(scale * WIDE * columns + 0.95, 6.5), scale * TALL * rows + 0.85
+        self.figure = blank(wide, tall, title)
+        self.right = scale * WIDE * columns / wide
+        room = {"left": 0, "right": self.right, "bottom": 0.4 / tall, "top": 1 - 0.6 / tall}
+        self.panels = self.figure.subplots(
+            rows, columns, squeeze=False, gridspec_kw=room | {"wspace": 0.02, "hspace": 0.08}
         )
-        return self.figure.add_axes(place)
+        for panel in self.panels.flat:
+            panel.set_axis_off()
 
     def level(
         self, row: int, column: int, look: Look, level: int, tudf: Any, title: str | None = None
     ) -> None:
-        """Draws one level of distances `tudf` in a panel with axes."""
-        panel = self.panel(row, column, (0.2, 0.15, 0.73, 0.74))
-        draw_level(panel, look, level, tudf)
-        if title is not None:
-            put_title(panel, title)
+        """Draws one level of distances `tudf` (X, Y, Z) in a panel, x right and y up, in metres of
+        the world."""
+        panel = self.panels[row, column].inset_axes((0.2, 0.15, 0.73, 0.74))
+        z = look.origin[2] + (level + 0.5) * look.grid.voxel_m
+        put_title(panel, f"distances at z = {z:.2f} m" if title is None else title)
+        if tudf is None:
+            say_unread(panel)
+            return
+        (left, down, _), (right, up, _) = look.corners
+        shades = colour(tudf[:, :, level].T / look.grid.truncation_m, DISTANCES)
+        panel.imshow(
+            shades, origin="lower", extent=(left, right, down, up), interpolation="nearest"
+        )
+        if abs(z - look.position[2]) <= look.grid.voxel_m:
+            put_ball(panel, look.position[:2])
+        panel.set_xlabel("x / m", color=INK, fontsize=8)
+        panel.set_ylabel("y / m", color=INK, fontsize=8)
+        panel.tick_params(labelsize=8, colors=INK)
 
     def bar_of_heights(self, looks: Sequence[Look], row: int | None = None) -> None:
-        """A bar beside a row, or in the middle."""
+        """A bar beside a row, or beside all."""
         highest = max(look.grid.extent_m[2] for look in looks)
         self._bar(HEIGHTS, highest, "height over the map's floor / m", row)
 
     def bar_of_distances(self, look: Look, row: int | None = None) -> None:
-        """A bar beside a row, or in the middle."""
+        """A bar beside a row, or beside all."""
         self._bar(DISTANCES, look.grid.truncation_m, "to the nearest occupied / m", row)
 
     def _bar(self, anchors: Anchors, most: float, label: str, row: int | None) -> None:
-        middle = self._rows / 2 if row is None else self._rows - row - 0.5
-        high = 0.8 * self._tall
-        down = 0.4 + self._tall * middle - high / 2
-        wide, tall = self._width, self._height
-        place = (1 - 0.8 / wide, down / tall, 0.13 / wide, high / tall)
-        add_bar(self.figure, place, anchors, (0, most), label)
+        first, last = (0, -1) if row is None else (row, row)
+        down = self.panels[last, 0].get_position().y0
+        high = self.panels[first, 0].get_position().y1 - down
+        left = self.right + 0.15 * (1 - self.right)
+        wide = 0.14 * (1 - self.right)
+        add_bar(self.figure, (left, down + 0.1 * high, wide, 0.8 * high), anchors, (0, most), label)
 
     def finish(self, handles: Sequence[Any]) -> Figure:
         """The figure, with its legend."""

@@ -2,14 +2,15 @@
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim import GridSpec, Sensor
+from lidarsim.sensors.device import angles_deg
 from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
 from scenegen.display.oblique import VIEW, View
@@ -22,14 +23,13 @@ from scenegen.display.panels import (
     add_legend,
     ball,
     blank,
-    dot,
     draw_panel,
     frame_box,
     line,
+    plain,
     put_ball,
     put_box,
     put_points,
-    put_title,
     to_bytes,
 )
 from scenegen.errors import DatasetError
@@ -37,6 +37,8 @@ from scenegen.errors import DatasetError
 if TYPE_CHECKING:
     from scenegen.worlds.world import World
 
+MARKS = [ball("sensor"), line("the map's box"), ball("returns", INK, ".")]
+"""What the marks of samples mean."""
 FRAMES, TURN_S, TURN_DPI = 36, 8, 90
 """Pictures of a turntable, and how long it takes to go round, seconds."""
 MOST_DRAWN = 500_000
@@ -45,6 +47,8 @@ PIXELS = 1000
 """Pixels across the picture of a world."""
 SUN = np.array((-0.35, -0.55, 0.9)) / np.linalg.norm((-0.35, -0.55, 0.9))
 """Unit vector towards the light."""
+DOTS = {"cmap": "turbo", "linewidths": 0, "antialiased": False}
+"""How the rays of a pattern look."""
 CUT, PLAIN = 0.3, 0.88
 """Greys of solids where the picture cuts through them, and of planes."""
 
@@ -59,8 +63,8 @@ def draw_sample(
     empty, and says so. Raises DatasetError as `draw_voxels`.
     """
     grid = Grid(2, 3, title or look.name, scale=1.25)
-    for n, name in enumerate(panels):
-        draw_panel(grid.panel(0, n), look, name)
+    for panel, name in zip(grid.panels[0], panels, strict=False):
+        draw_panel(panel, look, name)
     height = look.grid.shape[2]
     levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
     for n, level in enumerate(levels):
@@ -81,12 +85,10 @@ def draw_sheet(looks: Sequence[Look], *, title: str, columns: int = 4) -> Figure
     DatasetError as `draw_voxels`."""
     columns = min(columns, len(looks))
     grid = Grid(-(-len(looks) // columns), columns, title)
-    for n, look in enumerate(looks):
-        panel = grid.panel(n // columns, n % columns)
-        _with_returns(panel, look, VIEW, 0.6)
-        panel.set_title(look.name, color=INK, fontsize=9)
+    for panel, look in zip(grid.panels.flat, looks, strict=False):
+        _with_returns(panel, look, VIEW, 0.6, look.name)
     grid.bar_of_heights(looks)
-    return grid.finish([ball("sensor"), line("the map's box"), dot("returns")])
+    return grid.finish(MARKS)
 
 
 def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
@@ -95,20 +97,18 @@ def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
     from PIL import Image
 
     low, high = look.corners
-    wide, tall = float(np.linalg.norm(look.grid.extent_m[:2])), look.grid.extent_m[2]
-    upright = wide * math.sin(VIEW.elevation) + tall * math.cos(VIEW.elevation)
-    reach = 0.51 * max(wide, upright / 0.75)
+    reach = 0.5 * float(np.linalg.norm(look.grid.extent_m))  # of the box, however it is turned
     pictures = []
     for turn in range(frames):
         view = View(azimuth=VIEW.azimuth + 2 * math.pi * turn / frames)
         figure = blank(6.4, 4.8, title, dpi=TURN_DPI)
         panel = figure.add_axes((0.01, 0.06, 0.86, 0.86))
-        _with_returns(panel, look, view, 1.2)
+        _with_returns(panel, look, view, 1.2, "")
         across, upward = view.project((low + high) / 2)
         panel.set_xlim(across - reach, across + reach)  # the same in every picture
         panel.set_ylim(upward - 0.75 * reach, upward + 0.75 * reach)
         add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
-        add_legend(figure, [ball("sensor"), dot("returns"), line("the map's box")])
+        add_legend(figure, MARKS)
         pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
     file, pause = io.BytesIO(), TURN_S * 1000 // frames
     film = {"save_all": True, "append_images": pictures[1:], "duration": pause, "loop": 0}
@@ -116,10 +116,9 @@ def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
     return file.getvalue()
 
 
-def _with_returns(panel: Any, look: Look, view: View, size: float) -> None:
+def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -> None:
     """Occupied voxels with the returns over them."""
-    draw_panel(panel, look, "occupancy", ticks=False, view=view)
-    put_title(panel, "")
+    draw_panel(panel, look, "occupancy", title=title, ticks=False, view=view)
     if look.points is not None:
         places = view.project(look.points).T
         panel.scatter(*places, s=size, color=INK, linewidths=0, zorder=6)
@@ -159,6 +158,23 @@ def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
     size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
     around = line(f"a map of {size} m around it", MAP, 1.2)
     add_legend(figure, [ball("sensor"), around, line("the box of all points")])
+    return figure
+
+
+def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
+    """Draws a panel for every sensor by its name, one below the other: every ray is a dot, from
+    blue for the first to red for the last in time. Degrees; azimuth grows to the left, as for the
+    body."""
+    angles = [angles_deg(sensor.directions_body.reshape(-1, 3)) for sensor in sensors.values()]
+    talls = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) for up, around in angles]
+    height = sum(talls) + 0.7 * len(talls)
+    figure = Figure(figsize=(6.4, height), dpi=100, layout="constrained")
+    panels = figure.subplots(len(talls), squeeze=False, height_ratios=talls)[:, 0]
+    for panel, (name, sensor), (up, around) in zip(panels, sensors.items(), angles, strict=True):
+        panel.scatter(around, up, s=1, c=sensor.times_s.reshape(-1), **DOTS)
+        panel.set(xlabel="azimuth / °", ylabel="elevation / °", title=plain(name))
+        panel.invert_xaxis()
+        panel.grid(alpha=0.4)
     return figure
 
 

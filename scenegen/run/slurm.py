@@ -53,17 +53,15 @@ class Slurm(Executor):
         self.submitit = submitit
         partition, _, options = address.partition("?")
         try:
-            given = dict(parse_qsl(options, strict_parsing=True)) if options else {}
+            given = dict(parse_qsl(options, strict_parsing=bool(options)))
+            self.minutes = int(given.pop("time", MINUTES))
+            if not 0 < self.minutes < 10**7:
+                raise ValueError
         except ValueError:
             raise DatasetError(
                 f"--on slurm://{printable(address)[:100]}: expected "
-                "slurm://PARTITION?time=60&mem=4G"
+                "slurm://PARTITION?time=60&mem=4G, the time in whole minutes"
             ) from None
-        self.minutes = given.pop("time", str(MINUTES))
-        if not re.fullmatch("[1-9][0-9]{0,6}", self.minutes):
-            raise DatasetError(
-                f"--on slurm://…?time={printable(self.minutes)[:100]}: expected whole minutes"
-            )
         self.options = ({"partition": partition} if partition else {}) | given
         self.workers = workers
 
@@ -110,7 +108,7 @@ class Slurm(Executor):
                 cpus_per_task=1,
                 array_parallelism=self.workers,
                 stderr_to_stdout=True,
-                time=int(self.minutes),  # of submitit's own, which counts with it
+                time=self.minutes,  # of submitit's own, which counts with it
                 additional_parameters=self.options,
             )
             with safe_path():  # the jobs' environment is this one; they are begun by python -m

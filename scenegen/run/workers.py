@@ -17,6 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -207,7 +208,10 @@ def guarded(
     other way.
     """
     alone: Limited[Task, Any] = Limited(
-        _Guarded(function), lambda _: seconds, memory_bytes, lambda _, reason: GuardError(reason)
+        partial(_outcome, function),
+        lambda _: seconds,
+        memory_bytes,
+        lambda _, reason: GuardError(reason),
     )
     (outcome,) = run(alone, [task], 1)
     if isinstance(outcome, ScenegenError):
@@ -215,17 +219,12 @@ def guarded(
     return outcome[0]
 
 
-@dataclass(frozen=True)
-class _Guarded(Generic[Task, Result]):
-    """A function whose ScenegenErrors are results, too."""
-
-    function: Callable[[Task], Result]
-
-    def __call__(self, task: Task) -> tuple[Result] | ScenegenError:
-        try:
-            return (self.function(task),)
-        except ScenegenError as error:
-            return error
+def _outcome(function: Callable[[Task], Result], task: Task) -> tuple[Result] | ScenegenError:
+    """The result of a function, or its ScenegenError."""
+    try:
+        return (function(task),)
+    except ScenegenError as error:
+        return error
 
 
 class Worker:

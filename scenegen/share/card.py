@@ -1,167 +1,279 @@
-"""The dataset card, `README.md`: front matter that the Hub reads, and what a person wants to know.
-`card.md` is its text; here are the parts that differ between datasets."""
+"""What is said of a published dataset: to people in the card, `README.md`, and to machines in
+`croissant.json`, MLCommons' Croissant 1.1 with its responsible-AI extension. `card.md` and
+`croissant.json` beside this file are their texts; here are the parts that differ between
+datasets."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from string import Template
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from lidarsim.engines import MUJOCO
+from scenegen import SPLITS
+from scenegen.dataset.layout import DIGEST
+from scenegen.dataset.manifest import NAME, VERSION
+from scenegen.dataset.trust import Manifest
 from scenegen.display.inspect import LABELS
-from scenegen.share.publication import LOCK, PAPER, Publication
-from scenegen.share.regenerate import ORIGINAL, source_file
+from scenegen.share import LICENCES
+from scenegen.share.regenerate import ORIGINAL, RECIPE, command, source_file
 
-SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
-"""Samples below which the Hub's size category is this."""
+if TYPE_CHECKING:
+    from scenegen.share.stage import Request
+
 MOST_NAMED = 50
 """Classes that a card names."""
+PAPER = (
+    "Yu, Zhao, Xu: Planning-Oriented 3D Scene Completion via Coupled TUDF–Occupancy Representation "
+    "Learning from Partial Observations"
+)
+KINDS = {
+    "pillar": "random forests of round, square and oblong pillars",
+    "geometric": "random spheres, boxes, cylinders and walls, standing and floating",
+    "rooms": "storeys of buildings with rooms, doors, windows, ceilings and furniture",
+    "street": "streets with houses, cars, poles, wires and trees",
+    "forest": "forests on uneven ground",
+    "cave": "caves with tunnels and chambers",
+    "warehouse": "warehouses with racks, aisles, conveyors and trusses",
+    "industrial": "machine halls with pipes, tanks, catwalks and scaffolds",
+    "maze": "mazes in three dimensions with windows to fly through",
+    "clutter": "clouds of shapes of all sizes",
+    "scene": "worlds from MJCF files",
+}
+FORMATS = {
+    "h5": "application/x-hdf5",
+    "zip": "application/zip",
+    "json": "application/json",
+    "npy": "application/octet-stream",
+}
 
 
-def card(it: Publication) -> str:
-    """The whole card."""
-    template = Template((files("scenegen.share") / "card.md").read_text(encoding="utf-8"))
-    made, told, samples = it.manifest, it.statistics, it.statistics["samples"]
-    text = template.substitute(
-        _notes(it),
-        json_name=json.dumps(it.name),
-        hub_licence=it.licence.hub,
-        size=next((name for most, name in SIZES if samples < most), "1M<n<10M"),
-        data_files="\n".join(
-            f'  - split: {split}\n    path: "{split}-*.h5"' for split in it.splits
-        ),
-        name=it.name,
-        sentence=it.sentence,
-        seed=made.seed,
-        pictures=_pictures(it),
-        fields=_fields(it),
-        voxel_m=f"{made.grid.voxel_m:g}",
-        exact_voxel_m=repr(made.grid.voxel_m),
-        truncation_m=f"{made.grid.truncation_m:g}",
-        lidar=made.lidar,
-        repository=it.repository,
-        tag=it.tag,
-        first=made.shards[0].file,
-        split=it.splits[0],
-        statistics=_statistics(it),
-        measured=", ".join(f"{told['splits'][name]['sampled']} of {name}" for name in it.splits),
-        megabytes=f"{told['bytes'] / 1e6:.0f}",
-        kilobytes=f"{told['bytes_per_sample'] / 1e3:.0f}",
-        command=it.command,
-        versions=", ".join(f"{name} {number}" for name, number in made.software.items()),
-        lock=LOCK,
-        digest=made.digest,
-        checks="\n".join(f"- {name}: {detail}" for name, detail in it.checks),
-        licence=it.licence.name,
-        licence_url=it.licence.url,
-        paper=PAPER,
-        key=it.name.replace("-", "_"),
-        samples=samples,
-        owner=it.repository.partition("/")[0],
-        year=it.date[:4],
-        url=it.url,
-    )
-    return text.replace("\n\n\n\n", "\n\n")  # where there are no pictures
+def facts(
+    made: Manifest,
+    told: Mapping[str, Any],
+    request: "Request",
+    *,
+    tag: str,
+    date: str,
+    checks: Sequence[tuple[str, str]],
+    pictures: str,
+) -> dict[str, Any]:
+    """What stands in both texts, by the names that these have for it.
 
-
-def _notes(it: Publication) -> dict[str, str]:
-    """Sentences that stand in the cards of some datasets only."""
-    made = it.manifest
-    absent = [f"`{name}`" for name in ("free", "tudf") if name not in it.fields]
-    notes = {
-        "surfaces": "",
-        "derived": "",
-        "stands": "",
-        "follows": f"every sample follows from the seed and `{source_file(made)[0]}`",
-        "faults": "no noise, no motion during a turn, no return lost within range",
-        "rejected": f" Rejected while drawing: {_rejected(made.rejected)}.",
+    Args:
+        made: The dataset.
+        told: What `scenegen.display.inspect.inspect` says of it.
+        request: As what it is published.
+        tag: The revision that names this content.
+        date: The day of publication, YYYY-MM-DD.
+        checks: Name and detail of every check that the dataset passed.
+        pictures: What shows them, in Markdown.
+    """
+    owner, _, name = request.repository.partition("/")
+    hub = {"ODC-By-1.0": "odc-by", "PDDL-1.0": "pddl", "ODbL-1.0": "odbl"}
+    licence, licence_url = LICENCES[request.licence]
+    splits = [split for split in SPLITS if split in told["splits"]]
+    shape, voxel_m = made.grid.shape, made.grid.voxel_m
+    maps = "" if made.mapping.plain else f", each {made.mapping}"
+    worlds = KINDS.get(made.kind, f"worlds of kind {made.kind}")
+    return {
+        **_notes(made),
+        "name": name,
+        "owner": owner,
+        "repository": request.repository,
+        "url": f"https://huggingface.co/datasets/{request.repository}",
+        "tag": tag,
+        "date": date,
+        "year": date[:4],
+        "hub_licence": hub.get(request.licence, request.licence.lower()),
+        "licence": licence,
+        "licence_url": licence_url,
+        "paper": PAPER,
+        "sentence": f"{told['samples']} pairs of a simulated LiDAR scan and the exact truth around "
+        f"it, in {worlds}, as {' × '.join(map(str, shape))} voxel maps of {voxel_m:g} m{maps}",
+        "version": f"{VERSION}.{made.tables.get('version', 0)}.0",
+        "seed": made.seed,
+        "lidar": made.lidar,
+        "digest": made.digest,
+        "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
+        "voxel_m": voxel_m,
+        "truncation_m": f"{made.grid.truncation_m:g}",
+        "command": command(made, name),
+        "samples": told["samples"],
+        "split": splits[0],
+        "data_files": "\n".join(f'  - split: {one}\n    path: "{one}-*.h5"' for one in splits),
+        "pictures": pictures,
+        "fields": _fields(made),
+        "statistics": _statistics({split: told["splits"][split] for split in splits}),
+        "megabytes": f"{told['bytes'] / 1e6:.0f}",
+        "kilobytes": f"{told['bytes_per_sample'] / 1e3:.0f}",
+        "checks": "\n".join(f"- {check}: {detail}" for check, detail in checks),
     }
-    if made.grid.hollow:
-        notes["surfaces"] = (
-            " Truth is of surfaces: a voxel that lies wholly inside one solid is not occupied."
-        )
-    if absent:
-        notes["derived"] = (
-            f" {' and '.join(absent)} follow from these; scenegen derives them on reading."
-        )
-    if made.noise is not None:
-        notes["faults"] = f"its noise is simulated, `{made.noise['stages']}`"
+
+
+def _notes(made: Manifest) -> dict[str, str]:
+    """Sentences that differ between datasets of several sorts."""
+    by_hand, file = made.kind == "scene", source_file(made)[0]
+    absent = " and ".join(f"`{name}`" for name in ("free", "tudf") if name not in made.fields)
+    noise = f"with simulated noise, `{made.noise['stages']}`" if made.noise is not None else ""
+    rejected = (
+        f"{what}: {', '.join(f'{reason} {count}' for reason, count in reasons.items())}"
+        for what, reasons in made.rejected.items()
+        if reasons
+    )
+    notes = {
+        "surfaces": " Truth is of surfaces: a voxel that lies wholly inside one solid is not "
+        "occupied."
+        if made.grid.hollow
+        else "",
+        "surface": "the surface of " if made.grid.hollow else "",
+        "derived": f" {absent} follow from these; scenegen derives them on reading."
+        if absent
+        else "",
+        "faults": noise or "without noise or motion, and with every return within range",
+        "caster": "MuJoCo" if made.engine == MUJOCO else f"the engine {made.engine}",
+        "drawn": "Worlds were given as MJCF files; from"
+        if by_hand
+        else "Random worlds are drawn from",
+        "biases": "Worlds are few, and those that their author thought of."
+        if by_hand
+        else f"Worlds follow the distributions of {NAME if made.rescan else RECIPE} and no real "
+        "place; the frequencies of shapes, gaps and densities are those of the recipe.",
+        "follows": f"every sample follows from the seed and `{file}`",
+        "rejected": f"Rejected while drawing: {'; '.join(rejected) or 'none'}.",
+        "stands": "",
+    }
     if made.rescan is not None:
-        notes["rejected"] = ""
-        notes["follows"] = (
-            "the worlds and poses of another dataset were scanned again by the sensor in "
-            f"`{source_file(made)[0]}`"
-        )
+        original = made.rescan["digest"]
+        return notes | {
+            "follows": "the worlds and poses of another dataset were scanned again by the sensor "
+            f"in `{file}`",
+            "rejected": f"The worlds and poses are those of the dataset {original}, scanned again.",
+            "stands": f"\n`{ORIGINAL}` stands for that dataset, whose digest is `{original}`.\n",
+        }
+    if by_hand:
         notes["stands"] = (
-            f"\n`{ORIGINAL}` stands for that dataset, whose digest is `{made.rescan['digest']}`.\n"
-        )
-    elif made.kind == "scene":
-        notes["stands"] = (
-            "\n`SCENES` stands for the MJCF files whose names and digests `dataset.json` lists "
-            "under `recipe`.\n"
+            f"\n`SCENES` stands for the MJCF files whose names and digests `{NAME}` lists under "
+            "`recipe`.\n"
         )
     return notes
 
 
-def _rejected(counts: Mapping[str, Mapping[str, int]]) -> str:
-    told = (
-        f"{what}: {', '.join(f'{reason} {count}' for reason, count in reasons.items())}"
-        for what, reasons in counts.items()
-        if reasons
-    )
-    return "; ".join(told) or "none"
+def _text(name: str, given: Mapping[str, Any]) -> str:
+    text = (files("scenegen.share") / name).read_text(encoding="utf-8")
+    return Template(text).substitute(given)
 
 
-def _pictures(it: Publication) -> str:
-    if not it.pictures:
-        return ""
-    shown = "\n\n".join(f"![{caption}]({name})" for name, caption in it.pictures)
-    text = (
-        f"{shown}\n\nFrom left to right: what the scan observed, what is there (both coloured by "
-        "height), and how far the nearest occupied voxel is, in the level just below the sensor, "
-        f"from dark (0 m) to light ({it.manifest.grid.truncation_m:g} m). The dot is the sensor. "
-        f"Shown are {', '.join(caption for _, caption in it.pictures)}."
-    )
-    if it.page:
-        text += (
-            f"\n\nMore samples in three dimensions: download [{it.page}]({it.page}), and open it "
-            "in a browser."
-        )
-    return text
+def card(given: Mapping[str, Any]) -> str:
+    """The card of a dataset of which `facts` are given."""
+    return _text("card.md", given).replace("\n\n\n\n", "\n\n")  # where there are no pictures
 
 
-def _table(*rows: list[str]) -> str:
+def _table(*rows: Sequence[str]) -> str:
     """A table in Markdown; the first row is its head."""
     lines = [f"| {' | '.join(row)} |" for row in rows]
     return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
 
 
-def _fields(it: Publication) -> str:
+def stored(made: Manifest) -> dict[str, dict[str, Any]]:
+    """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
+    known = made.schema.describe()
+    digest = {"meaning": "the sample's own SHA-256 digest", "unit": ""}
+    return {name: known[name] for name in made.fields} | {
+        DIGEST: {"dtype": "uint8", "shape": (32,), **digest}
+    }
+
+
+def _fields(made: Manifest) -> str:
     rows = [["field", "type, shape of a sample", "unit", "meaning"]]
-    for name, field in it.fields.items():
+    for name, field in stored(made).items():
         shape = " × ".join(map(str, field["shape"]))
         kind = f"{field['dtype']} ({shape})" if shape else field["dtype"]
         rows.append([f"`{name}`", kind, field["unit"] or "–", field["meaning"]])
     table = _table(*rows)
-    if it.manifest.labels is not None:
-        classes = it.manifest.labels["classes"]
+    if made.labels is not None:
+        classes = made.labels["classes"]
         more = f" and {len(classes) - MOST_NAMED} more" if len(classes) > MOST_NAMED else ""
         table += f"\n\nClasses, from 0: {', '.join(map(json.dumps, classes[:MOST_NAMED]))}{more}."
     return table
 
 
-def _statistics(it: Publication) -> str:
-    splits: Mapping[str, Any] = {name: it.statistics["splits"][name] for name in it.splits}
+def _statistics(splits: Mapping[str, Any]) -> str:
     rows = [["", *splits]]
-    rows += [
-        [key, *(str(split[key]) for split in splits.values())] for key in ("samples", "worlds")
-    ]
+    for name, key in (("samples", "samples"), ("worlds", "worlds"), ("measured", "sampled")):
+        rows.append([name, *(str(it[key]) for it in splits.values())])
     for key, (label, unit, factor) in LABELS.items():
-        values = [split["statistics"][key] for split in splits.values()]
+        found = [it["statistics"][key] for it in splits.values()]
         cells = [
-            f"{value['mean'] * factor:.2f} ± {value['std'] * factor:.2f}"
-            if value["mean"] is not None
-            else "–"
-            for value in values
+            "–"
+            if one["mean"] is None
+            else f"{one['mean'] * factor:.2f} ± {one['std'] * factor:.2f}"
+            for one in found
         ]
         rows.append([f"{label}, {unit}", *cells])
     return _table(*rows)
+
+
+def croissant(
+    given: Mapping[str, Any], made: Manifest, told: Mapping[str, Any], sums: Mapping[str, str]
+) -> str:
+    """The file of a dataset of which `facts` are given; `sums` has the SHA-256 of every shard,
+    archive and manifest by name."""
+    inside = {key: json.dumps(str(value), ensure_ascii=False)[1:-1] for key, value in given.items()}
+    found = json.loads(_text("croissant.json", inside))
+    url, tag = given["url"], given["tag"]
+    files = [
+        _node(
+            "FileObject",
+            "repository",
+            description="The repository on the Hub; in place of a checksum, the dataset's digest.",
+            contentUrl=f"{url}/tree/{tag}",
+            encodingFormat="git+https",
+            sha256=made.digest,
+        )
+    ]
+    for name, digest in sums.items():
+        at = {"contentUrl": f"{url}/resolve/{tag}/{name}", "sha256": digest}
+        form = FORMATS[name.rpartition(".")[2]]
+        files.append(_node("FileObject", name, encodingFormat=form, **at))
+    sets = []
+    for split, counted in told["splits"].items():
+        said = f"samples of the {split} split"
+        within = {"containedIn": {"@id": "repository"}, "includes": f"{split}-*.h5"}
+        about = f"HDF5 files; {said} along the first dimension of every dataset."
+        shards = _node("FileSet", f"{split}-shards", description=about, **within)
+        files.append(shards | {"encodingFormat": FORMATS["h5"]})
+        sets.append(
+            _node(
+                "RecordSet",
+                split,
+                description=f"{counted['samples']} {said}.",
+                key=[{"@id": f"{split}/world"}, {"@id": f"{split}/viewpoint"}],
+                field=[_field(split, name, meta) for name, meta in stored(made).items()],
+            )
+        )
+    found |= {"distribution": files, "recordSet": sets}
+    return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
+
+
+def _node(kind: str, name: str, **about: Any) -> dict[str, Any]:
+    """A thing of the file, which others call by its name."""
+    return {"@type": f"cr:{kind}", "@id": name, "name": name, **about}
+
+
+def _field(split: str, name: str, meta: Mapping[str, Any]) -> dict[str, Any]:
+    """A field of a split's samples; its column is the name of its HDF5 dataset."""
+    kind = meta["dtype"]
+    found = {
+        "@type": "cr:Field",
+        "@id": f"{split}/{name}",
+        "name": name,
+        "description": meta["meaning"] + (f", in {meta['unit']}" if meta["unit"] else ""),
+        "dataType": "sc:Boolean"
+        if kind == "bool"
+        else f"cr:{kind.capitalize().replace('Ui', 'UI')}",
+        "source": {"fileSet": {"@id": f"{split}-shards"}, "extract": {"column": name}},
+    }
+    if meta["shape"]:
+        found |= {"isArray": True, "arrayShape": ",".join(map(str, meta["shape"]))}
+    return found

@@ -2,22 +2,26 @@
 they do."""
 
 import dataclasses
+import json
+import platform
 import re
 import shlex
 import shutil
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
 
 from lidarsim.engines import DEFAULT
-from scenegen import GENERATOR, SPLITS
+from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset import manifest
 from scenegen.dataset.parts import GRID, sensor_entry, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
-from scenegen.recipe import read_recipe
+from scenegen.recipe import Recipe, read_recipe
 from scenegen.recipes import KINDS
 from scenegen.run import undone_if_stopped
 from scenegen.source import DrawnWorlds
@@ -34,81 +38,82 @@ _NOT_OURS = ("software", "format", "version")
 
 def source_file(found: Manifest) -> tuple[str, str]:
     """Name and content of the file that `command` reads."""
-    title = f"every parameter of the dataset {found.digest}"
     if found.rescan is None:
-        return RECIPE, recipe_text(found.parameters, title)
-    given = {name: value for name, value in found.parameters["lidar"].items() if name != "shape"}
-    return SENSOR, "\n".join(
-        [f"# the sensor of the dataset {found.digest}", *_entries(given)]
-    ) + "\n"
+        return RECIPE, recipe_text(
+            found.parameters, f"every parameter of the dataset {found.digest}"
+        )
+    lines = _table(f"# the sensor of the dataset {found.digest}", _lidar(found.parameters))
+    return SENSOR, "\n".join([*lines[1:], ""])
 
 
 def command(found: Manifest, out: str) -> str:
     """What to type, next to what `source_file` says, to make the dataset of a manifest again in the
     folder `out`."""
     if found.rescan is not None:
-        words = ["scenegen", "rescan", ORIGINAL, "--lidar", SENSOR]
-        if found.noise is not None:
-            words += ["--noise", found.noise["stages"]]
         made = found.mapping  # in full, since nothing here says how the original's maps are made
-        words += ["--scans", str(made.scans), "--fusion", made.fusion]
-        words += ["--scan-spacing", str(made.scan_spacing_m)] if made.scans > 1 else []
-        words += ["--map-ahead", ",".join(map(str, made.map_ahead_m))]
-        return shlex.join([*words, "--engine", found.engine, "--out", out])
-    words = ["scenegen", "generate", "--recipe", RECIPE]
-    if found.kind == "scene":
-        words += ["--scene", "SCENES"]
-    words += ["--n", str(found.counts["train"])]
-    for split in SPLITS[1:]:
-        words += [f"--{split}", str(found.counts[split])]
-    words += ["--seed", str(found.seed), "--shard-samples", str(found.shard_samples)]
-    if "tudf" not in found.fields:
-        words.append("--compact")
-    if found.labels is not None:
-        words += ["--labels", found.labels["by"]]
-    if found.engine != DEFAULT:
-        words += ["--engine", found.engine]
-    return shlex.join([*words, "--out", out])
+        words = ["scenegen", "rescan", ORIGINAL, "--lidar", SENSOR]
+        given = {
+            "noise": found.noise and found.noise["stages"],
+            "scans": made.scans,
+            "fusion": made.fusion,
+            "scan-spacing": made.scan_spacing_m if made.scans > 1 else None,
+            "map-ahead": ",".join(map(str, made.map_ahead_m)),
+            "engine": found.engine,
+        }
+    else:
+        words = ["scenegen", "generate", "--recipe", RECIPE]
+        words += ["--compact"] if "tudf" not in found.fields else []
+        given = {
+            "scene": "SCENES" if found.kind == "scene" else None,
+            "n": found.counts["train"],
+            **{split: found.counts[split] for split in SPLITS[1:]},
+            "seed": found.seed,
+            "shard-samples": found.shard_samples,
+            "labels": found.labels and found.labels["by"],
+            "engine": None if found.engine == DEFAULT else found.engine,
+        }
+    for option, value in (given | {"out": out}).items():
+        words += [] if value is None else [f"--{option}", str(value)]
+    return shlex.join(words)
 
 
 def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes
     anything; `title` is its first line."""
-    tables = {name: parameters["recipe"].get(name) for name in ("world", "flight", "accept")}
-    # a table of rays has its shape in the file
-    tables["lidar"] = {
-        name: value for name, value in parameters["lidar"].items() if name != "shape"
+    noise, sources = parameters.get("noise"), parameters.get("sources")
+    shared = {
+        "lidar": _lidar(parameters),
+        "noise": noise and {"stages": noise["stages"]},
+        "mapping": parameters.get("mapping"),
+        "grid": {GRID[name]: value for name, value in parameters["grid"].items()},
     }
-    tables["noise"] = {"stages": parameters["noise"]["stages"]} if parameters.get("noise") else None
-    tables["mapping"] = parameters.get("mapping")
-    tables["grid"] = {GRID[name]: value for name, value in parameters["grid"].items()}
-    lines = [f"# {title}", f"kind = {_toml(parameters['kind'])}"]
-    if sources := parameters.get("sources"):
-        lines[1] = 'kind = "mixed"'
-        for source in sources:
-            own = source["parameters"]
-            lines += ["", "[[component]]", f"kind = {_toml(own['kind'])}"]
-            lines.append(f"weight = {_toml(sum(own['counts'].values()))}")
-            for name in ("world", "flight", "accept"):
-                if own["recipe"].get(name):
-                    lines += ["", f"[component.{name}]", *_entries(own["recipe"][name])]
-        common = {name: tables[name] for name in ("lidar", "noise", "mapping", "grid")}
-        # before the components, whose tables would else take them in
-        lines[2:2] = _tables(common)
-        return "\n".join(lines) + "\n"
-    return "\n".join([*lines, *_tables(tables)]) + "\n"
+    lines = [f"# {title}", f"kind = {_toml('mixed' if sources else parameters['kind'])}"]
+    if not sources:
+        lines += _own(parameters, "")
+    for name, table in shared.items():
+        lines += _table(f"[{name}]", table)
+    for source in sources or ():
+        own = source["parameters"]
+        part = {"kind": own["kind"], "weight": sum(own["counts"].values())}
+        lines += [*_table("[[component]]", part), *_own(own, "component.")]
+    return "\n".join([*lines, ""])
 
 
-def _tables(tables: Mapping[str, Any]) -> list[str]:
-    lines: list[str] = []
-    for name, table in tables.items():
-        if table is not None:
-            lines += ["", f"[{name}]", *_entries(table)]
-    return lines
+def _own(parameters: Mapping[str, Any], prefix: str) -> list[str]:
+    """The tables of a kind of worlds."""
+    names, recipe = ("world", "flight", "accept"), parameters["recipe"]
+    return [line for name in names for line in _table(f"[{prefix}{name}]", recipe.get(name))]
 
 
-def _entries(table: Mapping[str, Any]) -> list[str]:
-    return [f"{_key(key)} = {_toml(value)}" for key, value in table.items()]
+def _lidar(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The table [lidar]; a table of rays has its shape in the file."""
+    return {name: value for name, value in parameters["lidar"].items() if name != "shape"}
+
+
+def _table(head: str, table: Mapping[str, Any] | None) -> list[str]:
+    if table is None:
+        return []
+    return ["", head, *(f"{_key(key)} = {_toml(value)}" for key, value in table.items())]
 
 
 def check_kind(there: str, named: str | None) -> None:
@@ -117,8 +122,8 @@ def check_kind(there: str, named: str | None) -> None:
     if there != "scene" and there not in KINDS.known and there != named:
         raise PublishError(
             f"the dataset's kind, {short(there)}, is none of scenegen's own, and only its module "
-            f"can say whether the "
-            "recipe makes the same worlds again; give --kind with its name to have it imported"
+            "can say whether the recipe makes the same worlds again; give --kind with its name to "
+            "have it imported"
         )
 
 
@@ -132,8 +137,8 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
     if not found.noise_is_ours:
         raise PublishError(
             f"its noise, {short(dict(found.noise or {}))}, has stages that are none of scenegen's "
-            f"own, which are not "
-            "imported; it cannot be said whether its command makes the same ranges again"
+            "own, which are not imported; it cannot be said whether its command makes the same "
+            "ranges again"
         )
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
         path = Path(folder, name)
@@ -141,14 +146,19 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
         write_rays(dataset.lidar, path.parent)
         try:
             if found.rescan is not None:
-                ours = {"generator": GENERATOR, "lidar": sensor_entry(named_lidar(str(path)))}
-                _check_same(found, {name: found.parameters.get(name) for name in ours}, ours)
-                return
-            recipe = read_recipe(path)
+                here = {"generator": GENERATOR, "lidar": sensor_entry(named_lidar(str(path)))}
+                there = {name: found.parameters.get(name) for name in here}
+            else:
+                here, there = _read_again(found, read_recipe(path))
         except RecipeError as error:
-            raise PublishError(
-                f"{_advice(found)}: {str(error).removeprefix(f'{path}: ')}"
-            ) from None
+            said = str(error).removeprefix(f"{path}: ")
+            raise PublishError(f"{_advice(found)}: {said}") from None
+    if wrong := manifest.differences(there, here):
+        raise PublishError(f"{_advice(found)}: {wrong[0]}")
+
+
+def _read_again(found: Manifest, recipe: Recipe) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The parameters that a recipe makes, and those of a manifest, as far as a recipe decides."""
     given = manifest.parameters(
         dataclasses.replace(recipe, labels=found.recipe.labels),
         DrawnWorlds(recipe),
@@ -158,30 +168,19 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
         shard_samples=found.shard_samples,
         engine=found.engine,
     )
-    there = {
-        name: value
-        for name, value in manifest.completed(found.parameters).items()
-        if name not in _NOT_OURS
-    }
-    there["recipe"] = {name: value for name, value in found.tables.items() if name != "scenes"}
-    _check_same(
-        found,
-        there,
-        {name: value for name, value in manifest.completed(given).items() if name not in _NOT_OURS},
-    )
-
-
-def _check_same(found: Manifest, there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
-    if wrong := manifest.differences(there, here):
-        raise PublishError(f"{_advice(found)}: {wrong[0]}")
+    here, there = manifest.completed(given), manifest.completed(found.parameters)
+    there |= {"recipe": {name: it for name, it in found.tables.items() if name != "scenes"}}
+    for parameters in (here, there):
+        for name in _NOT_OURS:
+            parameters.pop(name, None)
+    return here, there
 
 
 def _advice(found: Manifest) -> str:
     made, generator = found.software.get("scenegen", "of another version"), found.generator
     return (
-        f"this scenegen would not make the same dataset again; publish with the one that made it, "
-        f"{made} with "
-        f"generator {generator}, or generate it anew"
+        "this scenegen would not make the same dataset again; publish with the one that made it, "
+        f"{made} with generator {generator}, or generate it anew"
     )
 
 
@@ -192,10 +191,42 @@ def _key(name: str) -> str:
 
 def _toml(value: Any) -> str:
     """A plain value in TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(item) for item in value)}]"
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    return repr(value)
+        return f"[{', '.join(map(_toml, value))}]"
+    return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+
+
+def environment_lock(made_with: Mapping[str, str], commit: str = "unknown") -> str:
+    """A requirements file of what scenegen needs, as installed here.
+
+    Packages in `made_with`, the manifest's `software`, come in the version that made the dataset.
+    scenegen itself stands in a comment, with the `commit` of its checkout: it is installed from its
+    own source, and a line here would ask a package index for whatever bears its name there.
+    """
+    made = made_with.get("scenegen", __version__)
+    python = f"{platform.python_implementation()} {platform.python_version()}"
+    lines = [
+        f"# scenegen {made}, published with {__version__}, commit {commit}",
+        f"# {python}, {platform.system()} {platform.machine()}",
+    ]
+    for name, number in sorted(closure("scenegen-lidar").items()):
+        lines.append(f"{name}=={made_with.get(name, number)}")
+    return "\n".join([*lines, ""])
+
+
+def closure(package: str) -> dict[str, str]:
+    """Name to version of every installed distribution that `package` needs, without extras, and
+    without itself."""
+    found, waiting = dict[str, str](), [package]
+    while waiting:
+        name = waiting.pop()
+        with suppress(PackageNotFoundError):  # for another platform or Python
+            found[name] = version(name)
+            for line in requires(name) or ():
+                wanted, _, marker = line.partition(";")
+                short_name = re.split(r"[^\w.-]", wanted, maxsplit=1)[0]
+                needed = re.sub(r"[-_.]+", "-", short_name).lower()
+                if "extra" not in marker and needed not in found:
+                    waiting.append(needed)
+    del found[package]
+    return found

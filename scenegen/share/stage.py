@@ -10,24 +10,22 @@ import shutil
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.read import Dataset
-from scenegen.display.blocks import draw_sample
 from scenegen.display.inspect import inspect
 from scenegen.display.look import looks, spread
-from scenegen.display.page import check_grid, page
+from scenegen.display.page import page
 from scenegen.errors import DatasetError, PublishError
 from scenegen.files import disk_error, draft_of, real_path, remove_drafts, sync_folder, write_whole
 from scenegen.run import undone_if_stopped
-from scenegen.share.card import card
-from scenegen.share.croissant import croissant
-from scenegen.share.licence import USUAL, find_licence
-from scenegen.share.publication import LOCK, Publication, environment_lock
-from scenegen.share.regenerate import check_kind, check_source, command, source_file
+from scenegen.share import USUAL, find_licence
+from scenegen.share.card import card, croissant, facts
+from scenegen.share.regenerate import check_kind, check_source, environment_lock, source_file
 
 SUMS = "SHA256SUMS"
 """Digest and name of every other file, as sha256sum writes and checks them."""
@@ -38,6 +36,17 @@ SHOWN = 4
 """How many samples are drawn as pictures."""
 PAGE, ON_PAGE = "look.html", 12
 """The page to look at samples with, and how many it shows."""
+ABOVE = """Above, from left to right: returns, observed voxels, occupied voxels, in the map's box; \
+below: three levels of the distances to the nearest occupied voxel. The red ball is the sensor."""
+LICENCE = """This dataset, published by {owner}, is licensed under
+
+    {licence}
+    SPDX-License-Identifier: {spdx}
+    {licence_url}
+
+The full text at this address is what counts. The files are provided as they are, without any \
+warranty.
+"""
 _BESIDES = 12
 """The most files that a published folder holds besides shards and archives."""
 
@@ -63,6 +72,7 @@ class Request:
     """The commit of the scenegen checkout that publishes."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "licence", find_licence(self.licence))
         if not REPOSITORY.fullmatch(self.repository) or re.search(
             r"--|\.\.|[.-](/|$)|\.git$", self.repository
         ):
@@ -91,19 +101,12 @@ def examine(request: Request) -> Dataset:
 
     Raises DatasetError, PublishError.
     """
-    find_licence(request.licence)
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
-    if dataset.manifest.sources and all(one.digest is None for one in dataset.manifest.sources):
-        raise PublishError(
-            f"{request.dataset}: is a mixture of several kinds, which has no card yet; generate "
-            f"and publish a dataset of each kind"
-        )
     if dataset.manifest.sources:
         raise PublishError(
-            f"{request.dataset}: its samples were made for other datasets, and no one command "
-            f"makes them again; "
-            "publish those, and say how they were merged or taken"
+            f"{request.dataset}: is a mixture of several kinds or datasets, and no one command "
+            "makes it again; publish a dataset of each"
         )
     files = len(dataset.manifest.files) + _BESIDES
     if files > MOST_FILES:
@@ -111,8 +114,8 @@ def examine(request: Request) -> Dataset:
         room = (MOST_FILES - _BESIDES) // 2 - len(SPLITS)
         raise PublishError(
             f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; "
-            f"generate it again with "
-            f"--shard-samples {-(-samples // room // 100) * 100 + 100}, which changes no sample"
+            f"generate it again with --shard-samples {-(-samples // room // 100) * 100 + 100}, "
+            "which changes no sample"
         )
     if dataset.manifest.rescan is None:
         check_kind(dataset.manifest.kind, request.kind)
@@ -129,33 +132,28 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     """
     dataset = examine(request)
     found, digest = dataset.manifest, str(dataset.manifest.digest)
-    files = found.files
     content = (request.dataset / manifest.NAME).read_bytes()
     tag = request.tag or f"v{manifest.VERSION}-{digest[:8]}"
-    name = request.repository.partition("/")[2]
     with drafted(request.out) as draft:
-        take(request.dataset, draft, files)
+        take(request.dataset, draft, found.files)
         write_whole(draft / manifest.NAME, content)
-        it = Publication(
-            repository=request.repository,
+        sums = {**found.files, manifest.NAME: file_sha256(draft / manifest.NAME)}
+        told = inspect(draft)
+        given = facts(
+            found,
+            told,
+            request,
             tag=tag,
-            licence=find_licence(request.licence),
             date=former_date(request.out, content)
             or datetime.datetime.now(datetime.UTC).date().isoformat(),
-            manifest=found,
-            statistics=inspect(draft),
-            command=command(found, name),
-            lock=environment_lock(found.software, request.commit),
             checks=checks,
             pictures=_draw(dataset, draft),
-            page=_write_page(dataset, draft),
         )
-        sums = {**files, manifest.NAME: file_sha256(draft / manifest.NAME)}
         texts = {
-            "README.md": card(it),
-            "croissant.json": croissant(it, sums),
-            "LICENSE": it.licence.text(request.repository.partition("/")[0]),
-            LOCK: it.lock,
+            "README.md": card(given),
+            "croissant.json": croissant(given, found, told, sums),
+            "LICENSE": LICENCE.format(spdx=request.licence, **given),
+            "requirements.lock.txt": environment_lock(found.software, request.commit),
             **dict([source_file(found)]),
         }
         for file, text in texts.items():
@@ -166,37 +164,29 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     )
 
 
-def _draw(dataset: Dataset, draft: Path) -> tuple[tuple[str, str], ...]:
-    """Draw a few evenly spread samples. Returns the name and the caption of each picture."""
-    (draft / "pictures").mkdir()
-    split = _first_split(dataset)
-    pictures = []
-    for number, index in enumerate(spread(dataset, split, SHOWN)):
-        sample = dataset.split(split)[index]
-        name = f"pictures/{split}-{number}.png"
-        write_whole(draft / name, draw_sample(sample, dataset.grid.truncation_m))
-        about = f"world {sample.world}, viewpoint {sample.viewpoint}"
-        pictures.append((name, f"{split} sample {index} ({about})"))
-    return tuple(pictures)
-
-
-def _first_split(dataset: Dataset) -> str:
-    return next(name for name in SPLITS if len(dataset.split(name)))
-
-
-def _write_page(dataset: Dataset, draft: Path) -> str:
-    """Write the page to look at some samples with. Returns its name; "" for grids that no browser
-    takes."""
-    split = _first_split(dataset)
-    try:
-        check_grid(dataset.grid)
-    except DatasetError:
-        return ""
+def _draw(dataset: Dataset, draft: Path) -> str:
+    """Draw a few evenly spread samples, where matplotlib is installed, and write a page of some
+    more, unless no browser takes such grids. Returns what shows them in the card."""
+    split = next(name for name in SPLITS if len(dataset.split(name)))
     shown, notes = looks(dataset, split, spread(dataset, split, ON_PAGE))
-    write_whole(
-        draft / PAGE, page(shown, title=f"{dataset.manifest.kind}, {split}", notes=notes).encode()
-    )
-    return PAGE
+    parts = []
+    if find_spec("matplotlib") is not None:
+        from scenegen.display.panels import to_bytes
+        from scenegen.display.pictures import draw_sample
+
+        (draft / "pictures").mkdir()
+        for number, look in enumerate(looks(dataset, split, spread(dataset, split, SHOWN))[0]):
+            name = f"pictures/{split}-{number}.png"
+            write_whole(draft / name, to_bytes(draw_sample(look), ".png"))
+            parts.append(f"![{look.name}]({name})")
+        parts.append(ABOVE)
+    with contextlib.suppress(DatasetError):  # a grid that is too large
+        text = page(shown, title=f"{dataset.manifest.kind}, {split}", notes=notes)
+        write_whole(draft / PAGE, text.encode())
+        parts.append(
+            f"Samples in three dimensions: download [{PAGE}]({PAGE}), and open it in a browser."
+        )
+    return "\n\n".join(parts)
 
 
 def check_out(dataset: Path, out: Path) -> None:
@@ -205,25 +195,13 @@ def check_out(dataset: Path, out: Path) -> None:
     if out.exists() and not out.is_dir():
         raise PublishError(f"--out {out}: is there, and not a folder; give another name")
     there, here = real_path(out), real_path(dataset)
-    if there == here or there.is_relative_to(here) or here.is_relative_to(there):
+    if there.is_relative_to(here) or here.is_relative_to(there):
         raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
     _check_foreign(out)
 
 
 def _check_foreign(out: Path) -> None:
-    foreign = sorted(foreign_files(out))
-    if foreign:
-        raise PublishError(
-            f"--out {out}: holds {foreign[0]}, which publish did not put there; choose another "
-            f"folder"
-        )
-
-
-def foreign_files(out: Path) -> set[str]:
-    """What is in `out`, a folder of a former run or none, that its own list does not name; all of
-    it where no former run made the folder."""
-    if not out.is_dir():
-        return set()
+    """Raise PublishError where `out` holds what its own list, of a former run, does not name."""
     there = {
         str(path.relative_to(out))
         for path in out.rglob("*")
@@ -231,12 +209,13 @@ def foreign_files(out: Path) -> set[str]:
     }
     with contextlib.suppress(DatasetError, OSError, UnicodeDecodeError):
         manifest.read(out)
-        there -= {
-            line.partition("  ")[2]
-            for line in (out / SUMS).read_text(encoding="utf-8").splitlines()
-        }
-        there.discard(SUMS)
-    return there
+        listed = (out / SUMS).read_text(encoding="utf-8").splitlines()
+        there -= {SUMS, *(line.partition("  ")[2] for line in listed)}
+    if there:
+        raise PublishError(
+            f"--out {out}: holds {min(there)}, which publish did not put there; choose another "
+            "folder"
+        )
 
 
 @contextlib.contextmanager
@@ -281,20 +260,16 @@ def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
 
     def take_one(name: str) -> None:
         there, here = real_path(source / name), draft / name
-        try:
-            os.link(there, here)
-        except OSError:  # another disk, or a file system or owner that does not allow it
-            shutil.copyfile(there, here)
-        if file_sha256(here) != names[name]:
+        if there.is_file():
+            try:
+                os.link(there, here)
+            except OSError:  # another disk, or a file system or owner that does not allow it
+                shutil.copyfile(there, here)
+        if not there.is_file() or file_sha256(here) != names[name]:
             raise PublishError(
                 f"{source / name}: is not the file that {manifest.NAME} lists; generate it again"
             )
 
-    for name in names:
-        if not (source / name).is_file():
-            raise PublishError(
-                f"{source / name}: is missing, though {manifest.NAME} lists it; generate it again"
-            )
     with ThreadPoolExecutor() as pool:
         list(pool.map(take_one, names))
 
@@ -314,11 +289,7 @@ def former_date(out: Path, content: bytes) -> str | None:
 
     A run that goes on after a stop takes this date, so that it sends the same files as the stopped
     one."""
-    try:
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         if (out / manifest.NAME).read_bytes() == content:
-            return str(
-                json.loads((out / "croissant.json").read_text(encoding="utf-8"))["datePublished"]
-            )
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
+            return str(json.loads((out / "croissant.json").read_bytes())["datePublished"])
     return None

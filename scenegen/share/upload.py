@@ -4,7 +4,6 @@ and the tag."""
 import hashlib
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +70,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
         if wrong:
             raise PublishError(
                 f"{target}: tag {staged.tag} is there with other content ({wrong[0]}); give "
-                f"another --tag"
+                "another --tag"
             )
         return str(tags[staged.tag])
     there = [
@@ -138,31 +137,19 @@ def _explain(staged: Staged, error: Exception) -> str:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Published:
-    """What came of it."""
-
-    staged: Staged
-    commit: str | None
-    """The commit on the Hub; None after a dry run."""
-
-
 def publish(
     request: Request,
     *,
     dry_run: bool = False,
     private: bool = False,
-    quick: bool = False,
-    workers: int = 1,
     shown: bool = False,
-    on_start: Callable[[int], None] = lambda total: None,
-    on_done: Callable[[int], None] = lambda samples: None,
     on_staged: Callable[[Staged], None] = lambda staged: None,
-) -> Published:
-    """Verify the dataset with `workers` processes, put the folder together, and send it unless this
-    is a `dry_run`.
+    **checking: Any,
+) -> tuple[Staged, str | None]:
+    """Verify the dataset, put the folder together, and send it unless this is a `dry_run`. Returns
+    the folder, and the commit on the Hub; None after a dry run.
 
-    `quick` verifies with the cheap checks alone. No server is contacted before the folder is
+    `checking` says how `scenegen.verify` goes about it. No server is contacted before the folder is
     complete; a dry run contacts none. Raises DatasetError, PublishError.
     """
     from scenegen.verification import verify
@@ -170,26 +157,16 @@ def publish(
     if not dry_run:
         check_token()
     examine(request)
-    report = verify(
-        request.dataset,
-        quick=quick,
-        kind=request.kind,
-        workers=workers,
-        on_start=on_start,
-        on_done=on_done,
-    )
-    failed = [check for check in report.checks if not check.ok]
+    report = verify(request.dataset, kind=request.kind, **checking)
     if not report.ok:
-        first = f" {failed[0].name}: {failed[0].detail};" if failed else ""
+        first = [f" {check.name}: {check.detail};" for check in report.checks if not check.ok][:1]
         raise PublishError(
-            f"{request.dataset}: does not pass `scenegen verify`:{first} nothing is published; "
-            f"generate it again"
+            f"{request.dataset}: does not pass `scenegen verify`:{''.join(first)} nothing is "
+            "published; generate it again"
         )
-    checks = tuple(
-        (check.name, f"{'not checked, ' * check.skipped}{check.detail}") for check in report.checks
+    staged = stage(
+        request,
+        tuple((one.name, "not checked, " * one.skipped + one.detail) for one in report.checks),
     )
-    staged = stage(request, checks)
     on_staged(staged)
-    return Published(
-        staged=staged, commit=None if dry_run else upload(staged, private=private, shown=shown)
-    )
+    return staged, None if dry_run else upload(staged, private=private, shown=shown)

@@ -24,6 +24,8 @@ LOCATED: dict[Path, tuple[Any, ...]] = {}
 it on another machine, and what that takes."""
 Version = str | None
 """What tells two contents of an object apart; None where there is no object."""
+ANY: Version = "*"
+"""Stands for any version, or none."""
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
 ONE_SLASH = re.compile(r"(hf|s3|gs|az|https?):/(?!/)")
 """What was meant for a store, and would be a folder of an odd name."""
@@ -68,12 +70,9 @@ class Store(Protocol):
         where it is larger."""
         ...
 
-    def put_whole(self, name: str, content: bytes) -> Version:
-        """Put an object, complete or not at all, in the place of whatever is there."""
-        ...
-
-    def put_if(self, name: str, content: bytes, version: Version) -> Version:
-        """The same if the object is `version` still. Raises ConflictError otherwise."""
+    def put(self, name: str, content: bytes, version: Version = ANY) -> Version:
+        """Put an object, complete or not at all, if it is `version` still; `ANY` stands for
+        whatever is there. Raises ConflictError otherwise."""
         ...
 
     def remove(self, name: str) -> None:
@@ -89,8 +88,7 @@ STORES = Registry(
     needs={
         "list": "a method: () -> objects",
         "read": "a method: (name, file, most_bytes) -> version",
-        "put_whole": "a method: (name, content) -> version",
-        "put_if": "a method: (name, content, version) -> version",
+        "put": "a method: (name, content, version) -> version",
         "remove": "a method: name -> None",
     },
 )
@@ -131,11 +129,9 @@ def _opened(name: str, process: int) -> Store:
         raise DatasetError(
             f"{scheme}://…@…: a name holds no credentials; give them as docs/stores.md says"
         )
-    parts = rest.rstrip("/").split("/")
     if (
-        not rest.isprintable()
-        or not all(parts[:1])
-        or {"", ".", ".."} & set(parts[1:])
+        {"", ".", ".."} & {*rest.rstrip("/").split("/")}
+        or not rest.isprintable()
         or len(name) > 1000
     ):
         raise DatasetError(f"{printable(name)[:200]}: expected a name such as s3://bucket/folder")
@@ -156,7 +152,7 @@ class StorePath(_Path):
     """A store, or an object in it, in the stead of a Path: it has those methods of Path that
     datasets are written by.
 
-    What is put replaces only what this process has read before; see `Store.put_if`.
+    What is put replaces only what this process has read before; see `Store.put`.
     """
 
     def __str__(self) -> str:
@@ -201,28 +197,22 @@ class StorePath(_Path):
 
     def open_bounded(self, most_bytes: int) -> io.BufferedReader:
         """A copy of the object on this disk, that nobody else sees. Raises as `Store.read`."""
+        copy: Any = None
         try:
-            copy = tempfile.TemporaryFile()  # noqa: SIM115 (closed below)
-        except OSError as error:  # FileNotFoundError, too, where a full disk takes none
-            raise self._no_room(error) from None
-        with copy:
-            try:
-                _seen[str(self)] = self._home().read(self.name, copy, most_bytes)
-                copy.flush()
-            except FileNotFoundError:
-                raise
-            except OSError as error:
-                raise self._no_room(error) from None
+            copy = tempfile.TemporaryFile()  # noqa: SIM115 (who asks closes it)
+            _seen[str(self)] = self._home().read(self.name, copy, most_bytes)
             copy.seek(0)
-            return open(os.dup(copy.fileno()), "rb")
-
-    def _no_room(self, error: OSError) -> StoreError:
-        """What to say of this machine's disk, which says nothing of the object."""
-        told = error.strerror or type(error).__name__
-        return StoreError(
-            f"{self}: cannot be copied to this machine's temporary folder ({told}); free some "
-            f"space there"
-        )
+            return copy
+        except OSError as error:
+            if copy is not None:
+                copy.close()
+                if isinstance(error, FileNotFoundError):  # a full disk raises it, too, before
+                    raise
+            told = error.strerror or type(error).__name__
+            raise StoreError(
+                f"{self}: cannot be copied to this machine's temporary folder ({told}); free some "
+                "space there"
+            ) from None
 
     def read_bytes(self) -> bytes:
         """Its content."""
@@ -234,7 +224,7 @@ class StorePath(_Path):
         ConflictError."""
         for _ in range(TRIES):
             try:
-                _seen[str(self)] = self._home().put_if(self.name, content, _seen.get(str(self)))
+                _seen[str(self)] = self._home().put(self.name, content, _seen.get(str(self)))
                 return
             except ConflictError:
                 mine = _seen.pop(str(self), None)
@@ -248,8 +238,7 @@ class StorePath(_Path):
                 break
         raise ConflictError(
             f"{self}: somebody else has put other bytes there; end other runs that write there, "
-            f"remove the object if "
-            "there are none, and give the same command again to go on"
+            "remove the object if there are none, and give the same command again to go on"
         )
 
     @property

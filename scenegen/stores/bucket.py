@@ -7,12 +7,11 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
-from typing import IO, Any, NoReturn, TypeVar
+from contextlib import contextmanager, suppress
+from typing import IO, Any
 
 from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.stores import ConflictError, Object, Store, Version
-
-Result = TypeVar("Result")
+from scenegen.stores import ANY, ConflictError, Object, Store, Version
 
 NAME = re.compile(
     r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(/(?P<prefix>.*[^/]))?/?", re.ASCII
@@ -25,29 +24,25 @@ CUTS = 4
 CONNECT_S, READ_S = 5, 60
 """Seconds after which a silent server counts as one that does not answer."""
 PIECE_BYTES = 1 << 20
-LOST = ("ConditionalRequestConflict", "PreconditionFailed")
-FULL = (
-    "QuotaExceeded",
-    "XMinioStorageFull",
-    "InsufficientCapacity",
-    "StorageLimitExceeded",
-    "NotEnoughSpace",
-)
-SETTINGS = (
-    "ValueError",
-    "InvalidRegionError",
-    "ConfigParseError",
-    "ConfigNotFound",
-    "InvalidConfigError",
-)
-"""Errors of boto3 before it asks anybody."""
-EXPIRED = (
-    "ExpiredToken",
-    "InvalidToken",
-    "TokenRefreshRequired",
-    "ExpiredTokenException",
-    "RequestExpired",
-)
+AGAIN = "what is finished is kept: give the same command again to go on"
+FAULTS = {
+    r"\d+ (ConditionalRequestConflict|PreconditionFailed)|(409|412) .*": "somebody else has put it",
+    r"\d+ NoSuchBucket": "there is no such bucket; make it, or name one that is there",
+    r"404 .*": "nothing is there that speaks S3's protocol; see to AWS_ENDPOINT_URL",
+    r"\d+ (QuotaExceeded|XMinioStorageFull|InsufficientCapacity|StorageLimitExceeded)"
+    r"|\d+ NotEnoughSpace|507 .*": "the store is full; free some space, or raise "
+    f"its quota; {AGAIN}",
+    r"\d+ (ExpiredToken(Exception)?|InvalidToken|TokenRefreshRequired|RequestExpired)"
+    r"|(401|403) .*": f"the store refuses the credentials; renew them, or what they allow; {AGAIN}",
+    r"[A-Za-z]*(Credential|Token|Profile|SSO|Login)[A-Za-z]*": "no credentials are found; set "
+    "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or log in by Amazon's tools",
+    "ValueError|InvalidRegionError|ConfigParseError|ConfigNotFound|InvalidConfigError": "a setting "
+    "of AWS cannot be used; see to AWS_ENDPOINT_URL, AWS_DEFAULT_REGION and the file of "
+    "AWS_CONFIG_FILE",
+    ".*": f"the store does not answer; see to the network and the server; {AGAIN}",
+}
+"""What to say of an answer's status and code, or of an error of boto3 by its name; the first that
+fits counts."""
 
 
 class Bucket(Store):
@@ -99,131 +94,85 @@ class Bucket(Store):
                     return
                 after = {"ContinuationToken": found["NextContinuationToken"]}
             except KeyError as error:
-                raise self._silent("", f"its list lacks {error.args[0]}") from None
+                raise self._fault("", f"its list lacks {error.args[0]}") from None
 
     def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
         """See `Store`."""
         for attempt in range(CUTS):
-            found = self._ask(
-                name, self._client.get_object, "ETag", "ContentLength", **self._object(name)
-            )
+            found = self._ask(name, self._client.get_object, "ETag", "ContentLength")
+            size = found["ContentLength"]
             with found["Body"] as body:
-                if found["ContentLength"] > most_bytes:
+                if size > most_bytes:
                     raise DatasetError(
-                        f"{self.name}/{name}: {found['ContentLength']} bytes, expected "
-                        f"{most_bytes} at most"
+                        f"{self.name}/{name}: {size} bytes, expected {most_bytes} at most"
                     )
-                try:
+                with suppress(self._errors.BotoCoreError, self._errors.HTTPClientError):
                     while piece := body.read(PIECE_BYTES):
                         file.write(piece)
-                    if file.tell() == found["ContentLength"]:
+                    if file.tell() == size:
                         return found["ETag"]
-                except (self._errors.BotoCoreError, self._errors.HTTPClientError):
-                    pass
             file.seek(0)  # cut off on the way, which not every version of the HTTP client minds
             file.truncate()
-            time.sleep(min(2**attempt / 10, 10.0))
-        raise self._silent(name, "its answers end too early")
+            time.sleep(2**attempt / 10)
+        raise self._fault(name, "its answers end too early")
 
-    def put_whole(self, name: str, content: bytes) -> Version:
+    def put(self, name: str, content: bytes, version: Version = ANY) -> Version:
         """See `Store`."""
-        return self._put(name, content)
-
-    def put_if(self, name: str, content: bytes, version: Version) -> Version:
-        """See `Store`."""
+        # its own checksum goes with it: a server takes what arrives as it was sent, or refuses it
+        checksum = base64.b64encode(hashlib.md5(content, usedforsecurity=False).digest()).decode()
+        sent: dict[str, Any] = {"Body": content, "ContentMD5": checksum}
         if version is None:
-            return self._put(name, content, IfNoneMatch="*")
+            sent["IfNoneMatch"] = "*"
+        elif version != ANY:
+            sent["IfMatch"] = version.strip('"') if self._bare else version
         try:
-            return self._put(name, content, IfMatch=version.strip('"') if self._bare else version)
+            return self._ask(name, self._client.put_object, "ETag", **sent)["ETag"]
         except ConflictError:
-            if self._bare or self._version(name) != version:
+            if "IfMatch" not in sent or self._bare or self._version(name) != version:
                 raise
         self._bare = True  # the version is as it was, so it is the quotation marks
-        return self.put_if(name, content, version)
+        return self.put(name, content, version)
 
     def remove(self, name: str) -> None:
         """See `Store`."""
-        self._ask(name, self._client.delete_object, **self._object(name))
-
-    def _put(self, name: str, content: bytes, **condition: str) -> Version:
-        # its own checksum goes with it: a server takes what arrives as it was sent, or refuses it
-        checksum = base64.b64encode(hashlib.md5(content, usedforsecurity=False).digest()).decode()
-        sent = {"Body": content, "ContentMD5": checksum, **condition}
-        return self._ask(name, self._client.put_object, "ETag", **self._object(name), **sent)[
-            "ETag"
-        ]
-
-    def _object(self, name: str) -> dict[str, str]:
-        return {"Bucket": self.bucket, "Key": self.prefix + name}
+        self._ask(name, self._client.delete_object)
 
     def _version(self, name: str) -> Version:
         try:
-            return self._ask(name, self._client.head_object, "ETag", **self._object(name))["ETag"]
+            return self._ask(name, self._client.head_object, "ETag")["ETag"]
         except FileNotFoundError:
             return None
 
-    def _ask(
-        self, name: str, method: Callable[..., Result], *needed: str, **options: Any
-    ) -> Result:
-        """What the server answers, which holds what is `needed`. Nothing of what it says is
-        repeated but its code: a server may repeat what it was sent, and that holds a signature."""
-        errors, where = self._errors, f"{self.name}/{name}" if name else self.name
+    def _ask(self, name: str, method: Callable[..., Any], *needed: str, **options: Any) -> Any:
+        """What the server answers about the object `name`, or, without, to other `options`; it
+        holds what is `needed`."""
+        if name:
+            options |= {"Bucket": self.bucket, "Key": self.prefix + name}
+        errors = self._errors
         try:
             answer = method(**options)
-            if lacks := [key for key in needed if key not in answer]:  # type: ignore[operator]
-                raise self._silent(name, f"its answer lacks {lacks[0]}")
+            if lacks := [key for key in needed if key not in answer]:
+                raise self._fault(name, f"its answer lacks {lacks[0]}")
             return answer
-        except RecursionError:
-            raise self._silent(name, "it redirects in a circle") from None
         except errors.ClientError as error:
-            code = re.sub(
-                r"[^A-Za-z0-9]", "", str(error.response.get("Error", {}).get("Code", ""))
-            )[:60]
+            code = re.sub(r"[^A-Za-z0-9]", "", str(error.response.get("Error", {}).get("Code")))
             status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 0)
-        except (errors.BotoCoreError, errors.HTTPClientError, OSError, ValueError) as error:
-            kind = type(error).__name__
-            if re.search("Credential|Token|Profile|SSO|Login", kind):
-                raise StoreError(f"{where}: no credentials are found ({kind}); {GIVE}") from None
-            if kind in SETTINGS:
-                raise StoreError(
-                    f"{where}: a setting of AWS cannot be used ({kind}); see to AWS_ENDPOINT_URL, "
-                    f"AWS_DEFAULT_REGION "
-                    "and the file of AWS_CONFIG_FILE"
-                ) from None
-            raise self._silent(name, kind) from None
-        if code in LOST or status in (409, 412):
-            raise ConflictError(f"{where}: somebody else has put it")
-        if code == "NoSuchBucket":
-            raise StoreError(
-                f"{where}: there is no bucket {self.bucket}; make it, or name one that is there"
-            )
-        if status == 404 and not name:
-            raise StoreError(
-                f"{where}: nothing is there that speaks S3's protocol; see to AWS_ENDPOINT_URL"
-            )
-        if status == 404:
-            raise FileNotFoundError(where)
-        if code in FULL or status == 507:
-            raise StoreError(
-                f"{where}: the store is full ({code}); free some space, or raise its quota; {AGAIN}"
-            )
-        if code in EXPIRED or status in (401, 403):
-            raise StoreError(
-                f"{where}: the store refuses the credentials ({code}); renew them, or what they "
-                f"allow; {AGAIN}"
-            )
-        raise self._silent(name, f"{status} {code}")
+            if name and status == 404 and code != "NoSuchBucket":
+                raise FileNotFoundError(f"{self.name}/{name}") from None
+            raise self._fault(name, f"{status} {code[:60]}") from None
+        except (
+            *(errors.BotoCoreError, errors.HTTPClientError),
+            *(OSError, ValueError, RecursionError),  # the last for redirections in a circle
+        ) as error:
+            raise self._fault(name, type(error).__name__) from None
 
-    def _silent(self, name: str, said: str) -> StoreError:
-        where = f"{self.name}/{name}" if name else self.name
-        return StoreError(
-            f"{where}: the store does not answer ({said}); see to the network and the server; "
-            f"{AGAIN}"
-        )
-
-
-AGAIN = "what is finished is kept: give the same command again to go on"
-GIVE = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or log in by Amazon's tools"
+    def _fault(self, name: str, said: str) -> StoreError:
+        """Nothing of what a server says is repeated but its code: it may repeat what it was sent,
+        and that holds a signature."""
+        fault = next(told for like, told in FAULTS.items() if re.fullmatch(like, said))
+        kind = ConflictError if fault.startswith("somebody") else StoreError
+        what, _, rest = fault.partition(";")
+        return kind(f"{f'{self.name}/{name}'.rstrip('/')}: {what} ({said});{rest}".rstrip(";"))
 
 
 class Foreign(Store):
@@ -240,61 +189,46 @@ class Foreign(Store):
         except (ValueError, ImportError, OSError) as error:
             raise DatasetError(
                 f"{printable(name)}: fsspec has nothing here that reads it "
-                f"({type(error).__name__}); give a folder, "
-                "hf://user/name or s3://bucket/folder"
+                f"({type(error).__name__}); give a folder, hf://user/name or s3://bucket/folder"
             ) from None
 
     def list(self) -> Iterator[Object]:
         """See `Store`."""
-        try:
-            found = self._system.ls(self._path, detail=True)
-        except FileNotFoundError:
-            return
-        except Exception as error:  # each file system has its own
-            raise self._refused("", error) from None
-        for item in found:
-            if item["type"] == "file":
-                yield Object(item["name"].rpartition("/")[2], int(item["size"] or 0), None)
+        with suppress(FileNotFoundError), self._told(""):
+            for item in self._system.ls(self._path, detail=True):
+                if item["type"] == "file":
+                    yield Object(item["name"].rpartition("/")[2], int(item["size"] or 0), None)
 
     def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
         """See `Store`."""
         done = 0
-        try:
-            with self._system.open(f"{self._path}/{name}", "rb") as there:
-                while piece := there.read(PIECE_BYTES):
-                    done += len(piece)
-                    if done > most_bytes:
-                        break
-                    file.write(piece)
-        except FileNotFoundError:
-            raise
-        except Exception as error:  # each file system has its own
-            raise self._refused(name, error) from None
-        if done > most_bytes:
-            raise DatasetError(f"{self.name}/{name}: more than {most_bytes} bytes")
+        with self._told(name), self._system.open(f"{self._path}/{name}", "rb") as there:
+            while piece := there.read(PIECE_BYTES):
+                done += len(piece)
+                if done > most_bytes:
+                    raise DatasetError(f"{self.name}/{name}: more than {most_bytes} bytes")
+                file.write(piece)
         return None
 
-    def put_whole(self, name: str, content: bytes) -> Version:
+    def put(self, name: str, content: bytes, version: Version = ANY) -> Version:
         """Raises StoreError."""
-        self._read_only()
-
-    def put_if(self, name: str, content: bytes, version: Version) -> Version:
-        """Raises StoreError."""
-        self._read_only()
-
-    def remove(self, name: str) -> None:
-        """Raises StoreError."""
-        self._read_only()
-
-    def _read_only(self) -> NoReturn:
         raise StoreError(
             f"{self.name}: is for reading alone; write to a folder, or to s3://bucket/folder"
         )
 
-    def _refused(self, name: str, error: Exception) -> StoreError:
-        """Without what the file system says, which may hold anything."""
-        where = f"{self.name}/{name}" if name else self.name
-        return StoreError(
-            f"{where}: cannot be read ({type(error).__name__}); see to the name, the network and "
-            f"the rights"
-        )
+    def remove(self, name: str) -> None:
+        """Raises StoreError."""
+        self.put(name, b"")
+
+    @contextmanager
+    def _told(self, name: str) -> Iterator[None]:
+        """Errors without what the file system says, which may hold anything."""
+        try:
+            yield
+        except (FileNotFoundError, DatasetError):
+            raise
+        except Exception as error:  # each file system has its own
+            raise StoreError(
+                f"{self.name}/{name}: cannot be read ({type(error).__name__}); see to the name, "
+                "the network and the rights"
+            ) from None

@@ -5,7 +5,6 @@ A folder of copies is of one store and one manifest, and beside it lies a note o
 kernels', it serves only where nobody but this user may write.
 """
 
-import contextlib
 import hashlib
 import json
 import os
@@ -13,10 +12,10 @@ import stat
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from lidarsim.jit import cache_root, folder_trouble, is_ours
 from scenegen.errors import StoreError, printable
@@ -28,8 +27,7 @@ STALE_S = 24 * 3600.0
 """Age after which a copy that was never finished counts as left behind, seconds."""
 
 
-@dataclass(frozen=True)
-class Note:
+class Note(NamedTuple):
     """What a folder of copies is of."""
 
     store: str
@@ -45,12 +43,11 @@ def keep(store: str, name: str, manifest: bytes) -> Path:
     """
     folder = _root() / _digest(store.encode())[:16] / _digest(manifest)[:16]
     _check(folder)
-    with _told(store):
-        _put(folder / name, manifest)
-        for draft in folder.glob(".*.tmp"):
-            with contextlib.suppress(FileNotFoundError):
-                if time.time() - draft.lstat().st_mtime > STALE_S:
-                    draft.unlink()
+    _put(folder / name, store, manifest)
+    for draft in folder.glob(".*.tmp"):
+        with suppress(FileNotFoundError):
+            if time.time() - draft.lstat().st_mtime > STALE_S:
+                draft.unlink()
     return folder
 
 
@@ -58,25 +55,31 @@ def note(folder: Path, store: str, files: Mapping[str, str]) -> None:
     """Note what a folder of copies is of: from now on its `files`, names with their SHA-256, can be
     fetched.
 
-    What another manifest of the same store lists by the same name and digest is shared. Raises
-    StoreError.
+    Raises StoreError.
     """
-    path = note_file(folder)
-    with _told(store):
-        if not path.is_file():
-            for other in sorted(folder.parent.glob("*.place")):
-                _share(other, folder, files)
-        _put(path, json.dumps(asdict(Note(store, dict(files)))).encode())
+    _put(note_file(folder), store, json.dumps(Note(store, files)._asdict()).encode())
 
 
-@contextlib.contextmanager
-def _told(store: str) -> Iterator[None]:
+@contextmanager
+def _draft(path: Path, store: str) -> Iterator[IO[bytes]]:
+    """A file that takes the place of `path` when the block ends well. Raises StoreError where the
+    disk refuses."""
     try:
-        yield
+        handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
+        try:
+            with open(handle, "w+b") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            Path(draft).replace(path)
+        finally:
+            Path(draft).unlink(missing_ok=True)
+    except FileNotFoundError:
+        raise  # the store's: it has no such object
     except OSError as error:
         raise StoreError(
             f"{printable(error)}: copies of {store} go there; free some space, or name another "
-            f"folder by SCENEGEN_CACHE"
+            "folder by SCENEGEN_CACHE"
         ) from None
 
 
@@ -91,28 +94,19 @@ def fetch(path: Path) -> bool:
         return False
     if _is_whole(path, about.files[path.name]):
         return True
-    with _told(about.store):
-        handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
-        try:
-            with open(handle, "r+b") as file:
-                try:
-                    store_of(about.store).read(path.name, file, 1 << 62)
-                except FileNotFoundError:
-                    return False
-                file.flush()
-                file.seek(0)
-                if _sum(file) != about.files[path.name]:
-                    raise StoreError(
-                        f"{about.store}/{path.name}: is not the file that the manifest lists; if "
-                        f"a run goes on there, "
-                        "wait for its end and give the same command again; else generate the "
-                        "dataset again"
-                    )
-                _stamp(file.fileno())
-                os.fsync(file.fileno())
-            Path(draft).replace(path)
-        finally:
-            Path(draft).unlink(missing_ok=True)
+    try:
+        with _draft(path, about.store) as file:
+            store_of(about.store).read(path.name, file, 1 << 62)
+            file.seek(0)
+            if _sum(file) != about.files[path.name]:
+                raise StoreError(
+                    f"{about.store}/{path.name}: is not the file that the manifest lists; if a run "
+                    "goes on there, wait for its end and give the same command again; else "
+                    "generate the dataset again"
+                )
+            _stamp(file.fileno())
+    except FileNotFoundError:
+        return False
     return True
 
 
@@ -137,7 +131,7 @@ def _is_whole(path: Path, digest: str) -> bool:
 def _stamp(handle: int) -> None:
     """Note that a file is the one listed: its time of change becomes its size, in nanoseconds,
     until it changes."""
-    with contextlib.suppress(OSError):  # a root's copy, that this user may only read
+    with suppress(OSError):  # a root's copy, that this user may only read
         os.utime(handle, ns=(time.time_ns(), os.fstat(handle).st_size))
 
 
@@ -151,11 +145,7 @@ def fetch_all(folder: Path, names: Iterable[str]) -> None:
 
     def one(name: str) -> None:
         if not fetch(folder / name):
-            about = note_of(folder)
-            raise StoreError(
-                f"{about.store if about else folder}/{name}: is missing, though the manifest "
-                f"lists it"
-            )
+            raise StoreError(f"{folder / name}: is missing at the store, though it is listed")
 
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
@@ -202,30 +192,15 @@ def _check(folder: Path) -> None:
     if trouble := folder_trouble(folder):
         raise StoreError(
             f"{trouble}: copies of datasets go there; see to it, or name another folder by "
-            f"SCENEGEN_CACHE"
+            "SCENEGEN_CACHE"
         )
 
 
-def _share(other: Path, folder: Path, files: Mapping[str, str]) -> None:
-    """Put into `folder` those of `files` that the folder of the note `other` holds, as links to the
-    same bytes."""
-    with contextlib.suppress(ValueError, TypeError):
-        for name, digest in Note(**json.loads(other.read_bytes())).files.items():
-            if files.get(name) == digest:
-                with contextlib.suppress(OSError):
-                    (folder / name).hardlink_to(other.with_suffix("") / name)
-
-
-def _put(path: Path, content: bytes) -> None:
+def _put(path: Path, store: str, content: bytes) -> None:
     """Have `content` be at `path`, which is written only where it is not."""
-    if path.is_file() and path.read_bytes() == content:
-        return
-    handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
-    with open(handle, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    Path(draft).replace(path)
+    if not (path.is_file() and path.read_bytes() == content):
+        with _draft(path, store) as file:
+            file.write(content)
 
 
 def _digest(content: bytes) -> str:

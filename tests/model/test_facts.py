@@ -7,7 +7,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from scenegen.display.points import write_points
+from scenegen.display.exchange.files import write_points
 from tests.command_line import run
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
-from scenegen.display.points import write_points
+from scenegen.display.exchange.files import write_points
 from scenegen.model.completion.unlearned import Extrude
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth

@@ -9,7 +9,7 @@ from random import Random
 
 import numpy as np
 
-from scenegen.display.points import encode_points
+from scenegen.display.exchange.files import encode_points
 from tests.mutations.case import Attempt, refuses, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.damage_weights import _holds, _Owned

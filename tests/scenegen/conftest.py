@@ -75,6 +75,7 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     from huggingface_hub import constants
 
     monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)  # pictures have their own tests
+    monkeypatch.setattr("scenegen.display.panels.DPI", 20)
     server = Hub()
     monkeypatch.setattr(constants, "ENDPOINT", server.url)
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)

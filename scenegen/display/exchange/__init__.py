@@ -25,7 +25,7 @@ FORMATS = Registry(
     },
     needs={
         "names": "a method: (split, number) -> the files of a sample",
-        "encode": "a method: (sample, grid, lidar) -> their contents, in order",
+        "encode": "a method: (sample, grid, lidar) -> their contents, in order, or the only one",
     },
 )
 """Formats by name: classes made with the `Choices`.

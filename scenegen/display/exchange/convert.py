@@ -1,10 +1,9 @@
 """A dataset's samples, one after another, into a folder in another format; a stopped run goes on
 where it was."""
 
-import contextlib
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -14,8 +13,8 @@ from typing import Any
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.exchange import FORMATS, Choices
 from scenegen.errors import DatasetError, printable
-from scenegen.files import disk_error, draft_of, make_parent, remove_drafts, write_whole
-from scenegen.run import Executor, undone_if_stopped
+from scenegen.files import make_parent, remove_drafts, write_whole
+from scenegen.run import Executor
 from scenegen.run.workers import Local
 from scenegen.sample import Sample
 
@@ -83,14 +82,14 @@ def convert(
     }
     parts: dict[Rows, Converted] = {}
     work = partial(_write, dataset, out, form)
-    with undone_if_stopped(lambda: _clear(folders)):
-        try:
-            with closing(execute(work, tasks, lambda: on_start(total))) as results:
-                for rows, done in results:
-                    parts[rows] = done
-                    on_sample(len(rows.numbers))
-        finally:
-            _clear(folders)
+    try:
+        with closing(execute(work, tasks, lambda: on_start(total))) as results:
+            for rows, done in results:
+                parts[rows] = done
+                on_sample(len(rows.numbers))
+    finally:
+        for folder in folders:  # what killed runs have left
+            remove_drafts(folder)
     found = [parts[rows] for rows in tasks]
     return Converted(
         written=sum(part.written for part in found),
@@ -98,12 +97,6 @@ def convert(
         others=sum(len(rows.numbers) for rows in whole) - total,
         broken=tuple(line for part in found for line in part.broken),
     )
-
-
-def _clear(folders: Iterable[Path]) -> None:
-    """Takes away what killed runs have left."""
-    for folder in folders:
-        remove_drafts(folder)
 
 
 def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, Converted]:
@@ -125,8 +118,10 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, Co
         except (DatasetError, ValueError) as error:
             broken += [f"{rows.split} {number} is left out: {printable(error)}" for number in found]
             continue
-        for path, content in zip(paths, contents, strict=True):
-            _put(path, content)
+        several = (contents,) if isinstance(contents, bytes) else contents
+        for path, content in zip(paths, several, strict=True):
+            make_parent(path)
+            write_whole(path, content, sync=False)
         written += len(found)
     return rows, Converted(written, there, 0, tuple(broken))
 
@@ -159,25 +154,10 @@ def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
     # listed first: what another rank begins meanwhile, it begins with the state
     there = list(out.iterdir()) if out.is_dir() else [out] if out.exists() else []
     if state.exists():
-        if state.read_bytes() != content:
-            raise DatasetError(
-                f"{out}: holds another dataset or another conversion; choose another folder"
-            )
-        return
+        if state.read_bytes() == content:
+            return
+        raise DatasetError(f"{out}: holds another conversion; choose another folder")
     if any(path.suffix != ".tmp" for path in there):
         raise DatasetError(f"{out}: is there, and no conversion of ours; choose another folder")
     make_parent(state)
     write_whole(state, content)
-
-
-def _put(path: Path, content: bytes) -> None:
-    """Puts `content` at `path`, whole or not at all, without waiting for the disk."""
-    make_parent(path)
-    draft = draft_of(path)  # of this process alone: a task that counts as lost may still be at work
-    try:
-        draft.write_bytes(content)
-        draft.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            draft.unlink()
-        raise disk_error(path, error) from None

@@ -1,18 +1,96 @@
-"""Formats of single samples: point clouds, NumPy archives, SemanticKITTI, OctoMap, WebDataset."""
+"""Formats of single samples: point clouds, NumPy archives, SemanticKITTI, OctoMap, WebDataset.
+
+Clouds of points are .ply and .pcd (binary), .npz (NumPy), and .bin (x y z intensity, float32, as in
+KITTI).
+"""
 
 import io
 import json
 import tarfile
 import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Sensor
 from scenegen.display.exchange import Choices
-from scenegen.display.points import encode_points
 from scenegen.errors import DatasetError
+from scenegen.files import write_result
 from scenegen.sample import Sample
+
+HEADS = {
+    ".ply": """ply
+format binary_little_endian 1.0
+element vertex {count}
+{properties}end_header
+""",
+    ".pcd": """VERSION 0.7
+FIELDS {names}
+SIZE{sizes}
+TYPE{types}
+COUNT{ones}
+WIDTH {count}
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS {count}
+DATA binary
+""",
+    ".bin": "",
+}
+SUFFIXES = (*HEADS, ".npz")
+"""Kinds of files."""
+
+
+def write_points(
+    path: Path,
+    points: NDArray[np.float64],
+    intensity: NDArray[np.float64] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> None:
+    """Writes points in the kind of file that the name says.
+
+    Args:
+        path: The file.
+        points: Positions (M, 3), metres.
+        intensity: Of each point (M,), if there is any; a .bin has 0 where there is none.
+        about: Arrays and texts by name that an .npz holds, too.
+
+    Raises:
+        DatasetError: The name says none of the kinds.
+    """
+    if path.suffix not in SUFFIXES:
+        raise DatasetError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}")
+    write_result(path, encode_points(path.suffix, points, intensity, about))
+
+
+def encode_points(
+    suffix: str,
+    points: NDArray[np.float64],
+    intensity: NDArray[np.float64] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> bytes:
+    """What a file of the kind `suffix` holds; for the arguments see `write_points`."""
+    if suffix == ".npz":
+        file = io.BytesIO()
+        more = {} if intensity is None else {"intensity": intensity}
+        np.savez_compressed(file, allow_pickle=False, points=points, **more, **(about or {}))
+        return file.getvalue()
+    names, columns = ["x", "y", "z"], [points]
+    if intensity is not None or suffix == ".bin":
+        names.append("intensity")
+        columns.append(np.zeros((len(points), 1)) if intensity is None else intensity[:, None])
+    about_fields = {
+        "properties": "".join(f"property float {name}\n" for name in names),
+        "names": " ".join(names),
+        "sizes": " 4" * len(names),
+        "types": " F" * len(names),
+        "ones": " 1" * len(names),
+    }
+    head = HEADS[suffix].format(count=len(points), **about_fields)
+    return head.encode() + np.concatenate(columns, axis=1).astype("<f4").tobytes()
 
 
 class OneEach:
@@ -43,9 +121,9 @@ class Ply(OneEach):
 
     suffix = ".ply"
 
-    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
+    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of the sample's file."""
-        return (encode_points(self.suffix, sample.points(lidar, frame=self.choices.frame)),)
+        return encode_points(self.suffix, sample.points(lidar, frame=self.choices.frame))
 
 
 class Pcd(Ply):
@@ -60,7 +138,7 @@ class Npz(OneEach):
 
     suffix = ".npz"
 
-    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
+    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of the sample's file."""
         fields = {name: getattr(sample, name) for name in sample.names}
         fields["points"] = sample.points(lidar, frame=self.choices.frame)
@@ -71,7 +149,7 @@ class Npz(OneEach):
             for name, values in fields.items():
                 with members.open(f"{name}.npy", "w") as member:
                     np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
-        return (file.getvalue(),)
+        return file.getvalue()
 
 
 class WebDataset(Together):
@@ -81,9 +159,7 @@ class WebDataset(Together):
 
     suffix = ".tar"
 
-    def encode(
-        self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor
-    ) -> tuple[bytes, ...]:
+    def encode(self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of a file: the same bytes whenever it is made."""
         npz, memory = Npz(self.choices), io.BytesIO()
         with tarfile.open(fileobj=memory, mode="w", format=tarfile.USTAR_FORMAT) as file:
@@ -93,12 +169,12 @@ class WebDataset(Together):
                     "world": int(sample.world),
                     "viewpoint": int(sample.viewpoint),
                 }
-                (arrays,) = npz.encode(sample, grid, lidar)
+                arrays = npz.encode(sample, grid, lidar)
                 for ending, content in (("npz", arrays), ("json", json.dumps(about).encode())):
                     member = tarfile.TarInfo(f"{number:06d}.{ending}")
                     member.size = len(content)
                     file.addfile(member, io.BytesIO(content))
-        return (memory.getvalue(),)
+        return memory.getvalue()
 
 
 SEQUENCES = {"train": "00", "val": "08", "test": "11"}
@@ -147,7 +223,7 @@ class OctoMap(OneEach):
 
     suffix = ".bt"
 
-    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
+    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of the sample's file. Raises DatasetError where the map lies outside what a
         tree can hold."""
         known = np.argwhere(sample.observed | sample.free)
@@ -160,7 +236,7 @@ class OctoMap(OneEach):
         nodes, tree = _tree(keys, state)
         head = ["# Octomap OcTree binary file", "id OcTree", f"size {nodes}"]
         head += [f"res {grid.voxel_m:.17g}", "data\n"]
-        return ("\n".join(head).encode() + tree,)
+        return "\n".join(head).encode() + tree
 
 
 def _tree(keys: NDArray[np.int64], state: NDArray[np.int64]) -> tuple[int, bytes]:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Sensor
 from scenegen.display.colours import HEIGHTS, MISSED, SENSOR, colour
 from scenegen.display.exchange.files import Together
+from scenegen.display.look import MASKS
 from scenegen.sample import Sample
-
-MASKS = ("observed", "free", "occupancy")
 
 _RULE = "\n" + 80 * "=" + "\nMSG: "
 _TIME = f"{_RULE}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
@@ -60,9 +59,7 @@ class Mcap(Together):
 
     suffix = ".mcap"
 
-    def encode(
-        self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor
-    ) -> tuple[bytes, ...]:
+    def encode(self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of a file."""
         from mcap_ros2.writer import Writer
 
@@ -83,7 +80,7 @@ class Mcap(Together):
                     f"/{topic}", schemas[kind], message, log_time=number * 10**9, sequence=number
                 )
         writer.finish()
-        return (memory.getvalue(),)
+        return memory.getvalue()
 
 
 def _cloud(points: NDArray[np.float64], header: dict[str, Any]) -> dict[str, Any]:
@@ -156,9 +153,7 @@ class Rerun(Together):
 
     suffix = ".rrd"
 
-    def encode(
-        self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor
-    ) -> tuple[bytes, ...]:
+    def encode(self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of a file."""
         library = rerun()
         with tempfile.TemporaryDirectory() as folder:
@@ -175,7 +170,7 @@ class Rerun(Together):
                         )
                 stream.flush()
                 stream.disconnect()
-            return (path.read_bytes(),)
+            return path.read_bytes()
 
 
 def _entities(sample: Sample, grid: GridSpec, lidar: Sensor) -> dict[str, tuple[Any, Any, float]]:

@@ -14,7 +14,7 @@ import torch
 import scenegen.model.training.run_folder
 from scenegen import __main__ as cli
 from scenegen.cli import stops
-from scenegen.display.points import write_points
+from scenegen.display.exchange.files import write_points
 from scenegen.model.checkpoint import load_network, save_network
 from scenegen.model.config import VARIANTS, LossConfig
 from scenegen.model.evaluation.metrics import METRICS

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenegen.display.points import write_points
+from scenegen.display.exchange.files import write_points
 from scenegen.errors import DatasetError
 from scenegen.model.completion.points import read_points, scans_in
 

@@ -7,7 +7,9 @@ import mujoco
 import pytest
 
 from lidarsim.engines import ENGINES
+from scenegen.cli.options import find_datasets
 from scenegen.cli.types import Named
+from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT, SMALL, run
 
@@ -80,23 +82,6 @@ def test_a_split_range_makes_its_shards_alone(
     assert (said["complete"], said["samples_written"]) == (True, 5)
 
 
-def test_a_scene_gives_training_samples_of_one_world(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recipe = tmp_path / "r.toml"
-    recipe.write_text(
-        SMALL.replace('kind = "pillar"', "").split("[world]")[0]
-        + "[flight]"
-        + SMALL.split("[flight]")[1]
-    )
-    room = ROOT / "scenes" / "room_with_gap.xml"
-    command = f"generate --scene {room} --recipe {recipe} --n 7 --out {tmp_path / 'd'} --json"
-    code, said, error = run(capsys, command)
-    assert (code, error) == (0, "")
-    assert json.loads(said)["samples"] == {"train": 7, "val": 0, "test": 0}
-    assert Dataset(tmp_path / "d").split("train").names == [("train", 0, n) for n in range(7)]
-
-
 BAD_USE = {
     "an unknown kind": ("--kind piller", "did you mean 'pillar'?"),
     "a scene without its option": ("room.xml", "give it as --scene room.xml"),
@@ -134,17 +119,6 @@ def test_a_grid_that_the_network_cannot_take_is_mentioned(
     )
     for silent in ("--quiet", "--json"):
         assert run(capsys, *words, tmp_path / "odd.toml", silent)[2] == ""
-
-
-def test_the_recipe_in_the_documentation_makes_maps_that_the_network_takes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = (ROOT / "docs" / "recipes.md").read_text().split("```toml\n")[1].split("```")[0]
-    (tmp_path / "r.toml").write_text(text)
-    command = f"generate --recipe {tmp_path / 'r.toml'} --out {tmp_path / 'd'} --dry-run"
-    code, _, error = run(capsys, command)
-    assert code == 0
-    assert "multiples" not in error
 
 
 BAD_SCENES = {
@@ -187,22 +161,6 @@ def test_what_a_scene_leaves_out_is_said_once(
     assert run(capfd, *words, "--quiet")[2] == ""
 
 
-def test_a_scene_recipe_needs_its_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "r.toml").write_text('kind = "scene"')
-    code, _, error = run(capsys, "generate", "--recipe", tmp_path / "r.toml")
-    assert code == 1
-    assert "give a scene" in error
-
-
-def test_an_unwritable_folder_ends_in_one_line(
-    small: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = f"generate --recipe {small} --n 3 --out /proc/nowhere/d --quiet"
-    code, _, error = run(capsys, command)
-    assert (code, error.count("\n")) == (1, 1)
-    assert "choose another place" in error
-
-
 def test_the_first_run_says_why_it_takes_longer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -240,3 +198,15 @@ def test_a_world_of_ones_own_as_the_docs_show_it(
     assert len(Dataset(tmp_path / "d").split("train")) == 2
     code, said, _ = run(capsys, *words)
     assert (code, "nothing was left to make" in said) == (0, True)
+
+
+def test_folders_under_data_without_samples_are_left_out(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, "generate", "--recipe", small, "--n", 3, "--workers", 1, "--quiet")[0] == 0
+    empty = manifest.read(Path("data/pillar"))
+    Path("data/begun").mkdir()
+    manifest.write(Path("data/begun"), {**empty, "shards": [], "complete": False, "digest": None})
+    assert find_datasets((), shown=True) == (Path("data/pillar"),)
+    assert capsys.readouterr().err == "data/begun: holds no samples yet, so it is left out\n"

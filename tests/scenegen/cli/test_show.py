@@ -1,7 +1,5 @@
 """Nothing that comes from a file prints a line, or a colour, of its own."""
 
-import io
-
 import pytest
 
 from scenegen.cli.show import curve, say, show_figures, show_table
@@ -42,17 +40,10 @@ def test_figures_fit_the_terminal_and_none_is_left_out(
         assert lines[lines.index(at) + 1].split()[1 + at.split().index(head)] == f"{n}.5"
 
 
-@pytest.mark.parametrize(
-    ("encoding", "least", "greatest"), [("utf-8", "▁", "█"), ("ascii", "_", "#")]
-)
-def test_a_curve_rises_and_falls_with_its_numbers(
-    monkeypatch: pytest.MonkeyPatch, encoding: str, least: str, greatest: str
-) -> None:
-    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(io.BytesIO(), encoding))
-    assert curve([0.5, 0.1, 0.9]) == f"{curve([0.5, 0.1, 0.9])[0]}{least}{greatest}"
-    assert curve([2.0, 2.0]) == 2 * least
+def test_a_curve_rises_and_falls_with_its_numbers() -> None:
+    assert curve([0.5, 0.1, 0.9])[1:] == "▁█"
+    assert curve([2.0, 2.0]) == "▁▁"
     long = curve([float(n) for n in range(1000)])
-    assert len(long) == 60
-    assert (long[0], long[-1]) == (least, greatest)
+    assert (len(long), long[0], long[-1]) == (60, "▁", "█")
     ranks = [long.index(bar) for bar in dict.fromkeys(long)]
     assert ranks == sorted(ranks)

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from scenegen.dataset.archive import DOCUMENT, write_extracted
 from scenegen.errors import DatasetError
@@ -27,13 +28,11 @@ SCENE = """
 @pytest.fixture
 def files(tmp_path: Path) -> dict[str, bytes]:
     """A world with a mesh and a height field, as `Dataset.world` gives it."""
-    from scenegen.display.blocks import to_png
-
     (tmp_path / "scene" / "meshes").mkdir(parents=True)
     (tmp_path / "scene" / "scene.xml").write_text(SCENE)
     trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "scene" / "meshes" / "m.obj")
     heights = np.random.default_rng(0).integers(0, 255, (8, 8, 1), dtype=np.uint8)
-    (tmp_path / "scene" / "meshes" / "h.png").write_bytes(to_png(np.repeat(heights, 3, axis=2)))
+    Image.fromarray(np.repeat(heights, 3, axis=2)).save(tmp_path / "scene" / "meshes" / "h.png")
     scene = load_scene(tmp_path / "scene" / "scene.xml")
     return {DOCUMENT: scene.mjcf, **scene.assets}
 

@@ -49,7 +49,7 @@ def test_what_was_published_is_read_back_by_revision(
     made: Path,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    tag = publish(asked).staged.tag
+    tag = publish(asked)[0].tag
     repository = hub.repositories[asked.repository]
     repository.commit({"README.md": b"emptied since"})
     split = load(f"{NAME}@{tag}", split="test")
@@ -77,7 +77,7 @@ def test_without_network_the_copy_serves(
 ) -> None:
     from huggingface_hub import constants
 
-    tag = publish(asked).staged.tag
+    tag = publish(asked)[0].tag
     first = locate(f"{NAME}@{tag}")
     hub.log.clear()
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)

@@ -369,7 +369,12 @@ def test_what_is_there_is_shown(several: Path) -> None:
     )
     look = look_at(sample, dataset.grid, dataset.lidar, "train 0")
     assert look.points is not None
-    assert len(look.points) == len(sample.points()) > look.own == np.isfinite(sample.ranges).sum()
+    assert (
+        len(look.points)
+        == len(sample.points())
+        > len(look.scans[0])
+        == np.isfinite(sample.ranges).sum()
+    )
     assert f"of {4 * 8 * 24} rays in 4 scans" in look.figures()["returns"]
 
 

@@ -136,7 +136,7 @@ def test_what_was_scanned_again_is_published_with_the_command_that_does_so(
         f"`ORIGINAL` stands for that dataset, whose digest is `{Dataset(made).manifest.digest}`."
         in card
     )
-    assert not noise or "noise is simulated, `quantise:step_m=0.1`" in card
+    assert not noise or "simulated noise, `quantise:step_m=0.1`" in card
     (line,) = (line for line in card.splitlines() if line.startswith("scenegen rescan ORIGINAL"))
     context = rescan.make_context("rescan", shlex.split(line)[2:])
     asked = context.params

@@ -1,6 +1,5 @@
 """The page in a real browser: needs Chromium and playwright, which is in none of our extras."""
 
-import io
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from scenegen.dataset.read import Dataset
 from scenegen.display.look import Guess, Route, looks
@@ -63,37 +61,6 @@ def reached(
     tab.goto(address)
     tab.wait_for_selector(f"body[data-sample='{first}']", state="attached", timeout=60_000)
     return tab, told
-
-
-def test_a_page_steps_shows_and_slides(browser: Any, made: Path, tmp_path: Path) -> None:
-    shown, _ = looks(Dataset(made), "train", [0, 4, 8])
-    tab, told = opened(browser, tmp_path / "page.html", page(shown, title="small"))
-    state = lambda name: tab.evaluate(f"document.body.dataset.{name}")  # noqa: E731
-    assert state("layers").split() == ["#box", "#sensor", "#x", "#y", "#z", "occupancy", "points"]
-    image = imread(io.BytesIO(tab.locator("canvas#scene").screenshot()), format="png")
-    assert (
-        len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100
-    )  # many heights and shades
-    tab.keyboard.press("ArrowRight")
-    tab.wait_for_selector("body[data-sample='1']", state="attached")
-    assert int(state("milliseconds")) < 2000
-    assert "train 4" in tab.locator("#which option:checked").inner_text()
-    tab.keyboard.press("End")
-    tab.wait_for_selector("body[data-sample='2']", state="attached")
-    before = int(state("level"))
-    tab.keyboard.press("ArrowUp")
-    assert int(state("level")) == before + 1
-    assert "distances" in state("layers").split()
-    tab.locator("#level").fill("3")
-    assert int(state("level")) == 3
-    for name, key in (("rays", "2"), ("observed", "3"), ("free", "4"), ("unknown", "6")):
-        tab.keyboard.press(key)
-        assert name in state("layers").split()
-    tab.locator("canvas#scene").drag_to(
-        tab.locator("canvas#scene"), target_position={"x": 600, "y": 300}
-    )
-    assert told == []
-    tab.close()
 
 
 def test_a_hostile_dataset_runs_no_script_in_a_browser(

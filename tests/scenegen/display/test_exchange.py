@@ -1,10 +1,6 @@
 """What is written in another format, an independent reader finds again."""
 
 import json
-import multiprocessing
-import os
-import signal
-import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,6 +13,7 @@ import pytest
 import trimesh
 
 from lidarsim import GridSpec
+from lidarsim.engines.voxels import FREE, OCCUPIED
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange import Choices
@@ -25,6 +22,7 @@ from scenegen.display.exchange.recordings import rerun as import_rerun
 from scenegen.errors import DatasetError
 from scenegen.sample import Sample
 from scenegen.source import read_world
+from scenegen.worlds.octomap import read_octomap
 from tests.command_line import run
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
@@ -90,50 +88,17 @@ def read_pcd(path: Path) -> np.ndarray:
 
 
 def test_octomap(made: Path, tmp_path: Path) -> None:
+    """Cells are multiples of the voxel: a map moves by up to half a voxel."""
     out = converted(made, tmp_path / "out", "octomap")
-    voxel = Dataset(made).grid.voxel_m
+    voxel_m = Dataset(made).grid.voxel_m
     for number, sample in samples_of(made):
-        resolution, size, leaves, nodes = read_octomap(out / "val" / f"{number}.bt")
-        assert (resolution, size) == (voxel, nodes)
-        known = sample.observed | sample.free
-        assert len(leaves) == known.sum() > 0
-        for centre, occupied in leaves.items():
-            place = (np.array(centre) - sample.origin) / voxel - 0.5
-            index = tuple(np.rint(place).astype(int))
-            assert np.abs(place - index).max() <= 0.5 + 1e-6
-            assert known[index]
-            assert sample.observed[index] == occupied
-
-
-def read_octomap(path: Path) -> tuple[float, int, dict[tuple[float, ...], bool], int]:
-    """Resolution, stated size, leaves by their centres, and counted nodes, read recursively."""
-    head, _, body = path.read_bytes().partition(b"\ndata\n")
-    assert head.startswith(b"# Octomap OcTree binary file\nid OcTree\n")
-    said = dict(line.split(" ", 1) for line in head.decode().splitlines()[1:])
-    resolution, at, nodes = float(said["res"]), 0, 1
-    leaves: dict[tuple[float, ...], bool] = {}
-
-    def read(centre: tuple[float, ...], width: float) -> None:
-        nonlocal at, nodes
-        (word,) = struct.unpack_from("<H", body, at)
-        at += 2
-        inner = []
-        for child in range(8):
-            state = word >> 2 * child & 3
-            sides = (width / 4 if child >> axis & 1 else -width / 4 for axis in range(3))
-            middle = tuple(map(sum, zip(centre, sides, strict=True)))
-            nodes += state != 0
-            if state == 3:
-                inner.append(middle)
-            elif state:
-                assert width / 2 == pytest.approx(resolution)
-                leaves[middle] = state == 2
-        for middle in inner:
-            read(middle, width / 2)
-
-    read((0.0, 0.0, 0.0), resolution * 2**16)
-    assert at == len(body)
-    return resolution, int(said["size"]), leaves, nodes
+        found = read_octomap(out / "val" / f"{number}.bt")
+        assert found.voxel_m == voxel_m
+        for state, mask in ((OCCUPIED, sample.observed), (FREE, sample.free & ~sample.observed)):
+            there = np.argwhere(found.states == state) * voxel_m + found.bounds[0]
+            moved = there - np.argwhere(mask) * voxel_m - sample.origin
+            assert len(there)
+            assert np.abs(moved).max() <= voxel_m / 2 + 1e-6
 
 
 def test_a_stopped_conversion_goes_on(
@@ -164,33 +129,6 @@ def test_a_stopped_conversion_goes_on(
             converted(made, out, other, **choices)
 
 
-@pytest.mark.parametrize("killed_at", [0, 1])
-def test_what_a_killed_conversion_leaves_is_taken_away(
-    killed_at: int, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At its own description, or at the first sample."""
-    plain, put = Path.replace, list[Path]()
-
-    def dies(draft: Path, path: Path) -> None:
-        if len(put) == killed_at:
-            os.kill(os.getpid(), signal.SIGKILL)
-        put.append(path)
-        plain(draft, path)
-
-    out = tmp_path / "out"
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "replace", dies)
-        killed = multiprocessing.get_context("fork").Process(
-            target=converted, args=(made, out, "semantickitti")
-        )
-        killed.start()
-        killed.join()
-    assert killed.exitcode == -signal.SIGKILL
-    assert list(out.rglob("*.tmp"))
-    converted(made, out, "semantickitti")
-    assert not list(out.rglob("*.tmp"))
-
-
 def test_a_folder_of_others_is_let_be(made: Path, tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
     code, _, said = run(capsys, "convert", made, "--to", "ply", "-o", tmp_path)
@@ -218,11 +156,9 @@ def test_a_format_of_ones_own(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     (tmp_path / "my_format_of_tests.py").write_text(
-        "class Counts:\n"
-        "    def __init__(self, choices): pass\n"
-        "    def names(self, split, number): return (f'{split}-{number}.txt',)\n"
-        "    def encode(self, sample, grid, lidar): return "
-        "(str(sample.occupancy.sum()).encode(),)\n"
+        "class Counts:\n    def __init__(self, choices): pass\n    def names(self, split, "
+        "number): return (f'{split}-{number}.txt',)\n    def encode(self, sample, grid, lidar): "
+        "return (str(sample.occupancy.sum()).encode(),)\n"
     )
     monkeypatch.chdir(tmp_path)
     command = f"convert {made} --to my_format_of_tests:Counts -o out --quiet"

@@ -5,11 +5,7 @@ import base64
 import gzip
 import http.client
 import json
-import os
-import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -120,17 +116,6 @@ def test_what_is_predicted_comes_with_the_sample(made: Path) -> None:
         assert guess["name"] == HOSTILE
 
 
-def test_datasets_of_a_folder_are_served_by_their_numbers(made: Path, dataset: Path) -> None:
-    (dataset / "train-00000.h5").unlink()
-    with served([made, dataset]) as server:
-        assert [one["name"] for one in Seen(ask(server, "/")[2]).data()["live"]["datasets"]] == [
-            "pillar: pillar"
-        ] * 2
-        assert ask(server, "/sample/0/train/0")[0] == 200
-        assert ask(server, "/sample/1/train/0")[0] == 404
-        assert ask(server, "/sample/1/train/4")[0] == 200
-
-
 def test_a_stranger_s_name_is_refused(made: Path) -> None:
     with served(made) as server:
         port = server.server_address[1]
@@ -173,16 +158,3 @@ def test_an_address_that_cannot_be_had_is_an_error(made: Path, capsys: Any, tmp_
             code, _, said = run(capsys, f"view {made} {words}")
             assert (code in (1, 2), said.count("\n")) == (True, 1)
             assert part in said
-
-
-def test_ctrl_c_ends_it_with_the_code_of_stops(made: Path) -> None:
-    words = [sys.executable, "-m", "scenegen", "view", made, "--port", "0"]
-    with subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("http://127.0.0.1:")
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert said.count("\n") == 1

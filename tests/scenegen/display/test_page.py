@@ -16,7 +16,7 @@ import pytest
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
-from scenegen.display.look import look_at, looks, spread
+from scenegen.display.look import look_at, looks
 from scenegen.display.page import HERE, MOST_VOXELS, page
 from scenegen.errors import DatasetError
 from tests.command_line import run
@@ -131,26 +131,6 @@ def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(
         code, _, said = run(capsys, "view", dataset, "--index", index, "-o", tmp_path / "no.html")
         assert (code, said.count("\n"), part in said) == (1, 1, True)
     assert not (tmp_path / "no.html").exists()
-
-
-def test_an_incomplete_dataset_is_shown_with_a_line(
-    dataset: Path, tmp_path: Path, capsys: Any
-) -> None:
-    manifest = json.loads((dataset / "dataset.json").read_text())
-    (dataset / manifest["shards"].pop()["file"]).unlink()
-    manifest |= {"complete": False, "digest": None}
-    (dataset / "dataset.json").write_text(json.dumps(manifest))
-    code, _, noted = run(capsys, "view", dataset, "--n", 3, "--html", tmp_path / "page.html")
-    assert (code, "incomplete" in noted) == (0, True)
-    data = Seen((tmp_path / "page.html").read_text(encoding="utf-8")).data()
-    assert "incomplete" in data["notes"][0]
-    assert [sample["name"] for sample in data["samples"]] == ["train 0", "train 5", "train 10"]
-
-
-def test_numbers_are_spread_over_the_split(made: Path) -> None:
-    dataset = Dataset(made)
-    assert spread(dataset, "train", 100) == list(range(11))
-    assert spread(dataset, "train", 3) == [0, 5, 10]
 
 
 def test_what_cannot_be_shown_is_an_error(made: Path) -> None:

@@ -16,13 +16,12 @@ import pytest
 
 from scenegen.cli.show import Progress
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.errors import ScenegenError
 from scenegen.run import executor
 from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT
 from tests.conftest import small_recipe
 from tests.scenegen.run import everywhere
-from tests.scenegen.run.odd import NODES, odd_node
 
 ray = pytest.importorskip("ray")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
@@ -104,39 +103,6 @@ def test_commands_give_the_same_there_though_a_node_dies(
         assert there == here
 
 
-def test_an_error_is_raised_here_and_names_the_node(connected: Any, tmp_path: Path) -> None:
-    """A disk that only the nodes find full, say; here a folder that became a file."""
-    asked = plan(tmp_path / "there")
-
-    def spoil(task: Any) -> None:
-        raise DatasetError(f"{task}: disk is full")
-
-    with pytest.raises(ScenegenError, match=r"3: disk is full \(on \S+\)"):
-        list(executor("ray", 1)(spoil, [3], lambda: None))
-    assert asked.samples == 66
-
-
-@pytest.mark.parametrize(("what", "told"), NODES.items(), ids=lambda it: it[:8])
-def test_a_node_that_is_not_as_this_machine_is_named(tmp_path: Path, what: str, told: str) -> None:
-    """A cluster whose only node that takes tasks is another version's, or has none."""
-    odd_node(tmp_path, what)
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    found = cluster_utils.Cluster(
-        initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False}
-    )
-    found.add_node(
-        num_cpus=1, env_vars={"PYTHONPATH": f"{tmp_path}:{ROOT}", "SLURMD_NODENAME": "node1"}
-    )
-    ray.init(address=found.address, log_to_driver=False, configure_logging=False)
-    try:
-        with pytest.raises(GenerationError, match=told) as caught:
-            list(executor("ray", 1)(abs, [-1], lambda: None))
-        assert "\n" not in str(caught.value)
-    finally:
-        ray.shutdown()
-        found.shutdown()
-
-
 def beat(path: Path) -> None:
     """Write for a minute what time it is."""
     for _ in range(300):
@@ -148,12 +114,10 @@ def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_pat
     ours, others = tmp_path / "ours", tmp_path / "others"
     task = ray.remote(beat).remote(others)
     code = (
-        "from pathlib import Path\n"
-        "from scenegen.run import executor\n"
-        "from scenegen.cli import stops\n"
-        "from tests.scenegen.run.test_ray import beat\n"
-        "stops.answer()\n"
-        f"list(executor('ray://auto', 1)(beat, [Path({str(ours)!r})], lambda: None))\n"
+        "from pathlib import Path\nfrom scenegen.run import executor\nfrom scenegen.cli import "
+        "stops\nfrom tests.scenegen.run.test_ray import "
+        f"beat\nstops.answer()\nlist(executor('ray://auto', 1)(beat, [Path({str(ours)!r})], "
+        "lambda: None))\n"
     )
     environment = os.environ | {"RAY_ADDRESS": connected.address, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen([sys.executable, "-c", code], env=environment) as running:
@@ -172,10 +136,8 @@ def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_pat
 def test_usage_is_never_reported() -> None:
     """The switch is off before Ray is imported, and Ray's own opinion is asked."""
     code = (
-        "from scenegen.run import executor\n"
-        "executor('ray', 1)\n"
-        "from ray._common.usage import usage_lib\n"
-        "assert not usage_lib.usage_stats_enabled()\n"
+        "from scenegen.run import executor\nexecutor('ray', 1)\nfrom ray._common.usage import "
+        "usage_lib\nassert not usage_lib.usage_stats_enabled()\n"
     )
     clean = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
     subprocess.run([sys.executable, "-c", code], check=True, env=clean, timeout=120)

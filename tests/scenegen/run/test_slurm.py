@@ -21,13 +21,12 @@ import pytest
 
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.errors import DatasetError, GenerationError
 from scenegen.run import executor
 from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT
 from tests.conftest import small_recipe
 from tests.scenegen.run import everywhere, slurm_here
-from tests.scenegen.run.odd import NODES, odd_node
 
 pytest.importorskip("submitit")
 pytestmark = [
@@ -124,11 +123,9 @@ def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(
         ["sbatch", "--parsable", "--wrap", "sleep 60"], capture_output=True, text=True, check=True
     )
     words = (
-        "import time\n"
-        "from scenegen.run import executor\n"
-        "from scenegen.cli import stops\n"
-        "stops.answer()\n"
-        "list(executor('slurm', 2)(time.sleep, [60] * 3, lambda: print('begun', flush=True)))\n"
+        "import time\nfrom scenegen.run import executor\nfrom scenegen.cli import "
+        "stops\nstops.answer()\nlist(executor('slurm', 2)(time.sleep, [60] * 3, lambda: "
+        "print('begun', flush=True)))\n"
     )
     with subprocess.Popen(
         [sys.executable, "-c", words], stdout=subprocess.PIPE, text=True
@@ -146,42 +143,6 @@ def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(
         time.sleep(1)
     subprocess.run(["scancel", other.stdout.strip()], check=True)
     assert left.split() == other.stdout.split()
-
-
-def test_a_job_that_reaches_its_time_limit_says_so(here: Path) -> None:
-    """Slurm tells it 90 seconds ahead, or up to 150, which is too early for shorter ones."""
-    with pytest.raises(
-        GenerationError, match=r"job \d+: timed-out: its 3 minutes are too few"
-    ) as caught:
-        list(executor("slurm://?time=3", 1)(time.sleep, [170], lambda: None))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("what", "told"), (NODES | {"submitit": r"job \d+: left the queue.*: .*node1"}).items()
-)
-def test_a_node_that_is_not_as_this_machine_is_named(
-    here: Path, what: str, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("scenegen.run.slurm.LOOKS", 2)
-    odd_node(here, what)
-    monkeypatch.setenv("PYTHONPATH", f"{here}:{ROOT}")
-    assert list(executor("slurm://?nodelist=node0", 1)(abs, [-1], lambda: None)) == [1]
-    with pytest.raises(GenerationError, match=told) as caught:
-        list(executor("slurm://?nodelist=node1", 1)(abs, [-1], lambda: None))
-    assert "\n" not in str(caught.value)
-
-
-def test_what_slurm_refuses_is_one_line(here: Path) -> None:
-    with pytest.raises(GenerationError, match="--on slurm: nothing could be submitted") as caught:
-        list(executor("slurm://nowhere", 1)(abs, [0], lambda: None))
-    assert "\n" not in str(caught.value)
-    for address, told in {
-        "all?time": r"slurm://PARTITION\?time=60&mem=4G",
-        "?time=1:00": "whole minutes",
-    }.items():
-        with pytest.raises(ScenegenError, match=f"expected {told}"):
-            executor(f"slurm://{address}", 1)
 
 
 def twice(task: Path) -> str:

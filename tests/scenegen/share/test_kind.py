@@ -1,8 +1,10 @@
 """What makes a dataset again: the command, and the kind, whose module only the user can have
 imported."""
 
+import dataclasses
 import json
 import shlex
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -10,12 +12,13 @@ import pytest
 from scenegen.cli.generate import generate
 from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset
+from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import parse
+from scenegen.display.inspect import inspect
 from scenegen.errors import PublishError
-from scenegen.share.croissant import croissant
-from scenegen.share.licence import LICENCES
-from scenegen.share.publication import Publication
-from scenegen.share.regenerate import check_kind, command
+from scenegen.share.card import croissant, facts
+from scenegen.share.regenerate import check_kind, closure, command, environment_lock
+from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
@@ -52,25 +55,23 @@ def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(
 
 @pytest.mark.parametrize(("kind", "random"), [("pillar", True), ("scene", False)])
 def test_worlds_drawn_by_hand_are_not_called_random(
-    kind: str, random: bool, tmp_path: Path
+    kind: str, random: bool, made: Path, asked: Request
 ) -> None:
-    recipe = small_recipe()
-    plan = plan_dataset(
-        tmp_path, recipe, DrawnWorlds(recipe), seed=3, counts={"train": 5, "val": 1, "test": 0}
-    )
-    found = parse(manifest.assemble(plan.parameters, [], complete=False) | {"kind": kind}, tmp_path)
-    it = Publication(
-        repository="ada/x",
-        tag="v1",
-        licence=LICENCES[0],
-        date="2026-01-01",
-        manifest=found,
-        statistics={"samples": 6, "splits": {}},
-        command="",
-        lock="",
-        checks=(),
-        pictures=(),
-    )
-    said = json.loads(croissant(it, {}))
+    found = dataclasses.replace(Dataset(made).manifest, kind=kind)
+    told = inspect(made, most=1)
+    given = facts(found, told, asked, tag="v1", date="2026-01-01", checks=(), pictures="")
+    said = json.loads(croissant(given, found, told, {}))
     assert ("Random worlds" in said["rai:dataCollection"]) == random
     assert ("distributions of recipe.toml" in str(said["rai:dataBiases"])) == random
+
+
+def test_the_lock_pins_what_is_needed_as_the_dataset_s_makers_had_it() -> None:
+    needed = closure("scenegen-lidar")
+    for name in ("numpy", "mujoco", "h5py", "llvmlite"):
+        assert needed[name] == version(name)
+    assert not {"pytest", "pyvista", "scenegen", "huggingface-hub"} & set(needed)
+    made_with = {"numpy": "2.0.1", "scenegen": "0.0.9", "machine": "x86_64"}
+    head, _, *lines = environment_lock(made_with, "abc123").splitlines()
+    assert head.startswith("# scenegen 0.0.9, published with ")
+    assert "numpy==2.0.1" in lines
+    assert [line.partition("==")[0] for line in lines] == sorted(needed)

@@ -26,11 +26,11 @@ def staged_files(folder: Path) -> dict[str, bytes]:
 def test_what_arrives_is_the_folder_and_the_tag_comes_last(asked: Request, hub: Hub) -> None:
     done = publish(asked)
     repository = hub.repositories[asked.repository]
-    there = dict(repository.files(done.staged.tag) or {})
+    there = dict(repository.files(done[0].tag) or {})
     there.pop(".gitattributes")
     assert there == staged_files(asked.out)
-    assert set(there) == set(done.staged.files)
-    assert repository.tags == {done.staged.tag: done.commit}
+    assert set(there) == set(done[0].files)
+    assert repository.tags == {done[0].tag: done[1]}
     tagged = next(n for n, line in enumerate(hub.log) if "/tag/" in line)
     assert not [line for line in hub.log[tagged + 1 :] if line.startswith(("POST", "PUT"))]
     assert hub.tokens == {TOKEN}
@@ -44,7 +44,7 @@ def test_an_interrupted_upload_goes_on_where_it_was(asked: Request, hub: Hub) ->
     hub.refuse_after = None
     done = publish(asked)
     assert len(hub.puts) == len(set(hub.puts))  # nothing went twice
-    assert hub.repositories[asked.repository].tags == {done.staged.tag: done.commit}
+    assert hub.repositories[asked.repository].tags == {done[0].tag: done[1]}
     there = dict(hub.repositories[asked.repository].files("main") or {})
     there.pop(".gitattributes")
     assert there == staged_files(asked.out)
@@ -54,7 +54,7 @@ def test_what_is_published_already_is_not_sent_again(asked: Request, hub: Hub) -
     first = publish(asked)
     sent = len(hub.log)
     again = publish(asked)
-    assert again.commit == first.commit
+    assert again[1] == first[1]
     assert not [
         line
         for line in hub.log[sent:]
@@ -146,6 +146,6 @@ def test_a_dry_run_contacts_nobody(asked: Request, monkeypatch: pytest.MonkeyPat
     monkeypatch.delenv("HF_TOKEN", raising=False)
     seen: list[Staged] = []
     done = publish(asked, dry_run=True, on_staged=seen.append)
-    assert done.commit is None
-    assert seen == [done.staged]
+    assert done[1] is None
+    assert seen == [done[0]]
     assert (asked.out / "SHA256SUMS").is_file()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from scenegen.errors import DatasetError, StoreError
-from scenegen.stores import ConflictError, Object, Store, Version
+from scenegen.stores import ANY, ConflictError, Object, Store, Version
 
 HOME = "TESTS_KEPT"
 """Where the environment says that objects are kept."""
@@ -53,13 +53,9 @@ class Kept(Store):
             file.write(path.read_bytes())
             return self._version(path)
 
-    def put_whole(self, name: str, content: bytes) -> Version:
+    def put(self, name: str, content: bytes, version: Version = ANY) -> Version:
         with self._alone(f"put {name}"):
-            return self._put(name, content)
-
-    def put_if(self, name: str, content: bytes, version: Version) -> Version:
-        with self._alone(f"put {name}"):
-            if self._version(self.home / name) != version:
+            if version not in (ANY, self._version(self.home / name)):
                 raise ConflictError(f"{self.name}/{name}: somebody else has put it")
             return self._put(name, content)
 

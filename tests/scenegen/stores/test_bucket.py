@@ -5,15 +5,11 @@ python -m pytest -m slow -n0 tests/scenegen/stores/test_bucket.py      as root, 
 ceph-mon ceph-osd radosgw
 """
 
-import json
-import os
-import shutil
-import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +22,7 @@ from scenegen.errors import StoreError
 from scenegen.stores import StorePath
 from scenegen.verification import verify
 from tests.command_line import SMALL
-from tests.scenegen.run import everywhere
-from tests.scenegen.stores.ceph import KEY, SECRET, USER, Ceph, missing
+from tests.scenegen.stores.ceph import KEY, SECRET, Ceph, missing
 from tests.scenegen.stores.conftest import forget
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(missing()), reason=missing())]
@@ -140,7 +135,7 @@ def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -
     store = StorePath(f"s3://{bucket}/d").store
     for turn in range(20):
         name = f"race-{turn}"
-        version = store.put_whole(name, b"first") if of_what else None
+        version = store.put(name, b"first") if of_what else None
         start, won = threading.Barrier(8), list[bytes]()
 
         def put(
@@ -152,7 +147,7 @@ def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -
         ) -> None:
             start.wait()
             try:
-                store.put_if(name, mine, version)
+                store.put(name, mine, version)
                 won.append(mine)
             except StoreError:  # a conflict, or what Ceph answers to some that lose a race, 500
                 pass
@@ -197,126 +192,3 @@ def test_a_server_that_stays_away_ends_the_run_in_one_line_and_loses_nothing(
     assert wait_for(bucket, there) < SHARDS
     Run(tmp_path, f"s3://{bucket}/d").ends(0)
     assert objects(bucket) == files(here)
-
-
-def test_a_full_store_and_refused_credentials_name_the_shard_and_lose_nothing(
-    ceph: Ceph, bucket: str, here: Path, tmp_path: Path
-) -> None:
-    cases: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
-        "the store is full (QuotaExceeded)": (
-            lambda: [
-                ceph.admin(
-                    "quota", "set", "--quota-scope=bucket", "--bucket", bucket, "--max-size=200000"
-                ),
-                ceph.admin("quota", "enable", "--quota-scope=bucket", "--bucket", bucket),
-            ],
-            lambda: ceph.admin("quota", "disable", "--quota-scope=bucket", "--bucket", bucket),
-        ),
-        "the store refuses the credentials (UserSuspended)": (
-            lambda: ceph.admin("user", "suspend", "--uid", USER),
-            lambda: ceph.admin("user", "enable", "--uid", USER),
-        ),
-    }
-    for told, (refuse, allow) in cases.items():
-        run = Run(tmp_path, f"s3://{bucket}/d")
-        wait_for(bucket, wait_for(bucket, 0) + 8)
-        refuse()
-        said = run.ends(1)
-        assert told in said
-        assert f"s3://{bucket}/d/" in said
-        assert any(f"{split}-0" in said for split in ("train", "val", "test"))
-        allow()
-    Run(tmp_path, f"s3://{bucket}/d").ends(0)
-    assert objects(bucket) == files(here)
-
-
-def test_two_drivers_at_once_and_a_killed_one_end_with_equal_bits(
-    bucket: str, here: Path, tmp_path: Path
-) -> None:
-    killed = Run(tmp_path, f"s3://{bucket}/d")
-    wait_for(bucket, 5)
-    killed.process.send_signal(signal.SIGKILL)
-    killed.process.communicate()
-    runs = [Run(tmp_path, f"s3://{bucket}/d") for _ in range(2)]
-    for run in runs:
-        run.ends(0)
-    assert objects(bucket) == files(here)
-
-
-@pytest.mark.parametrize("on", ["rank", "ray"])
-def test_other_executors_write_the_same_there(
-    on: str, bucket: str, here: Path, tmp_path: Path
-) -> None:
-    """Without a folder that they share: each has the bucket alone."""
-    if on == "ray":
-        pytest.importorskip("ray")
-        Run(tmp_path, f"s3://{bucket}/d", "--on", on).ends(0)
-    else:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("SCENEGEN_WORLD_SIZE", "2")
-            for rank in range(2):
-                patch.setenv("SCENEGEN_RANK", str(rank))
-                Run(tmp_path, f"s3://{bucket}/d", "--on", on).ends(0)
-    assert objects(bucket) == files(here)
-
-
-def test_nodes_open_it_for_themselves(bucket: str, here: Path, cache: Path, tmp_path: Path) -> None:
-    """Commands give there what they give of a folder, and read what they read from the bucket."""
-    cluster_utils = pytest.importorskip("ray.cluster_utils")
-    everywhere.make(tmp_path)
-    Run(tmp_path, f"s3://{bucket}/d").ends(0)
-    theirs = tmp_path / "theirs"
-    shutil.copytree(cache / "scenegen" / "kernels", theirs / "scenegen" / "kernels")
-    head = {"num_cpus": 0, "include_dashboard": False}
-    cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=head)
-    cluster.add_node(num_cpus=2, env_vars={"SCENEGEN_CACHE": str(theirs)})
-
-    def leaves(out: str, words: tuple[object, ...], dataset: object, *more: object) -> Any:
-        writes = () if words[0] == "verify" else ("-o", out)
-        command = [str(dataset) if word == "d" else str(word) for word in (*words, *writes, *more)]
-        environment = os.environ | {"RAY_ADDRESS": cluster.address, "OMP_NUM_THREADS": "1"}
-        run = [sys.executable, "-m", "scenegen", *command]
-        done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return everywhere.contents(tmp_path / out) if writes else everywhere.checks(done.stdout)
-
-    try:
-        for words in (
-            everywhere.COMPLETE,
-            ("convert", "d", "--to", "npz"),
-            ("verify", "d", "--json"),
-        ):
-            there = leaves(f"{words[0]}-there", words, f"s3://{bucket}/d", "--on", "ray://auto")
-            assert there == leaves(f"{words[0]}-here", words, here, "--workers", 1)
-            read = {path.name for path in (theirs / "scenegen" / "places").rglob("*.h5")}
-            assert len(read) == (2 if words[0] == "complete" else SHARDS)
-    finally:
-        cluster.shutdown()
-
-
-def test_commands_read_it(bucket: str, here: Path, cache: Path, tmp_path: Path) -> None:
-    Run(tmp_path, f"s3://{bucket}/d").ends(0)
-    how = "--epochs 1 --width 1 --out run --device cpu --quiet"
-    train = ("train", f"s3://{bucket}/d", *how.split())
-    for words in (
-        ("inspect", f"s3://{bucket}/d", "--json"),
-        ("verify", f"s3://{bucket}/d", "--json"),
-        train,
-    ):
-        done = subprocess.run(
-            [sys.executable, "-m", "scenegen", *words], cwd=tmp_path, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-        assert SECRET not in done.stdout + done.stderr
-        if "--json" in words and words[0] == "inspect":
-            found = json.loads(done.stdout)
-            assert found["digest"] == json.loads((here / "dataset.json").read_text())["digest"]
-    kept = b"".join(
-        path.read_bytes()
-        for home in (tmp_path, cache)
-        for path in home.rglob("*")
-        if path.is_file()
-    )
-    assert SECRET.encode() not in kept
-    assert KEY.encode() not in kept
-    assert os.environ["AWS_SECRET_ACCESS_KEY"] == SECRET

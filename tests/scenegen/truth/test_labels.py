@@ -211,4 +211,4 @@ def test_a_dataset_with_labels_can_be_published(tmp_path: Path) -> None:
     assert '"nothing", "plane"' in card
     assert "`voxel_class`" in card
     assert "--labels name" in card
-    assert "its noise is simulated, `range:sigma_m=0.02" in card
+    assert "with simulated noise, `range:sigma_m=0.02" in card

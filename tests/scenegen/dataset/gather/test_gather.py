@@ -201,7 +201,7 @@ def test_one_split_keeps_its_files_and_its_names(first: Path, tmp_path: Path) ->
 def examine_refuses(folder: Path, tmp_path: Path) -> str:
     with pytest.raises(DatasetError, match="scan those again"):
         plan_rescan(Dataset(folder), tmp_path / "again")
-    with pytest.raises(Exception, match="publish those") as refused:
+    with pytest.raises(Exception, match="publish a dataset of each") as refused:
         examine(Request(dataset=folder, repository="ada/x", out=tmp_path / "p"))
     return str(refused.value)
 
