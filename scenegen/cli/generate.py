@@ -39,13 +39,16 @@ from scenegen.cli.show import (
 from scenegen.cli.types import Named, ShardRange
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
+from scenegen.worlds import WORLDS
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:
     from scenegen.dataset.state import Plan
     from scenegen.run import Executor
 
-KIND = Named(KINDS, others={".xml": "--scene", ".toml": "--recipe"}, more=("mixed",))
+KIND = Named(
+    KINDS, others={".toml": "--recipe", **dict.fromkeys(WORLDS, "--scene")}, more=("mixed",)
+)
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 WORLDS, SIZE = "Worlds", "Size and files"
@@ -77,7 +80,7 @@ MAPPING = {field.name for field in dataclasses.fields(Mapper)}
     "--scene",
     type=click.Path(path_type=Path),
     panel=WORLDS,
-    help="An MJCF file of your own world, or a folder of them.",
+    help="An MJCF file, a mesh or a map of your own world, or a folder of them.",
 )
 @click.option(
     "--recipe",

@@ -1,0 +1,68 @@
+"""Meshes as worlds: each object of a .glb, .obj or .stl file becomes a geom, by trimesh."""
+
+import io
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from lidarsim.parameters import MOST_TRIANGLES
+from scenegen.errors import SceneError, printable
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_ASSET_BYTES, MOST_GEOMS
+
+UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+"""From glTF, whose y points up, to z up; x stays."""
+
+
+def mesh_spec(path: Path) -> mujoco.MjSpec:
+    """The MJCF of a mesh file: a geom for each of its objects, where they stand.
+
+    A .glb is in metres with y up, as glTF 2.0 says; the other two say neither, and are taken to be
+    in metres with z up. Colours are left out. Raises SceneError, DatasetError for a file that is
+    too large, and FileNotFoundError.
+    """
+    import trimesh  # takes a second to load
+
+    content = io.BytesIO(read_bounded(path, MOST_ASSET_BYTES))
+    try:  # without a resolver, no other file is read
+        scene = trimesh.load(
+            content, file_type=path.suffix[1:], force="scene", skip_materials=True, process=False
+        )
+        if path.suffix == ".glb":
+            scene.apply_transform(UPRIGHT)
+        placed = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
+    except Exception as error:  # trimesh's loaders raise anything
+        raise SceneError(
+            f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}"
+        ) from None
+    spec, triangles = mujoco.MjSpec(), 0
+    for node, transform, name in placed:
+        mesh = scene.geometry[name]
+        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+            continue
+        triangles += len(mesh.faces)
+        if triangles > MOST_TRIANGLES or len(spec.geoms) >= MOST_GEOMS:
+            raise SceneError(
+                f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
+            )
+        corners = trimesh.transform_points(mesh.vertices, transform)
+        if not np.isfinite(corners).all():
+            raise SceneError(f"{path}: has corners that are not finite; export it again")
+        called = f"{len(spec.geoms)} {printable(node)[:60]}"
+        spec.add_mesh(
+            name=called,
+            uservert=corners.reshape(-1),
+            userface=mesh.faces.reshape(-1),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=called,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=called,
+            contype=0,
+            conaffinity=0,
+        )
+    if not triangles:
+        raise SceneError(f"{path}: holds no triangles; for points alone see scenegen map")
+    return spec
