@@ -28,7 +28,7 @@ PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"
 SENSOR_FIELDS = ("vp_", "viewpoint_", "sensor_", "origin_")
 """What the names of fields begin with that say where a point was seen from, before x, y and z: the
 first are those of PCL's PointWithViewpoint."""
-NOWHERE = "0 0 0 1 0 0 0".split()
+NOWHERE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 """The VIEWPOINT that a PCD has whose writer knew none."""
 LAS_CHUNK = 1_000_000
 """Points of a LAS file that are unpacked at once."""
@@ -223,8 +223,8 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
         )
     if len(points) != count:
         raise ValueError(f"promises {count} points and holds {len(points)}")
-    stood = said.get("VIEWPOINT", NOWHERE)
-    if len(columns) == 3 and list(map(float, stood)) != list(map(float, NOWHERE)):
+    stood = list(map(float, said.get("VIEWPOINT", NOWHERE)))
+    if len(columns) == 3 and stood != NOWHERE:
         return _seen_from(points, stood[:3])
     return points
 

@@ -217,9 +217,9 @@ def world_files(folder: Path) -> list[Path]:
 def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scene], list[str]]:
     """The worlds among `files`, and the names of those that are parts of others.
 
-    MJCF and meshes are read one file after the other in a process of their own, which a file that never ends,
-    or takes all memory, cannot outlive; it costs about a second, in which kernels are loaded that
-    this process loads again. Maps are read here, by code that is bounded itself.
+    MJCF and meshes are read one after the other in a process of their own, which a file that never
+    ends, or takes all memory, cannot outlive; it costs about a second, in which kernels are loaded
+    that this process loads again. Maps and clouds are read here, by code that is bounded itself.
     """
     read: Limited[Path, Reading] = Limited(
         functools.partial(read_file, materials=materials),

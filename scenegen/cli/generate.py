@@ -39,7 +39,7 @@ from scenegen.cli.show import (
 from scenegen.cli.types import Named, ShardRange
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
-from scenegen.worlds import WORLDS
+from scenegen.worlds import WORLD_FILES
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from scenegen.run import Executor
 
 KIND = Named(
-    KINDS, others={".toml": "--recipe", **dict.fromkeys(WORLDS, "--scene")}, more=("mixed",)
+    KINDS, others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")}, more=("mixed",)
 )
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""

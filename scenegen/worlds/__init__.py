@@ -9,7 +9,7 @@ CLOUDS = (".ply", ".pcd", ".las", ".laz", ".xyz")
 """How the names of clouds of points end, which become maps."""
 MESHES = (".obj", ".glb", ".stl")
 """How the names of meshes end that are worlds of their own."""
-WORLDS = (".xml", *MAPS, *CLOUDS, *MESHES)
+WORLD_FILES = (".xml", *MAPS, *CLOUDS, *MESHES)
 """How the names of all files end that are worlds."""
 
 

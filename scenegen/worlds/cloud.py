@@ -3,7 +3,7 @@ sensor to its point crossed is free."""
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -41,7 +41,7 @@ class Survey:
     unit_m: float = number(1.0, least=1e-6, most=1e3)
     """The unit of the file's lengths, metres."""
     up: Literal["z", "y"] = "z"
-    """The file's axis that points up; a y that does becomes the map's z, and the file's z its -y."""
+    """The file's axis that points up. Where that is y, its z becomes the map's -y."""
     assume_free: bool = False
     """Whether a voxel without a point is free that lies above the lowest one with a point in its
     column and was not seen otherwise."""
@@ -76,7 +76,6 @@ def map_clouds(
     position: Sequence[float] | None = None,
     poses: Path | None = None,
     box: Sequence[float] | None = None,
-    on_file: Callable[[], None] = lambda: None,
 ) -> Surveyed:
     """One map of several clouds of one place. Where a voxel has both points and rays through it, it
     is occupied.
@@ -91,7 +90,6 @@ def map_clouds(
             points are in the sensor's own frame (`POSES`).
         box: The least and the greatest corner of what is kept, (6,), as points have them; otherwise
             all points and sensors are.
-        on_file: Called after every file.
 
     Raises:
         SceneError: Nothing says what is free, the map would be too large, or there is no point.
@@ -101,18 +99,18 @@ def map_clouds(
     frames = None if poses is None else _read_poses(poses, len(files))
 
     @functools.lru_cache(maxsize=1)
-    def read(number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def read(each: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points and sensors, in metres and z up."""
-        cloud = read_cloud(files[number], MOST_CLOUD_BYTES)
+        cloud = read_cloud(files[each], MOST_CLOUD_BYTES)
         points, sensors = cloud.points, cloud.sensors
         if frames is not None:
-            axes, sensors = frames[number]
+            axes, sensors = frames[each]
             points = points if axes is None else points @ axes + sensors
         elif position is not None:
             sensors = np.array([position], dtype=np.float64)
         if sensors is None and not survey.assume_free:
             raise SceneError(
-                f"{files[number]}: does not say where its sensor was, so nothing in it is known "
+                f"{files[each]}: does not say where its sensor was, so nothing in it is known "
                 "to be free; give scenegen map --position or --poses, or --assume-free for all "
                 "above the ground"
             )
@@ -121,7 +119,7 @@ def map_clouds(
 
     if box is None:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for part in (part for number in range(len(files)) for part in read(number)):
+        for part in (part for each in range(len(files)) for part in read(each)):
             kept = part[np.isfinite(part).all(axis=1)]
             low = np.minimum(low, kept.min(axis=0, initial=np.inf))
             high = np.maximum(high, kept.max(axis=0, initial=-np.inf))
@@ -135,10 +133,16 @@ def map_clouds(
     states, origin = _empty_map(low - offset, high - offset, survey.voxel_m, where)
     occupied = np.zeros(states.shape, dtype=np.bool_)
     points = 0
-    for number in range(len(files)):
-        parts = (part - offset for part in read(number))
-        points += _carve(*parts, origin, survey.voxel_m, states.reshape(-1), occupied)
-        on_file()
+    for each in range(len(files)):
+        seen, sensors = read(each)
+        points += _carve(
+            seen - offset,
+            sensors - offset,
+            origin,
+            survey.voxel_m,
+            states.reshape(-1),
+            occupied,
+        )
     if not points:
         raise SceneError(f"{where}: no point in it lies in the box; give a --box that holds some")
     states[occupied] = OCCUPIED
@@ -172,7 +176,9 @@ def _read_poses(
         places = found[:, 3::4]
     for line, axes in enumerate(turns, start=1):
         if np.abs(axes @ axes.T - np.eye(3)).max() > MOST_SKEW or np.linalg.det(axes) < 0:
-            raise SceneError(f"{path}: pose {line} is no rotation; expected {POSES[found.shape[1]]}")
+            raise SceneError(
+                f"{path}: pose {line} is no rotation; expected {POSES[found.shape[1]]}"
+            )
     return list(zip(turns, places[:, None], strict=True))
 
 
@@ -201,8 +207,8 @@ def _empty_map(
 
 @kernel
 def _carve(points, sensors, origin, voxel_m, states, occupied):
-    """Mark the voxels with `points` (N, 3) as `occupied`, and those on the way from `sensors`, none,
-    one or (N, 3), as free in the flat `states`. How many points lie in the map."""
+    """Mark voxels with `points` (N, 3) as `occupied`, and those on the way from `sensors` (none,
+    one, or N of them) as free in the flat `states`. How many points lie in the map."""
     nx, ny, nz = occupied.shape
     kept = 0
     for n in range(len(points)):

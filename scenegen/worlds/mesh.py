@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from lidarsim.parameters import MOST_TRIANGLES
-from scenegen.errors import SceneError, printable
+from scenegen.errors import DatasetError, SceneError, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_GEOMS
 
@@ -18,16 +18,23 @@ UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 def mesh_spec(path: Path) -> mujoco.MjSpec:
     """The MJCF of a mesh file: a geom for each of its objects, where they stand.
 
-    A .glb is in metres with y up, as glTF 2.0 says; the other two say neither, and are taken to be
-    in metres with z up. Colours are left out. Raises SceneError, DatasetError for a file that is
-    too large, and FileNotFoundError.
+    A .glb is in metres with y up, as glTF 2.0 says; the others say neither, and are taken to be in
+    metres with z up. Colours are left out. Raises SceneError.
     """
     import trimesh  # takes a second to load
 
-    content = io.BytesIO(read_bounded(path, MOST_ASSET_BYTES))
-    try:  # without a resolver, no other file is read
-        scene = trimesh.load(
-            content, file_type=path.suffix[1:], force="scene", skip_materials=True, process=False
+    try:
+        content = read_bounded(path, MOST_ASSET_BYTES)
+    except (DatasetError, FileNotFoundError) as error:
+        raise SceneError(str(error)) from None
+    try:
+        scene = trimesh.load(  # without a resolver, no other file is read
+            io.BytesIO(content),
+            file_type=path.suffix[1:],
+            force="scene",
+            process=False,
+            skip_materials=True,
+            split_objects=True,
         )
         if path.suffix == ".glb":
             scene.apply_transform(UPRIGHT)
@@ -47,6 +54,8 @@ def mesh_spec(path: Path) -> mujoco.MjSpec:
                 f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
             )
         corners = trimesh.transform_points(mesh.vertices, transform)
+        if len(corners) == 3:  # MuJoCo wants four
+            corners = corners[[0, 1, 2, 2]]
         if not np.isfinite(corners).all():
             raise SceneError(f"{path}: has corners that are not finite; export it again")
         called = f"{len(spec.geoms)} {printable(node)[:60]}"

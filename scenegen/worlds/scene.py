@@ -96,8 +96,8 @@ def load_map(path: Path) -> Scene:
 
 
 def load_scene(path: Path, *, materials: bool = False) -> Scene:
-    """Read an MJCF file or a mesh and make it self-contained: geoms alone, where MuJoCo puts them, and with
-    `materials` the names of theirs.
+    """Read an MJCF file or a mesh and make it self-contained: geoms alone, where MuJoCo puts them,
+    and with `materials` the names of theirs.
 
     The document is compiled again, and its solids compared with those of the file. MuJoCo may read
     other files, run long and take memory: for files that nobody vouches for, call this in a process
