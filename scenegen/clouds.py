@@ -3,6 +3,7 @@
 import io
 import itertools
 import math
+import os
 import warnings
 import zipfile
 from collections.abc import Collection, Sequence
@@ -15,7 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
-from scenegen.limits import MOST_HEADER_BYTES, MOST_LINE_BYTES, MOST_POINTS, MOST_SCAN_BYTES
+from scenegen.limits import (
+    GUARD_BYTES,
+    GUARD_S,
+    MOST_HEADER_BYTES,
+    MOST_LINE_BYTES,
+    MOST_POINTS,
+    MOST_SCAN_BYTES,
+)
+from scenegen.run.workers import guarded
 
 PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -32,6 +41,8 @@ NOWHERE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 """The VIEWPOINT that a PCD has whose writer knew none."""
 LAS_CHUNK = 1_000_000
 """Points of a LAS file that are unpacked at once."""
+LAS_BYTES_IN_S = 1e6
+"""How many bytes of a LAS file are unpacked in a second, at the least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,10 +247,23 @@ def _seen_from(points: NDArray[Any], sensor: ArrayLike) -> NDArray[np.float64]:
 
 
 def _read_las(content: bytes) -> NDArray[np.generic]:
-    """The points of a LAS or LAZ file (ASPRS LAS 1.4), scaled and with its offset, by laspy."""
+    """The points of a LAS or LAZ file (ASPRS LAS 1.4), scaled and with its offset, by laspy, which
+    damaged files can make hang."""
+    return guarded(
+        _unpack_las,
+        content,
+        seconds=GUARD_S + len(content) / LAS_BYTES_IN_S,
+        memory_bytes=GUARD_BYTES + len(content),
+    )
+
+
+def _unpack_las(content: bytes) -> NDArray[np.float64]:
     import laspy
 
-    with laspy.open(io.BytesIO(content)) as file:
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY), 2
+    )  # this process's own: its decoder prints as it dies
+    with laspy.open(io.BytesIO(content), read_evlrs=False) as file:
         count = file.header.point_count
         if count > MOST_POINTS:
             raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
@@ -248,7 +272,7 @@ def _read_las(content: bytes) -> NDArray[np.generic]:
             np.stack([np.asarray(chunk[name], np.float64) for name in fields], axis=1)
             for chunk in file.chunk_iterator(LAS_CHUNK)
         ]
-    points = np.concatenate(parts or [np.zeros((0, 3))])
+    points = np.concatenate([np.zeros((0, len(fields))), *parts])
     if len(points) != count:
         raise ValueError(f"promises {count} points and holds {len(points)}")
     return points
