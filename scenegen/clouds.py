@@ -9,10 +9,9 @@ import zipfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
@@ -236,14 +235,8 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
         raise ValueError(f"promises {count} points and holds {len(points)}")
     stood = list(map(float, said.get("VIEWPOINT", NOWHERE)))
     if len(columns) == 3 and stood != NOWHERE:
-        return _seen_from(points, stood[:3])
+        return np.concatenate([points, np.broadcast_to(stood[:3], points.shape)], axis=1)
     return points
-
-
-def _seen_from(points: NDArray[Any], sensor: ArrayLike) -> NDArray[np.float64]:
-    """`points` (N, 3) with the position (3,) of a sensor behind each, (N, 6)."""
-    stood = np.array(sensor, dtype=np.float64)
-    return np.concatenate([points, np.broadcast_to(stood, (len(points), 3))], axis=1)
 
 
 def _read_las(content: bytes) -> NDArray[np.generic]:
@@ -286,24 +279,15 @@ def _read_bin(content: bytes) -> NDArray[np.generic]:
 
 
 def _read_npz(content: bytes) -> NDArray[np.generic]:
-    """The array `points` of NumPy's archive, and the `position` of its sensor where `frame` says
-    that both are in the world, as `scenegen scan` writes them."""
+    """The array `points` of NumPy's archive."""
     with zipfile.ZipFile(io.BytesIO(content)) as members:
-        points = _read_member(members, "points", MOST_SCAN_BYTES)
-        if {"position.npy", "frame.npy"} <= set(members.namelist()):
-            with members.open("frame.npy") as member:
-                in_world = member.read(1000).endswith("world".encode("utf-32-le"))
-            if in_world:
-                return _seen_from(points[:, :3], _read_member(members, "position", 1000))
-    return points
-
-
-def _read_member(members: zipfile.ZipFile, name: str, most_bytes: int) -> NDArray[Any]:
-    about = members.getinfo(f"{name}.npy")
-    if about.file_size > most_bytes:
-        raise ValueError(f"{name} of {about.file_size} bytes, expected {most_bytes} at most")
-    with members.open(about) as member:
-        return _read_npy(member.read(most_bytes))
+        about = members.getinfo("points.npy")
+        if about.file_size > MOST_SCAN_BYTES:
+            raise ValueError(
+                f"points of {about.file_size} bytes, expected {MOST_SCAN_BYTES} at most"
+            )
+        with members.open(about) as member:
+            return _read_npy(member.read(MOST_SCAN_BYTES))
 
 
 PCD_TYPES = {
@@ -320,7 +304,7 @@ READERS = {
     **{".xyz": _read_xyz, ".npy": _read_npy, ".las": _read_las, ".laz": _read_las},
 }
 """File types of scans."""
-NAMED = READERS.keys() - {".bin", ".xyz", ".npy"}
+NAMED = (".ply", ".pcd", ".las", ".laz")
 """Those whose columns have names, so that three of them can say where a point was seen from."""
 
 

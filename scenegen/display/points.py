@@ -28,7 +28,8 @@ def write_points(
         path: The file.
         points: Positions (M, 3), metres.
         intensity: Of each point (M,), if there is any; a .bin has 0 where there is none.
-        about: Arrays and texts by name that an .npz holds, too.
+        about: Arrays and texts by name that an .npz holds, too. Where `frame` is "world", a .pcd
+            has `position` as its viewpoint.
 
     Raises:
         DatasetError: The name says none of the kinds.
@@ -64,8 +65,11 @@ def encode_points(
             head = (
                 f"VERSION 0.7\nFIELDS {' '.join(names)}\nSIZE{' 4' * fields}\nTYPE{' F' * fields}"
             )
-            head += f"\nCOUNT{' 1' * fields}\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
-            head += f"POINTS {count}\nDATA binary\n"
+            stood = "0 0 0"
+            if about and about.get("frame") == "world":
+                stood = " ".join(map(repr, about["position"].tolist()))
+            head += f"\nCOUNT{' 1' * fields}\nWIDTH {count}\nHEIGHT 1\n"
+            head += f"VIEWPOINT {stood} 1 0 0 0\nPOINTS {count}\nDATA binary\n"
         case _:
             head = ""
     return head.encode() + content

@@ -61,13 +61,6 @@ class Surveyed:
     points: int
     """How many points there are in the map."""
 
-    def __str__(self) -> str:
-        """In words: "96 × 96 × 24 voxels of 0.2 m, from 120000 points"."""
-        shape = " × ".join(map(str, self.voxels.states.shape))
-        moved = ", ".join(f"{part:.12g}" for part in self.offset)
-        told = f"{shape} voxels of {self.voxels.voxel_m:g} m, from {self.points} points"
-        return told + (f"; ({moved}) m are taken off its coordinates" if self.offset.any() else "")
-
 
 def map_clouds(
     files: Sequence[Path],

@@ -38,36 +38,28 @@ def mesh_spec(path: Path) -> mujoco.MjSpec:
         )
         if path.suffix == ".glb":
             scene.apply_transform(UPRIGHT)
-        frames = {node: scene.graph[node] for node in scene.graph.nodes_geometry}
-        placed = [
-            (
-                node,
-                scene.geometry[name],
-                trimesh.transform_points(scene.geometry[name].vertices, at),
-            )
-            for node, (at, name) in frames.items()
-        ]
+        placed = scene.dump()
     except Exception as error:  # trimesh's loaders raise anything
         raise SceneError(
             f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}"
         ) from None
     spec, triangles = mujoco.MjSpec(), 0
-    for node, mesh, corners in placed:
+    for mesh in placed:
         if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
             continue
-        triangles += len(mesh.faces)
+        triangles, corners = triangles + len(mesh.faces), mesh.vertices
         if triangles > MOST_TRIANGLES or len(spec.geoms) >= MOST_GEOMS:
             raise SceneError(
                 f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
             )
-        there = 0 <= mesh.faces.min() and mesh.faces.max() < len(corners)
+        there = mesh.faces.min() >= 0 and mesh.faces.max() < len(corners)
         if not there or not np.isfinite(corners).all():
             raise SceneError(
                 f"{path}: has corners that are not finite, or that are missing; export it again"
             )
         if len(corners) == 3:  # MuJoCo wants four
             corners = corners[[0, 1, 2, 2]]
-        called = f"{len(spec.geoms)} {printable(node)[:60]}"
+        called = f"{len(spec.geoms)} {printable(mesh.metadata.get('name', ''))[:60]}"
         spec.add_mesh(
             name=called,
             uservert=corners.reshape(-1),

@@ -86,7 +86,9 @@ def load_map(path: Path) -> Scene:
         if path.suffix in CLOUDS:
             made = map_clouds([path])
             place = place_of(encode_npz(made.voxels, str(path)), ".npz", str(path))
-            notes = (f"{path.name}: a map of {made}",)
+            told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
+            moved = f"; {made.offset.tolist()} m are taken off their coordinates"
+            notes = (f"{path.name}: {told}{moved if made.offset.any() else ''}",)
         else:
             place = read_place(path)
     except (DatasetError, FileNotFoundError) as error:

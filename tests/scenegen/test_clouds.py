@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from scenegen.clouds import read_points, scans_in
 from scenegen.display.points import write_points
 from scenegen.errors import DatasetError
-from scenegen.clouds import read_points, scans_in
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
 HEAD = "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
