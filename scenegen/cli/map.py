@@ -15,7 +15,7 @@ from scenegen.cli.options import (
     taken,
 )
 from scenegen.cli.show import show_table
-from scenegen.cli.types import Numbers
+from scenegen.cli.types import Number
 from scenegen.worlds.cloud import Survey
 
 
@@ -27,7 +27,7 @@ from scenegen.worlds.cloud import Survey
     )
 )
 @click.argument("clouds", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--position", type=Numbers("X,Y,Z", 3), help="Where the sensor stood.")
+@click.option("--sensor", type=(Number(),) * 3, help="Where the clouds' sensor was: X Y Z.")
 @click.option(
     "--poses",
     type=click.Path(path_type=Path),
@@ -36,8 +36,8 @@ from scenegen.worlds.cloud import Survey
 )
 @click.option(
     "--box",
-    type=Numbers("X,Y,Z,X,Y,Z", 6),
-    help="Leave out what lies beyond these two corners.  [default: keep all]",
+    type=(Number(),) * 6,
+    help="Leave out what lies beyond these two corners: X Y Z X Y Z.",
 )
 @options_of(
     Survey,
@@ -52,7 +52,7 @@ from scenegen.worlds.cloud import Survey
 @quiet_option
 def map(
     clouds: tuple[Path, ...],
-    position: tuple[float, ...] | None,
+    sensor: tuple[float, ...] | None,
     poses: Path | None,
     box: tuple[float, ...] | None,
     out: Path,
@@ -65,8 +65,8 @@ def map(
     Voxels with points are occupied, those that rays from the sensor crossed are free, and all
     others unknown. `scenegen generate --scene` takes the map.
     """
-    if position is not None and poses is not None:
-        raise click.UsageError("--position and --poses both say where sensors were; give one")
+    if sensor is not None and poses is not None:
+        raise click.UsageError("--sensor and --poses both say where sensors were; give one")
     if out.suffix != ".npz":
         raise click.UsageError(f"{out}: expected a name that ends in .npz")
     from scenegen.display.inspect import map_facts
@@ -76,7 +76,7 @@ def map(
 
     check_ours(out)
     survey = Survey(**taken(Survey, options))
-    made = map_clouds(clouds, survey, position=position, poses=poses, box=box)
+    made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box)
     write_result(out, encode_npz(made.voxels, str(clouds[0]), offset=made.offset))
     about = {"file": str(out), "points": made.points, "taken_off_m": made.offset.tolist()}
     row = about | map_facts(made.voxels)

@@ -66,7 +66,7 @@ def map_clouds(
     files: Sequence[Path],
     survey: Survey | None = None,
     *,
-    position: Sequence[float] | None = None,
+    sensor: Sequence[float] | None = None,
     poses: Path | None = None,
     box: Sequence[float] | None = None,
 ) -> Surveyed:
@@ -78,7 +78,7 @@ def map_clouds(
     Args:
         files: What `scenegen.clouds.read_cloud` reads.
         survey: How it is read, and what is made of it.
-        position: Where the sensor stood, (3,), in the frame and the unit of the points.
+        sensor: Where the sensor was, (3,), in the frame and the unit of the points.
         poses: A file with a line for each of `files`: the sensor's position, or its pose, where the
             points are in the sensor's own frame (`POSES`).
         box: The least and the greatest corner of what is kept, (6,), as points have them; otherwise
@@ -99,12 +99,12 @@ def map_clouds(
         if frames is not None:
             axes, sensors = frames[each]
             points = points if axes is None else points @ axes + sensors
-        elif position is not None:
-            sensors = np.array([position], dtype=np.float64)
+        elif sensor is not None:
+            sensors = np.array([sensor], dtype=np.float64)
         if sensors is None and not survey.assume_free:
             raise SceneError(
                 f"{files[each]}: does not say where its sensor was, so nothing in it is known "
-                "to be free; give scenegen map --position or --poses, or --assume-free for all "
+                "to be free; give scenegen map --sensor or --poses, or --assume-free for all "
                 "above the ground"
             )
         sensors = np.zeros((0, 3)) if sensors is None else sensors

@@ -146,17 +146,17 @@ def meets(sensor: NDArray[Any], points: NDArray[Any], low: NDArray[Any]) -> bool
 
 def test_units_axes_and_offsets_change_no_voxel(scans: Scans, tmp_path: Path) -> None:
     sensor, points = scans[0]
-    plain = map_clouds([write_ply(tmp_path / "a.ply", points)], VOXELS, position=sensor)
+    plain = map_clouds([write_ply(tmp_path / "a.ply", points)], VOXELS, sensor=sensor)
     inches, stand = points[:, [0, 2, 1]] * (1, 1, -1) / 0.0254, sensor[[0, 2, 1]] * (1, 1, -1)
     turned = map_clouds(
         [write_ply(tmp_path / "b.ply", inches)],
         Survey(voxel_m=VOXEL_M, unit_m=0.0254, up="y"),
-        position=stand / 0.0254,
+        sensor=stand / 0.0254,
     )
     away = np.array([652_000.0, 5_403_000.0, 0.0])
-    far = map_clouds([write_ply(tmp_path / "c.ply", points + away)], VOXELS, position=sensor + away)
+    far = map_clouds([write_ply(tmp_path / "c.ply", points + away)], VOXELS, sensor=sensor + away)
     low, high = points.min(axis=0), points.max(axis=0)
-    boxed = map_clouds([tmp_path / "a.ply"], VOXELS, position=sensor, box=(*(low + 2), *(high - 2)))
+    boxed = map_clouds([tmp_path / "a.ply"], VOXELS, sensor=sensor, box=(*(low + 2), *(high - 2)))
     assert plain.offset.tolist() == [0, 0, 0]
     for other in (turned, far):
         np.testing.assert_array_equal(other.voxels.states, plain.voxels.states)
@@ -198,11 +198,11 @@ def test_a_dataset_of_a_cloud_passes_every_check(tmp_path: Path) -> None:
     [
         ("a.xyz", b"1 2 3\n", [], "does not say where its sensor was"),
         ("a.ply", b"ply\n", [], "its header has no end"),
-        ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--position", "nan,1,2"], "nan"),
+        ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--sensor", "nan", "1", "2"], "nan"),
         ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--assume-free"], "no point in it is finite"),
         ("a.xyz", b"0 0 0\n1e30 0 0\n", ["--assume-free"], "give a larger --voxel"),
-        ("a.xyz", b"0 0 0\n1e300 0 0\n", ["--position", "0,0,0"], "give a larger --voxel"),
-        ("a.xyz", b"0 0 0\n", ["--assume-free", "--box", "5,5,5,6,6,6"], "lies in the box"),
+        ("a.xyz", b"0 0 0\n1e300 0 0\n", ["--sensor", "0", "0", "0"], "give a larger --voxel"),
+        ("a.xyz", b"0 0 0\n", ["--assume-free", "--box", *"555666"], "lies in the box"),
         ("a.xyz", b"0 0 0\n", ["--poses", "none.txt"], "none.txt"),
         ("a.xyz", b"0 0 0\n", ["--poses", "two.txt"], "2 lines of 3 numbers; expected 1"),
         ("a.xyz", b"0 0 0\n", ["--poses", "flat.txt"], "pose 1 is no rotation"),
