@@ -184,7 +184,10 @@ def read_scenes(
     files = sorted(world_files(path)) if path.is_dir() else [path]
     scenes, parts = _read_files(files, materials)
     if not scenes:
-        raise SceneError(f"{path}: holds no MJCF world, or parts alone, which other files include")
+        raise SceneError(
+            f"{path}: holds no world, or parts alone, which other files include; expected MJCF, "
+            "meshes or maps (scenegen map makes one of clouds of points)"
+        )
     _check(scenes, allow_unseen)
     notes = [f"{path}: {named(parts)} left out: parts, which other files include"] if parts else []
     notes += [note for scene in scenes.values() for note in scene.notes]

@@ -15,7 +15,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
 from scenegen.cli.types import OutputFile
-from scenegen.worlds import is_map
+from scenegen.worlds import MESHES, is_map
 from scenegen.worlds.mapping import Mapper
 
 
@@ -57,7 +57,7 @@ def _facts(path: Path) -> dict[str, Any] | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
     from scenegen.clouds import READERS
 
-    if path.suffix == ".xml" or is_map(path):
+    if path.suffix in (".xml", *MESHES) or is_map(path):
         from scenegen.display.inspect import inspect_world
 
         return inspect_world(path)

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.jit import kernel
 from lidarsim.parameters import check, number
 from lidarsim.pose import rotate
@@ -138,9 +138,9 @@ def map_clouds(
         )
     if not points:
         raise SceneError(f"{where}: no point in it lies in the box; give a --box that holds some")
-    states[occupied] = OCCUPIED
     if survey.assume_free:
-        _open(states)
+        states[np.logical_or.accumulate(occupied, axis=2)] = FREE
+    states[occupied] = OCCUPIED
     return Surveyed(VoxelMap(states, survey.voxel_m, origin), offset, points)
 
 
@@ -195,7 +195,7 @@ def _empty_map(
             f"expected {MOST_PLACE_VOXELS} at most; give a larger --voxel, or a --box that leaves "
             "far points out"
         )
-    return np.full(shape.astype(int), UNKNOWN, dtype=np.uint8), origin
+    return np.zeros(shape.astype(int), dtype=np.uint8), origin
 
 
 @kernel
@@ -222,15 +222,3 @@ def _carve(points, sensors, origin, voxel_m, states, occupied):
                 ray = (dx / way, dy / way, dz / way)
                 clear(start, ray, way, origin, voxel_m, nx, ny, nz, states)
     return kept
-
-
-@kernel
-def _open(states):
-    """Make free what is unknown above the lowest occupied voxel of each column."""
-    for i in range(states.shape[0]):
-        for j in range(states.shape[1]):
-            ground = False
-            for k in range(states.shape[2]):
-                ground = ground or states[i, j, k] == OCCUPIED
-                if ground and states[i, j, k] == UNKNOWN:
-                    states[i, j, k] = FREE
