@@ -125,13 +125,13 @@ def test_files_that_are_no_scans_are_refused(folders: list[Path], tmp_path: Path
     np.save(tmp_path / "far.npy", np.full((4, 3), 1000.0))
     np.save(tmp_path / "good.npy", np.zeros((4, 3)))
     (tmp_path / "broken.ply").write_text("ply\nnonsense")
-    (tmp_path / "scan.las").write_text("")
+    (tmp_path / "scan.e57").write_text("")
     for name, out, said in (
         ("flat.npy", "o.h5", "expected \\(N, 3\\)"),
         ("pickled.npy", "o.h5", "cannot be read"),
         ("far.npy", "o.h5", "give --sensor"),
         ("broken.ply", "o.h5", "cannot be read"),
-        ("scan.las", "o.h5", "expected one of"),
+        ("scan.e57", "o.h5", "expected one of"),
         ("missing.npy", "o.h5", "no such file"),
         ("good.npy", "o.txt", "ends in .h5 or .ply"),
     ):
