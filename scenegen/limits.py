@@ -141,7 +141,10 @@ MOST_MARGINS = 20_000
 """The most numbers in a row of a network's calibration: bins of distance times bins of
 probability."""
 MOST_SCAN_BYTES = 256 << 20
-"""The most bytes of a file of points."""
+"""The most bytes of a scan's file."""
+MOST_CLOUD_BYTES = 1 << 30
+"""The most bytes of a file of points that becomes a map: a LAS file of `MOST_POINTS` has 400 to 800
+MB."""
 MOST_POINTS = 20_000_000
 """The most points of a scan: they take 480 MB as float64."""
 MOST_CHUNK_BYTES = 256 << 20

@@ -21,7 +21,7 @@ from scenegen.files import real_path
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Limited, run
-from scenegen.worlds import MAPS
+from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.labels import By, class_names
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
@@ -168,7 +168,8 @@ def read_scenes(
     asked for, never on how many samples.
 
     Args:
-        path: An MJCF file, a map of a real place, or a folder of them.
+        path: An MJCF file, a mesh, a map of a real place, or a folder of them; or a cloud of
+            points.
         counts: How many samples each split shall have.
         seed: What the worlds are dealt by.
         allow_unseen: Whether worlds may have geoms that rays cannot see.
@@ -183,7 +184,10 @@ def read_scenes(
     files = sorted(world_files(path)) if path.is_dir() else [path]
     scenes, parts = _read_files(files, materials)
     if not scenes:
-        raise SceneError(f"{path}: holds no MJCF world, or parts alone, which other files include")
+        raise SceneError(
+            f"{path}: holds no world, or parts alone, which other files include; expected MJCF, "
+            "meshes or maps (scenegen map makes one of clouds of points)"
+        )
     _check(scenes, allow_unseen)
     notes = [f"{path}: {named(parts)} left out: parts, which other files include"] if parts else []
     notes += [note for scene in scenes.values() for note in scene.notes]
@@ -205,16 +209,20 @@ def read_scenes(
 
 
 def world_files(folder: Path) -> list[Path]:
-    """The files in a folder that may be worlds."""
-    return [path for path in folder.iterdir() if path.suffix in (".xml", *MAPS)]
+    """The files in a folder that may be worlds. Meshes are where no MJCF file is there, which may
+    refer to them; clouds are not: several may be of one place."""
+    there = list(folder.iterdir())
+    mjcf = [path for path in there if path.suffix == ".xml"]
+    others = MAPS if mjcf else (*MAPS, *MESHES)
+    return mjcf + [path for path in there if path.suffix in others]
 
 
 def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scene], list[str]]:
     """The worlds among `files`, and the names of those that are parts of others.
 
-    MJCF is read one file after the other in a process of their own, which a file that never ends,
-    or takes all memory, cannot outlive; it costs about a second, in which kernels are loaded that
-    this process loads again. Maps are read here, by code that is bounded itself.
+    MJCF and meshes are read one after the other in a process of their own, which a file that never
+    ends, or takes all memory, cannot outlive; it costs about a second, in which kernels are loaded
+    that this process loads again. Maps and clouds are read here, by code that is bounded itself.
     """
     read: Limited[Path, Reading] = Limited(
         functools.partial(read_file, materials=materials),
@@ -222,7 +230,7 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
         SCENE_BYTES,
         _given_up,
     )
-    maps = [path for path in files if path.suffix in MAPS]
+    maps = [path for path in files if path.suffix in (*MAPS, *CLOUDS)]
     readings = [read_file(path) for path in maps]
     readings += run(read, [path for path in files if path not in maps], 1)
     readings.sort(key=lambda reading: reading.path)

@@ -116,6 +116,7 @@ COMMANDS = {
     "reproduce": ["--scale 0.001 --dry-run --device cpu --workers 1"],
     "sensors": ["velodyne-vlp-16 -o p.png"],
     "scan": ["w.xml --flight --noise range:0.02 -o s.ply"],
+    "map": ["scan.xyz --assume-free -o m.npz"],
     "view": ["d --html v.html --weights run"],
     "render": [
         "d -o r.png",
@@ -135,7 +136,7 @@ COMMANDS = {
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = (
-    "again bench c.safetensors d e.onnx k merged n.onnx o.h5 others p.h5 p.png "
+    "again bench c.safetensors d e.onnx i.html k m.npz merged n.onnx o.h5 others p.h5 p.png "
     "publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
 )
 """What commands are asked to leave where they run."""

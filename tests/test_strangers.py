@@ -46,6 +46,7 @@ FILES: tuple[tuple[tuple[object, ...], str], ...] = (
         ("complete", "scan.npy", "--weights", "n.safetensors", "--device", "cpu"),
         "scan.completed.h5",
     ),
+    (("map", "scan.npy", "--assume-free"), "map.npz"),
 )
 """Commands and a file that each writes."""
 FOLDERS: tuple[tuple[tuple[object, ...], tuple[str, ...]], ...] = (

@@ -82,13 +82,13 @@ def complete(
     origin. One process completes; with --on or --workers, so many do, each on one thread of a
     processor unless --device says more.
     """
+    from scenegen.clouds import scans_in
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
     from scenegen.files import check_target, make_parent, real_path, remove_drafts
     from scenegen.model.completion.completer import Completer
-    from scenegen.model.completion.points import scans_in
     from scenegen.model.completion.predictions import predict_scan, predict_split
     from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device

@@ -14,7 +14,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
-from scenegen.worlds import is_map
+from scenegen.worlds import MESHES, is_map
 from scenegen.worlds.mapping import Mapper
 
 
@@ -47,9 +47,9 @@ def inspect(dataset: Path | str, every: bool, workers: int, as_json: bool) -> No
 
 def _facts(path: Path) -> dict[str, Any] | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
-    from scenegen.model.completion.points import READERS
+    from scenegen.clouds import READERS
 
-    if path.suffix == ".xml" or is_map(path):
+    if path.suffix in (".xml", *MESHES) or is_map(path):
         from scenegen.display.inspect import inspect_world
 
         return inspect_world(path)

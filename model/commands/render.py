@@ -17,6 +17,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import note, say
 from scenegen.cli.types import DatasetPath
 from scenegen.model.commands.weights import chosen, shown_options
+from scenegen.worlds import MESHES
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
@@ -71,9 +72,9 @@ def render(
     out = out or Path("sample.webp" if turn else "sample.png")
     if out.suffix not in suffixes:
         raise click.UsageError(f"-o {out}: expected a name that ends in {', '.join(suffixes)}")
-    is_world = isinstance(source, Path) and source.suffix == ".xml"
+    is_world = isinstance(source, Path) and source.suffix in (".xml", *MESHES)
     if flight and not is_world:
-        raise click.UsageError("--flight: is for a world, an .xml file")
+        raise click.UsageError("--flight: is for a world, an .xml file or a mesh")
     if options["count"] and options["indices"]:
         raise click.UsageError("give --index or --sheet, not both")
     if turn and (options["count"] or len(options["indices"]) > 1 or options["figure"]):
@@ -98,12 +99,12 @@ def render(
 
 def _draw_file(path: Path, seed: int | None) -> Any:
     """The figure of a world, a scan, a completion of one, or a run; None for anything else."""
+    from scenegen.clouds import READERS, read_points
     from scenegen.display import pictures
     from scenegen.display.panels import plain
-    from scenegen.model.completion.points import READERS, read_points
 
     title = plain(path.name)
-    if path.suffix == ".xml":
+    if path.suffix in (".xml", *MESHES):
         return _draw_world(path, seed, title)
     if path.suffix in READERS:
         return pictures.draw_cloud(read_points(path), title=title)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
 from lidarsim.parameters import MOST_LENGTH_M
+from scenegen.clouds import read_points
 from scenegen.dataset.foreign import read_guarded
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
@@ -23,7 +24,6 @@ from scenegen.files import whole, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, opened_once
-from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, channels, input_called

@@ -40,13 +40,16 @@ from scenegen.cli.show import (
 from scenegen.cli.types import Named, Written, read_range
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
+from scenegen.worlds import WORLD_FILES
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:
     from scenegen.dataset.state import Plan
     from scenegen.run import Executor
 
-KIND = Named(KINDS, others={".xml": "--scene", ".toml": "--recipe"}, more=("mixed",))
+KIND = Named(
+    KINDS, others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")}, more=("mixed",)
+)
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 of_worlds, of_size = (partial(click.option, panel=panel) for panel in ("Worlds", "Size and files"))
@@ -75,7 +78,7 @@ count = partial(of_size, type=click.IntRange(min=1), show_default=True)
 @of_worlds(
     "--scene",
     type=click.Path(path_type=Path),
-    help="An MJCF file of your own world, or a folder of them.",
+    help="An MJCF file, a mesh or a map of your own world, or a folder of them.",
 )
 @of_worlds(
     "--recipe",

@@ -27,7 +27,7 @@ from scenegen.cli.show import say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
-from scenegen.worlds import MAPS
+from scenegen.worlds import CLOUDS, MAPS
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
@@ -154,13 +154,13 @@ def scan(
 ) -> None:
     """Scan the world of an MJCF file, once or along a flight, and write the returns as points.
 
-    Or a map of a real place (.bt, .ot, .npz). Rays that cross unknown space are counted.
+    Or a mesh, or a map of a real place (.bt, .ot, .npz). Rays that cross unknown space are counted.
     """
     if (pose is None) != flight:
         raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
     if every is not None and not flight:
         raise click.UsageError("--every goes with --flight")
-    if world.suffix in MAPS and was_given("engine"):
+    if world.suffix in (*MAPS, *CLOUDS) and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
     from lidarsim import Pose
     from scenegen.display.exchange.files import SUFFIXES

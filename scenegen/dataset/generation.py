@@ -83,7 +83,8 @@ def plan_generation(
         val: Validation samples; by default a tenth of `n`, and none for a single scene.
         test: Test samples; by default a fifth of `n`, and none for a single scene.
         out: Folder of the dataset; by default data/<kind>, or data/<the scene's name>.
-        scene: An MJCF file, a map of a real place (.bt, .ot, .npz), or a folder of them, in place
+        scene: An MJCF file, a mesh, a map of a real place (.bt, .ot, .npz), or a folder of them, or
+            a cloud of points that says where its sensor was, in place
             of random worlds.
         recipe: A TOML file of what differs from the kind's preset.
         lidar: The sensor, or its name; the recipe's by default.

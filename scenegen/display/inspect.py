@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Sensor
+from lidarsim.engines.voxels import VoxelMap
 from scenegen import SPLITS
 from scenegen.dataset.choose import FIGURES
 from scenegen.dataset.manifest import NAME
@@ -160,16 +161,8 @@ def inspect_world(path: Path) -> dict[str, Any]:
 
     world = read_world(path)
     if isinstance(world, Place):
-        voxels = world.voxels
-        states = np.bincount(voxels.states.reshape(-1), minlength=3) / voxels.states.size
-        return {
-            "map": str(path),
-            "voxel_m": voxels.voxel_m,
-            "shape": list(voxels.states.shape),
-            "bounds": voxels.bounds.tolist(),
-            "flight_bounds": world.flight_bounds.tolist(),
-            **dict(zip(("unknown", "free", "occupied"), states.tolist(), strict=True)),
-        }
+        bounds = {"flight_bounds": world.flight_bounds.tolist()}
+        return {"map": str(path)} | map_facts(world.voxels) | bounds
     codes, counts = np.unique(world.solids.shape, return_counts=True)
     solids = {SHAPES[int(code)]: int(count) for code, count in zip(codes, counts, strict=True)}
     if len(world.solids.mesh_filled):
@@ -180,6 +173,17 @@ def inspect_world(path: Path) -> dict[str, Any]:
         "triangles": len(world.solids.triangles),
         "flight_bounds": world.flight_bounds.tolist(),
         "unseen": list(world.unseen),
+    }
+
+
+def map_facts(voxels: VoxelMap) -> dict[str, Any]:
+    """How large a map of a real place is, and which shares of its voxels are known."""
+    states = np.bincount(voxels.states.reshape(-1), minlength=3) / voxels.states.size
+    return {
+        "voxel_m": voxels.voxel_m,
+        "shape": list(voxels.states.shape),
+        "bounds": voxels.bounds.tolist(),
+        **dict(zip(("unknown", "free", "occupied"), states.tolist(), strict=True)),
     }
 
 

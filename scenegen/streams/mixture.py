@@ -21,7 +21,7 @@ from scenegen.limits import MOST_UNITS_IN_ROUND, MOST_WEIGHT
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS
 from scenegen.source import DrawnWorlds, SceneWorlds, Source, read_scenes, world_files
-from scenegen.worlds import MAPS
+from scenegen.worlds import WORLD_FILES
 
 LEAST_SCENES = 3
 """Worlds that a folder holds at least: one a split."""
@@ -123,9 +123,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         )
         if not named and path.suffix == ".toml":
             recipe = read_recipe(path)
-        elif not named and (
-            isinstance(what, Path) or path.is_dir() or path.suffix in (".xml", *MAPS)
-        ):
+        elif not named and (isinstance(what, Path) or path.is_dir() or path.suffix in WORLD_FILES):
             source = _scenes(path, seed)
             return Component(
                 label=label,

@@ -5,6 +5,12 @@ from pathlib import Path
 
 MAPS = (".bt", ".ot", ".npz")
 """How the names of maps of real places end."""
+CLOUDS = (".ply", ".pcd", ".las", ".laz", ".xyz")
+"""How the names of clouds of points end, which become maps."""
+MESHES = (".obj", ".glb", ".stl")
+"""How the names of meshes end that are worlds of their own."""
+WORLD_FILES = (".xml", *MAPS, *CLOUDS, *MESHES)
+"""How the names of all files end that are worlds."""
 
 
 def is_map(path: Path) -> bool:

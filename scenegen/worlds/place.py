@@ -105,15 +105,19 @@ def read_place(path: str | Path) -> Place:
     """The place of a map file: OctoMap's `.bt` and `.ot`, or an `.npz` of `states`, `voxel_m` and
     `origin`, as in `VoxelMap`. Raises SceneError for a file that holds no map, or nothing free."""
     path = Path(path)
-    content = read_bounded(path, MOST_ASSET_BYTES)
-    name = f"{hashlib.sha256(content).hexdigest()[:16]}{path.suffix}"
+    return place_of(read_bounded(path, MOST_ASSET_BYTES), path.suffix, str(path))
+
+
+def place_of(content: bytes, suffix: str, where: str) -> Place:
+    """The place of a map file's content. Raises as `read_place`, naming `where`."""
+    name = f"{hashlib.sha256(content).hexdigest()[:16]}{suffix}"
     found = Place(DOCUMENT.format(name).encode(), {name: content})
     try:
         nothing = _free_box(found.voxels.states)[1, 0] == 0
     except SceneError as error:
-        raise SceneError(str(error).replace(name, str(path), 1)) from None
+        raise SceneError(str(error).replace(name, where, 1)) from None
     if nothing:
-        raise SceneError(f"{path}: nothing in it is free, so that no sensor can be there")
+        raise SceneError(f"{where}: nothing in it is free, so that no sensor can be there")
     return found
 
 
@@ -171,6 +175,26 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
             f"{name}: expected states of 0, 1 and 2, and an origin of three finite numbers"
         )
     return VoxelMap(states, voxel_m, origin)
+
+
+def encode_npz(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
+    """The content of an .npz map, with `more` arrays by name: the same for the same map. Raises
+    SceneError, naming `where`, for more than a map's file may hold."""
+    arrays = dict(zip(PARTS, (voxels.states, voxels.voxel_m, voxels.origin), strict=True))
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w") as archive:
+        for part, array in (arrays | more).items():
+            file = io.BytesIO()
+            np.lib.format.write_array(file, np.asarray(array))
+            # a ZipInfo's date is always the same
+            archive.writestr(zipfile.ZipInfo(f"{part}.npy"), file.getvalue(), zipfile.ZIP_DEFLATED)
+    content = memory.getvalue()
+    if len(content) > MOST_ASSET_BYTES:
+        raise SceneError(
+            f"{where}: its map takes {len(content)} bytes, expected {MOST_ASSET_BYTES} at most; "
+            "give a larger --voxel"
+        )
+    return content
 
 
 def _member(archive: zipfile.ZipFile, part: str) -> NDArray[Any]:

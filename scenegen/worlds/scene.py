@@ -14,9 +14,11 @@ from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
 from scenegen.errors import BrokenError, DatasetError, SceneError, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
-from scenegen.worlds import MAPS
+from scenegen.worlds import CLOUDS, MAPS, MESHES
+from scenegen.worlds.cloud import map_clouds
 from scenegen.worlds.drawing import flatten, least_memory
-from scenegen.worlds.place import map_digest, named_map, read_place
+from scenegen.worlds.mesh import mesh_spec
+from scenegen.worlds.place import encode_npz, map_digest, named_map, place_of, read_place
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
 
@@ -66,26 +68,38 @@ def read_file(path: Path, *, materials: bool = False) -> Reading:
     """Read one file; see `load_scene`. What is wrong with it is an outcome, too."""
     includes: frozenset[Path] = frozenset()
     try:
-        if path.suffix in MAPS:
+        if path.suffix in (*MAPS, *CLOUDS):
             return Reading(path, load_map(path), includes)
-        is_world, includes = look_over(path)
+        is_world = path.suffix in MESHES
+        if not is_world:
+            is_world, includes = look_over(path)
         return Reading(path, load_scene(path, materials=materials) if is_world else None, includes)
     except SceneError as error:
         return Reading(path, error, includes)
 
 
 def load_map(path: Path) -> Scene:
-    """Read a map of a real place. Raises SceneError."""
+    """Read a map of a real place, or make one of a cloud of points that says where its sensor was.
+    Raises SceneError."""
+    notes: tuple[str, ...] = ()
     try:
-        place = read_place(path)
+        if path.suffix in CLOUDS:
+            made = map_clouds([path])
+            place = place_of(encode_npz(made.voxels, str(path)), ".npz", str(path))
+            told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
+            moved = f"; {made.offset.tolist()} m are taken off their coordinates"
+            notes = (f"{path.name}: {told}{moved if made.offset.any() else ''}",)
+        else:
+            place = read_place(path)
     except (DatasetError, FileNotFoundError) as error:
         raise SceneError(str(error)) from None
-    return Scene(path.name, place.mjcf, place.assets, geometry=map_digest(place.voxels))
+    digest = map_digest(place.voxels)
+    return Scene(path.name, place.mjcf, place.assets, notes=notes, geometry=digest)
 
 
 def load_scene(path: Path, *, materials: bool = False) -> Scene:
-    """Read an MJCF file and make it self-contained: geoms alone, where MuJoCo puts them, and with
-    `materials` the names of theirs.
+    """Read an MJCF file or a mesh and make it self-contained: geoms alone, where MuJoCo puts them,
+    and with `materials` the names of theirs.
 
     The document is compiled again, and its solids compared with those of the file. MuJoCo may read
     other files, run long and take memory: for files that nobody vouches for, call this in a process
@@ -127,7 +141,8 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
     """The model of a file without what only dresses its geoms, which may need files that are not
     there, and how many skins were dropped. Raises SceneError."""
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        is_mesh = path.suffix in MESHES
+        spec = mesh_spec(path) if is_mesh else mujoco.MjSpec.from_file(str(path))
         skins = len(spec.skins)
         if len(spec.geoms) > MOST_GEOMS:
             raise SceneError(f"{path}: more than {MOST_GEOMS} geoms; merge some into meshes")
@@ -142,7 +157,8 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
         spec.nuserdata = spec.nkey = 0
         return spec.compile(), skins
     except (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError) as error:
-        raise SceneError(f"{path}: not valid MJCF: {printable(error)}") from None
+        what = "a mesh that MuJoCo refuses" if path.suffix in MESHES else "not valid MJCF"
+        raise SceneError(f"{path}: {what}: {printable(error)}") from None
 
 
 def _same(expected: Solids, found: Solids) -> bool:

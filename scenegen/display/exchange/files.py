@@ -34,7 +34,7 @@ TYPE{types}
 COUNT{ones}
 WIDTH {count}
 HEIGHT 1
-VIEWPOINT 0 0 0 1 0 0 0
+VIEWPOINT {stood} 1 0 0 0
 POINTS {count}
 DATA binary
 """,
@@ -56,7 +56,8 @@ def write_points(
         path: The file.
         points: Positions (M, 3), metres.
         intensity: Of each point (M,), if there is any; a .bin has 0 where there is none.
-        about: Arrays and texts by name that an .npz holds, too.
+        about: Arrays and texts by name that an .npz holds, too. Where `frame` is "world", a .pcd
+            has `position` as its viewpoint.
 
     Raises:
         DatasetError: The name says none of the kinds.
@@ -88,7 +89,10 @@ def encode_points(
         "sizes": " 4" * len(names),
         "types": " F" * len(names),
         "ones": " 1" * len(names),
+        "stood": "0 0 0",
     }
+    if about and about.get("frame") == "world":
+        about_fields["stood"] = " ".join(map(repr, about["position"].tolist()))
     head = HEADS[suffix].format(count=len(points), **about_fields)
     return head.encode() + np.concatenate(columns, axis=1).astype("<f4").tobytes()
 

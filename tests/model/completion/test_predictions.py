@@ -122,7 +122,7 @@ def test_files_that_are_no_scans_are_refused(folders: list[Path], tmp_path: Path
     np.save(tmp_path / "good.npy", np.zeros((4, 3)))
     for name, out, said in (
         ("far.npy", "o.h5", "give --sensor"),
-        ("scan.las", "o.h5", "expected one of"),
+        ("scan.e57", "o.h5", "expected one of"),
         ("missing.npy", "o.h5", "no such file"),
         ("good.npy", "o.txt", "ends in .h5 or .ply"),
     ):

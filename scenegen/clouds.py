@@ -2,18 +2,27 @@
 
 import io
 import itertools
+import os
 import warnings
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
-from scenegen.limits import MOST_HEADER_BYTES, MOST_LINE_BYTES, MOST_POINTS, MOST_SCAN_BYTES
+from scenegen.limits import (
+    GUARD_BYTES,
+    GUARD_S,
+    MOST_HEADER_BYTES,
+    MOST_LINE_BYTES,
+    MOST_POINTS,
+    MOST_SCAN_BYTES,
+)
+from scenegen.run.workers import guarded
 
 PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -24,11 +33,35 @@ MOST_SCANS = 100_000
 """The most scans of a folder."""
 MOST_NPY_HEADER_BYTES = 10_000
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+SENSOR_FIELDS = ("vp_", "viewpoint_", "sensor_", "origin_")
+"""What the names of fields begin with that say where a point was seen from, before x, y and z: the
+first are those of PCL's PointWithViewpoint."""
+NOWHERE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+"""The VIEWPOINT that a PCD has whose writer knew none."""
+LAS_CHUNK = 1_000_000
+"""Points of a LAS file that are unpacked at once."""
+LAS_BYTES_IN_S = 1e6
+"""How many bytes of a LAS file are unpacked in a second, at the least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points, and where they were seen from."""
+
+    points: NDArray[np.float64]
+    """(N, 3), metres; a point of NaN or infinity is a ray that returned nothing."""
+    sensors: NDArray[np.float64] | None = None
+    """(N, 3) or, the same for all, (1, 3): where the sensor was, in the points' frame, metres. None
+    where the file does not say."""
 
 
 def read_points(path: Path) -> NDArray[np.float64]:
-    """The points of a scan, (N, 3), metres; a point of NaN or infinity is a ray that returned
-    nothing.
+    """The points of a scan, as `Cloud` has them. Raises as `read_cloud`."""
+    return read_cloud(path).points
+
+
+def read_cloud(path: Path, most_bytes: int = MOST_SCAN_BYTES) -> Cloud:
+    """The points of a file of at most `most_bytes` bytes.
 
     Raises DatasetError for a file that holds none, that holds fewer than it promises, or that is
     too large.
@@ -38,11 +71,13 @@ def read_points(path: Path) -> NDArray[np.float64]:
             f"{path}: neither a dataset's folder nor a scan; expected one of {', '.join(READERS)}"
         )
     try:
-        content = read_bounded(path, MOST_SCAN_BYTES)
+        content = read_bounded(path, most_bytes)
     except FileNotFoundError:
         raise DatasetError(f"{path}: no such file") from None
     try:
         found = READERS[path.suffix](content)
+    except ModuleNotFoundError:
+        raise DatasetError(f"{path}: {needs('laspy and lazrs', 'las')}") from None
     except Exception as error:  # numpy's parsers raise anything
         raise DatasetError(
             f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}"
@@ -56,7 +91,19 @@ def read_points(path: Path) -> NDArray[np.float64]:
         raise DatasetError(
             f"{path}: holds more than {MOST_POINTS} points; give one scan, not a map of many"
         )
-    return found[:, :3].astype(np.float64)
+    says = path.suffix in NAMED and found.shape[1] == 6
+    sensors = found[:, 3:].astype(np.float64) if says else None
+    return Cloud(found[:, :3].astype(np.float64), sensors)
+
+
+def _fields(names: Collection[str]) -> list[str]:
+    """Those of `names` that are a point's position, and after them, if they are there, those that
+    say where it was seen from."""
+    for first in SENSOR_FIELDS:
+        sensor = [first + axis for axis in "xyz"]
+        if set(sensor) <= set(names):
+            return [*"xyz", *sensor]
+    return [*"xyz"]
 
 
 def _read_npy(content: bytes) -> NDArray[np.generic]:
@@ -71,14 +118,16 @@ def _read_xyz(content: bytes) -> NDArray[np.generic]:
 
 
 def _read_ply(content: bytes) -> NDArray[np.generic]:
-    """The vertices of a PLY file (Turk 1994), which must come before all other elements."""
+    """The vertices of a PLY file (Turk 1994), which must come before all other elements, and where
+    they were seen from."""
     head, end, _ = content[:MOST_HEADER_BYTES].partition(b"end_header")
     start = content.find(b"\n", len(head)) + 1
     if not end or not start:
         raise ValueError("its header has no end")
     try:
         order, count, properties = _ply_header(head)
-        columns = [list(properties).index(axis) for axis in "xyz"]
+        fields = _fields(properties)
+        columns = [list(properties).index(name) for name in fields]
     except (ValueError, KeyError, IndexError):
         raise ValueError(
             "expected a header of `format`, then `element vertex`, with x, y and z among its "
@@ -86,24 +135,13 @@ def _read_ply(content: bytes) -> NDArray[np.generic]:
         ) from None
     if not 0 <= count <= MOST_POINTS:
         raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
-    if not order:
-        return _whole(_numbers(content[start:], columns, count), count)
-    dtype = np.dtype([(name, order + kind) for name, kind in properties.items()])
-    return _packed(content, start, dtype, [*"xyz"], count)
-
-
-def _packed(
-    content: bytes, start: int, dtype: np.dtype, names: Sequence[str], count: int
-) -> NDArray[np.generic]:
-    """The fields `names` of `count` rows that lie at `start`."""
-    held = (len(content) - start) // dtype.itemsize
-    rows = np.frombuffer(content, dtype, count=min(count, held), offset=start)
-    columns = [rows[name].reshape(len(rows)).astype(np.float64) for name in names]
-    return _whole(np.stack(columns, axis=1), count)
-
-
-def _whole(points: NDArray[Any], count: int) -> NDArray[Any]:
-    """`points`, if they are as many as the file promises."""
+    if order:
+        dtype = np.dtype([(name, order + kind) for name, kind in properties.items()])
+        held = (len(content) - start) // dtype.itemsize
+        rows = np.frombuffer(content, dtype, count=min(count, held), offset=start)
+        points = np.stack([rows[name].astype(np.float64) for name in fields], axis=1)
+    else:
+        points = _numbers(content[start:], columns, count)
     if len(points) != count:
         raise ValueError(f"promises {count} points and holds {len(points)}")
     return points
@@ -141,7 +179,8 @@ def _numbers(text: bytes, columns: Sequence[int], most: int) -> NDArray[np.float
 
 
 def _read_pcd(content: bytes) -> NDArray[np.generic]:
-    """The points of a PCD file, text or binary (pointclouds.org, "The PCD file format")."""
+    """The points of a PCD file, text or binary, and where they were seen from: fields or its
+    VIEWPOINT (pointclouds.org, "The PCD file format")."""
     head, mark, rest = content[:MOST_HEADER_BYTES].partition(b"\nDATA ")
     form = rest.partition(b"\n")[0].strip()
     start = len(head) + len(mark) + len(rest.partition(b"\n")[0]) + 1
@@ -164,13 +203,61 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
         )
     repeats = list(map(int, said.get("COUNT", ["1"] * len(names))))
     parts = [PCD_TYPES[kind + size] for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
+    columns = [names.index(name) for name in _fields(names)]
     if form == b"ascii":
         starts = np.cumsum([0, *repeats])
-        columns = [int(starts[names.index(axis)]) for axis in "xyz"]
-        return _whole(_numbers(content[start:], columns, count), count)
-    fields = zip(parts, repeats, strict=True)
-    dtype = np.dtype([(f"{n}", f"<{part}", (many,)) for n, (part, many) in enumerate(fields)])
-    return _packed(content, start, dtype, [f"{names.index(axis)}" for axis in "xyz"], count)
+        points = _numbers(content[start:], [int(starts[column]) for column in columns], count)
+    else:
+        dtype = np.dtype(
+            [
+                (f"{n}", f"<{part}", (many,))
+                for n, (part, many) in enumerate(zip(parts, repeats, strict=True))
+            ]
+        )
+        rows = np.frombuffer(
+            content, dtype, count=min(count, (len(content) - start) // dtype.itemsize), offset=start
+        )
+        points = np.stack(
+            [rows[str(column)][:, 0].astype(np.float64) for column in columns], axis=1
+        )
+    if len(points) != count:
+        raise ValueError(f"promises {count} points and holds {len(points)}")
+    stood = list(map(float, said.get("VIEWPOINT", NOWHERE)))
+    if len(columns) == 3 and stood != NOWHERE:
+        return np.concatenate([points, np.broadcast_to(stood[:3], points.shape)], axis=1)
+    return points
+
+
+def _read_las(content: bytes) -> NDArray[np.generic]:
+    """The points of a LAS or LAZ file (ASPRS LAS 1.4), scaled and with its offset, by laspy, which
+    damaged files can make hang."""
+    return guarded(
+        _unpack_las,
+        content,
+        seconds=GUARD_S + len(content) / LAS_BYTES_IN_S,
+        memory_bytes=GUARD_BYTES + len(content),
+    )
+
+
+def _unpack_las(content: bytes) -> NDArray[np.float64]:
+    import laspy
+
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY), 2
+    )  # this process's own: its decoder prints as it dies
+    with laspy.open(io.BytesIO(content), read_evlrs=False) as file:
+        count = file.header.point_count
+        if count > MOST_POINTS:
+            raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
+        fields = _fields(set(file.header.point_format.dimension_names) | set("xyz"))
+        parts = [
+            np.stack([np.asarray(chunk[name], np.float64) for name in fields], axis=1)
+            for chunk in file.chunk_iterator(LAS_CHUNK)
+        ]
+    points = np.concatenate([np.zeros((0, len(fields))), *parts])
+    if len(points) != count:
+        raise ValueError(f"promises {count} points and holds {len(points)}")
+    return points
 
 
 def _read_bin(content: bytes) -> NDArray[np.generic]:
@@ -203,9 +290,11 @@ PCD_TYPES = {
 """numpy's names of a PCD's types, by TYPE and SIZE."""
 READERS = {
     **{".ply": _read_ply, ".pcd": _read_pcd, ".bin": _read_bin, ".npz": _read_npz},
-    **{".xyz": _read_xyz, ".npy": _read_npy},
+    **{".xyz": _read_xyz, ".npy": _read_npy, ".las": _read_las, ".laz": _read_las},
 }
 """File types of scans."""
+NAMED = (".ply", ".pcd", ".las", ".laz")
+"""Those whose columns have names, so that three of them can say where a point was seen from."""
 
 
 def scans_in(folder: Path) -> list[Path]:

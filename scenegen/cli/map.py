@@ -1,0 +1,86 @@
+"""`scenegen map`: clouds of points become a map of a real place."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import rich_click as click
+
+from scenegen.cli.options import (
+    examples,
+    json_option,
+    options_of,
+    out_option,
+    quiet_option,
+    taken,
+)
+from scenegen.cli.show import show_table
+from scenegen.cli.types import Number
+from scenegen.worlds.cloud import Survey
+
+
+@click.command(
+    epilog=examples(
+        "map hall.pcd -o hall.npz",
+        "map drive/*.ply --poses poses.txt --voxel 0.1 -o drive.npz",
+        "map tile.laz --assume-free --voxel 0.5 -o tile.npz",
+    )
+)
+@click.argument("clouds", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--sensor", type=(Number(),) * 3, help="Where the clouds' sensor was: X Y Z.")
+@click.option(
+    "--poses",
+    type=click.Path(path_type=Path),
+    help="A text file with a line for each cloud: x y z of its sensor; or, for clouds in their "
+    "sensor's frame, its pose as TUM or KITTI write it.",
+)
+@click.option(
+    "--box",
+    type=(Number(),) * 6,
+    help="Leave out what lies beyond these two corners: X Y Z X Y Z.",
+)
+@options_of(
+    Survey,
+    voxel_m="Edge of the map's voxels, metres.",
+    unit_m="The clouds' unit, metres: 0.001 for millimetres.",
+    up="The clouds' axis that points up.",
+    assume_free="Call free what is above the lowest point of a column and holds none, unless a ray "
+    "says so already: for clouds of which nobody knows where they were seen from.",
+)
+@out_option("The map to write, .npz.", file=True, default=Path("map.npz"))
+@json_option
+@quiet_option
+def map(
+    clouds: tuple[Path, ...],
+    sensor: tuple[float, ...] | None,
+    poses: Path | None,
+    box: tuple[float, ...] | None,
+    out: Path,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Make a map of a real place from clouds of points: .ply, .pcd, .las, .laz, .xyz, .npz, .npy.
+
+    Voxels with points are occupied, those that rays from the sensor crossed are free, and all
+    others unknown. `scenegen generate --scene` takes the map.
+    """
+    if sensor is not None and poses is not None:
+        raise click.UsageError("--sensor and --poses both say where sensors were; give one")
+    if out.suffix != ".npz":
+        raise click.UsageError(f"{out}: expected a name that ends in .npz")
+    from scenegen.display.inspect import map_facts
+    from scenegen.files import check_ours, write_result
+    from scenegen.worlds.cloud import map_clouds
+    from scenegen.worlds.place import encode_npz
+
+    check_ours(out)
+    survey = Survey(**taken(Survey, options))
+    made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box)
+    write_result(out, encode_npz(made.voxels, str(clouds[0]), offset=made.offset))
+    about = {"file": str(out), "points": made.points, "taken_off_m": made.offset.tolist()}
+    row = about | map_facts(made.voxels)
+    if as_json:
+        print(json.dumps(row))
+    elif not quiet:
+        show_table(row)

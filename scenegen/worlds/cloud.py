@@ -1,0 +1,224 @@
+"""Clouds of points become maps: a voxel with a point in it is occupied, and one that the ray from a
+sensor to its point crossed is free."""
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
+from lidarsim.jit import kernel
+from lidarsim.parameters import check, number
+from lidarsim.pose import rotate
+from lidarsim.voxelize import clear
+from scenegen.clouds import read_cloud
+from scenegen.errors import SceneError, printable
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS, MOST_SCAN_BYTES
+
+FAR_M, STEP_M = 1e4, 1e3
+"""Coordinates beyond the first, as those of surveys are, become smaller by a multiple of the
+second."""
+POSES = {3: "x y z", 8: "time x y z qx qy qz qw, as TUM's", 12: "3 × 4 matrices, as KITTI's"}
+"""What a line of a file of poses may be, by how many numbers it has."""
+FARTHEST_M = 1e12
+"""A point or a ray beyond this is not in any map."""
+MOST_SKEW = 1e-2
+"""How far a pose's axes may be from unit vectors at right angles."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """How clouds are read, and what is made of them."""
+
+    voxel_m: float = number(0.2, least=1e-3, most=1e3)
+    """Edge of the map's voxels, metres; they lie at multiples of it, as OctoMap's do."""
+    unit_m: float = number(1.0, least=1e-6, most=1e3)
+    """The unit of the file's lengths, metres."""
+    up: Literal["z", "y"] = "z"
+    """The file's axis that points up. Where that is y, its z becomes the map's -y."""
+    assume_free: bool = False
+    """Whether a voxel without a point is free that lies above the lowest one with a point in its
+    column and was not seen otherwise."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Surveyed:
+    """A map, and what it was made of."""
+
+    voxels: VoxelMap
+    """The map."""
+    offset: NDArray[np.float64]
+    """(3,): what was taken off the file's coordinates, metres."""
+    points: int
+    """How many points there are in the map."""
+
+
+def map_clouds(
+    files: Sequence[Path],
+    survey: Survey | None = None,
+    *,
+    sensor: Sequence[float] | None = None,
+    poses: Path | None = None,
+    box: Sequence[float] | None = None,
+) -> Surveyed:
+    """One map of several clouds of one place. Where a voxel has both points and rays through it, it
+    is occupied.
+
+    Every file is read twice, but for a single one: for the map's size, and for what is in it.
+
+    Args:
+        files: What `scenegen.clouds.read_cloud` reads.
+        survey: How it is read, and what is made of it.
+        sensor: Where the sensor was, (3,), in the frame and the unit of the points.
+        poses: A file with a line for each of `files`: the sensor's position, or its pose, where the
+            points are in the sensor's own frame (`POSES`).
+        box: The least and the greatest corner of what is kept, (6,), as points have them; otherwise
+            all points and sensors are.
+
+    Raises:
+        SceneError: Nothing says what is free, the map would be too large, or there is no point.
+        DatasetError: A file cannot be read.
+    """
+    survey = survey or Survey()
+    frames = None if poses is None else _read_poses(poses, len(files))
+
+    @functools.lru_cache(maxsize=1)
+    def read(each: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points and sensors, in metres and z up."""
+        cloud = read_cloud(files[each], MOST_CLOUD_BYTES)
+        points, sensors = cloud.points, cloud.sensors
+        if frames is not None:
+            axes, sensors = frames[each]
+            points = points if axes is None else points @ axes + sensors
+        elif sensor is not None:
+            sensors = np.array([sensor], dtype=np.float64)
+        if sensors is None and not survey.assume_free:
+            raise SceneError(
+                f"{files[each]}: does not say where its sensor was, so nothing in it is known "
+                "to be free; give scenegen map --sensor or --poses, or --assume-free for all "
+                "above the ground"
+            )
+        sensors = np.zeros((0, 3)) if sensors is None else sensors
+        return _upright(points, survey), _upright(sensors, survey)
+
+    if box is None:
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for part in (part for each in range(len(files)) for part in read(each)):
+            kept = part[np.isfinite(part).all(axis=1)]
+            low = np.minimum(low, kept.min(axis=0, initial=np.inf))
+            high = np.maximum(high, kept.max(axis=0, initial=-np.inf))
+    else:
+        corners = _upright(np.array(box, dtype=np.float64).reshape(2, 3), survey)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+    where = f"{files[0]}" + (f" and {len(files) - 1} more" if len(files) > 1 else "")
+    if not np.isfinite([low, high]).all():
+        raise SceneError(f"{where}: no point in it is finite; expected x, y and z in metres")
+    offset = np.where(np.abs(low) > FAR_M, np.floor(low / STEP_M) * STEP_M, 0.0)
+    states, origin = _empty_map(low - offset, high - offset, survey.voxel_m, where)
+    occupied = np.zeros(states.shape, dtype=np.bool_)
+    points = 0
+    for each in range(len(files)):
+        seen, sensors = read(each)
+        points += _carve(
+            seen - offset,
+            sensors - offset,
+            origin,
+            survey.voxel_m,
+            states.reshape(-1),
+            occupied,
+        )
+    if not points:
+        raise SceneError(f"{where}: no point in it lies in the box; give a --box that holds some")
+    if survey.assume_free:
+        states[np.logical_or.accumulate(occupied, axis=2)] = FREE
+    states[occupied] = OCCUPIED
+    return Surveyed(VoxelMap(states, survey.voxel_m, origin), offset, points)
+
+
+def _read_poses(
+    path: Path, count: int
+) -> list[tuple[NDArray[np.float64] | None, NDArray[np.float64]]]:
+    """Each file's axes as rows (3, 3), None where its points are in the world's frame, and where
+    its sensor was (1, 3). Raises SceneError."""
+    try:
+        text = read_bounded(path, MOST_SCAN_BYTES).decode("ascii", "replace").splitlines()
+        found = np.loadtxt(text, ndmin=2)
+    except (ValueError, FileNotFoundError) as error:
+        raise SceneError(f"{path}: not a file of poses: {printable(error)[:200]}") from None
+    if found.shape[1] not in POSES or len(found) != count or not np.isfinite(found).all():
+        raise SceneError(
+            f"{path}: {len(found)} lines of {found.shape[1]} numbers; expected {count}, one for "
+            f"each file of points, of finite {', or '.join(POSES.values())}"
+        )
+    if found.shape[1] == 3:
+        return [(None, row[None]) for row in found]
+    if found.shape[1] == 8:
+        turns = [rotate(row[[7, 4, 5, 6]], np.eye(3)) for row in found]
+        places = found[:, 1:4]
+    else:
+        turns = [row.reshape(3, 4)[:, :3].T for row in found]
+        places = found[:, 3::4]
+    for line, axes in enumerate(turns, start=1):
+        if np.abs(axes @ axes.T - np.eye(3)).max() > MOST_SKEW or np.linalg.det(axes) < 0:
+            raise SceneError(
+                f"{path}: pose {line} is no rotation; expected {POSES[found.shape[1]]}"
+            )
+    return list(zip(turns, places[:, None], strict=True))
+
+
+def _upright(points: NDArray[np.float64], survey: Survey) -> NDArray[np.float64]:
+    """`points` (N, 3) of a file in metres, z up."""
+    if survey.up == "y":
+        points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+    return points * survey.unit_m
+
+
+def _empty_map(
+    low: NDArray[np.float64], high: NDArray[np.float64], voxel_m: float, where: str
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Unknown states that hold everything from `low` to `high`, and their least corner."""
+    origin = np.floor(low / voxel_m) * voxel_m
+    origin -= np.where(origin > low, voxel_m, 0.0)  # by rounding
+    shape = np.floor((high - origin) / voxel_m) + 1.0
+    if not shape.prod() <= MOST_PLACE_VOXELS:
+        raise SceneError(
+            f"{where}: {' × '.join(f'{edge:.6g}' for edge in shape)} voxels of {voxel_m:g} m, "
+            f"expected {MOST_PLACE_VOXELS} at most; give a larger --voxel, or a --box that leaves "
+            "far points out"
+        )
+    return np.zeros(shape.astype(int), dtype=np.uint8), origin
+
+
+@kernel
+def _carve(points, sensors, origin, voxel_m, states, occupied):
+    """Mark voxels with `points` (N, 3) as `occupied`, and those on the way from `sensors` (none,
+    one, or N of them) as free in the flat `states`. How many points lie in the map."""
+    nx, ny, nz = occupied.shape
+    kept = 0
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        if not abs(x) + abs(y) + abs(z) < FARTHEST_M:
+            continue
+        i = math.floor((x - origin[0]) / voxel_m)
+        j = math.floor((y - origin[1]) / voxel_m)
+        k = math.floor((z - origin[2]) / voxel_m)
+        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+            occupied[i, j, k] = True
+            kept += 1
+        if len(sensors) > 0:
+            start = sensors[n if len(sensors) > 1 else 0]
+            dx, dy, dz = x - start[0], y - start[1], z - start[2]
+            way = math.sqrt(dx * dx + dy * dy + dz * dz)
+            if 0.0 < way < FARTHEST_M:
+                ray = (dx / way, dy / way, dz / way)
+                clear(start, ray, way, origin, voxel_m, nx, ny, nz, states)
+    return kept

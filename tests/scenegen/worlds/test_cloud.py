@@ -1,0 +1,291 @@
+"""Clouds of points become maps that agree with the place where rays went, and meshes become the
+worlds that they were made of."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Pose
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
+from lidarsim.pose import rotate
+from scenegen.dataset.build import build
+from scenegen.dataset.generation import plan_generation
+from scenegen.display.exchange.files import write_points
+from scenegen.display.exchange.glb import encode_world
+from scenegen.errors import DatasetError, SceneError
+from scenegen.source import read_world
+from scenegen.verification import verify
+from scenegen.worlds.cloud import Survey, map_clouds
+from scenegen.worlds.world import World
+from tests.command_line import run
+from tests.scenegen.worlds.test_place import ORIGIN, VOXEL_M, hall
+
+TRUTH = VoxelMap(hall(), VOXEL_M, np.array(ORIGIN))
+VOXELS = Survey(voxel_m=VOXEL_M)
+Scans = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+def scanned(count: int, rays_each: int) -> Scans:
+    """Where the sensor was, and what it saw, so many times."""
+    rng, found = np.random.default_rng(0), Scans()
+    while len(found) < count:
+        cell = rng.integers(10, 60, 2)
+        if TRUTH.states[cell[0], cell[1], 8] != FREE:
+            continue
+        sensor = np.array(ORIGIN) + (np.array([*cell, 8]) + 0.4) * VOXEL_M
+        rays = rng.normal(size=(rays_each, 3))
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        ranges = VoxelEngine(TRUTH).cast(sensor[None], rays[None], 100.0)[0]
+        seen = np.isfinite(ranges)
+        found.append((sensor, sensor + rays[seen] * ranges[seen, None]))
+    return found
+
+
+@pytest.fixture(scope="module")
+def scans() -> Scans:
+    return scanned(6, 3000)
+
+
+def joined(scans: Scans) -> tuple[NDArray[Any], NDArray[Any]]:
+    """All points, and where each was seen from."""
+    sensors = [np.broadcast_to(at, points.shape) for at, points in scans]
+    return np.concatenate([points for _, points in scans]), np.concatenate(sensors)
+
+
+def write_ply(path: Path, points: NDArray[Any], sensors: NDArray[Any] | None = None) -> Path:
+    """Points as float64, and in fields of their own where they were seen from."""
+    names = ["x", "y", "z"] if sensors is None else ["x", "y", "z", "vp_x", "vp_y", "vp_z"]
+    rows = points if sensors is None else np.concatenate([points, sensors], axis=1)
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n"
+    head += "".join(f"property double {name}\n" for name in names) + "end_header\n"
+    path.write_bytes(head.encode() + rows.astype("<f8").tobytes())
+    return path
+
+
+def write_las(path: Path, points: NDArray[Any], sensors: NDArray[Any] | None = None) -> Path:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [1e-5] * 3, np.floor(points[0])
+    if sensors is not None:
+        names = [f"vp_{axis}" for axis in "xyz"]
+        header.add_extra_dims([laspy.ExtraBytesParams(name, "f8") for name in names])
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    for name, column in zip("xyz", () if sensors is None else sensors.T, strict=False):
+        las[f"vp_{name}"] = column
+    las.write(path)
+    return path
+
+
+def surveyed(folder: Path, scans: Scans, how: str) -> VoxelMap:
+    """The map of scans that say in one of these ways where they were made."""
+    places = np.stack([sensor for sensor, _ in scans])
+    every, sensors = joined(scans)
+    files, poses = [], folder / "poses.txt"
+    if how in (".las", ".laz"):
+        return map_clouds([write_las(folder / f"a{how}", every, sensors)], VOXELS).voxels
+    if how == "fields":
+        return map_clouds([write_ply(folder / "a.ply", every, sensors)], VOXELS).voxels
+    turn = Pose.level((0, 0, 0), 0.7).quaternion
+    for n, (sensor, points) in enumerate(scans):
+        files.append(folder / f"{n}.{'pcd' if how == 'viewpoint' else 'npy'}")
+        if how == "viewpoint":
+            write_points(files[-1], points, None, {"frame": "world", "position": sensor})
+        elif how == "places":
+            np.save(files[-1], points)
+        else:
+            np.save(files[-1], rotate(turn * (1, -1, -1, -1), points - sensor))
+    w, x, y, z = turn
+    rows = {
+        "places": places,
+        "tum": [[0, *place, x, y, z, w] for place in places],
+        "kitti": [
+            np.concatenate([rotate(turn, np.eye(3)).T, place[:, None]], axis=1).reshape(-1)
+            for place in places
+        ],
+    }
+    if how != "viewpoint":
+        np.savetxt(poses, rows[how])
+    return map_clouds(files, VOXELS, poses=None if how == "viewpoint" else poses).voxels
+
+
+@pytest.mark.parametrize("how", ["fields", "viewpoint", "places", "tum", "kitti", ".las", ".laz"])
+def test_a_cloud_s_map_is_the_place_where_rays_went(scans: Scans, tmp_path: Path, how: str) -> None:
+    voxels = surveyed(tmp_path, scans, how)
+    corner = np.rint((voxels.origin - ORIGIN) / VOXEL_M).astype(int)
+    np.testing.assert_allclose(voxels.origin, ORIGIN + corner * VOXEL_M, atol=1e-9)
+    there = tuple(slice(a, a + n) for a, n in zip(corner, voxels.states.shape, strict=True))
+    truth = TRUTH.states[there]
+    assert (truth[voxels.states == OCCUPIED] == OCCUPIED).all()
+    # a ray may pass through less than 0.1 mm of what it does not see
+    assert (truth[voxels.states == FREE] == OCCUPIED).mean() < 1e-3
+    share = np.linspace(0.0, 1.0, 400)[:, None, None]
+    for sensor, points in scans:
+        way = sensor + share * (points - sensor)
+        cells = np.floor((way - voxels.origin) / VOXEL_M).astype(int)
+        found = voxels.states[tuple(np.moveaxis(cells, -1, 0))]
+        assert (found != UNKNOWN).all()
+        assert (found[-1] == OCCUPIED).all()
+    cells = np.argwhere(voxels.states == FREE)
+    chosen = np.random.default_rng(0).choice(cells, 60)
+    for low in voxels.origin + chosen * VOXEL_M:
+        assert any(meets(*scan, low) for scan in scans)
+
+
+def meets(sensor: NDArray[Any], points: NDArray[Any], low: NDArray[Any]) -> bool:
+    """Whether a segment from the sensor to one of the points meets the voxel at `low`."""
+    sides = np.stack([low - sensor, low + VOXEL_M - sensor])[:, None] / (points - sensor)
+    begin, end = sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
+    return bool((np.minimum(end, 1.0) > np.maximum(begin, 0.0)).any())
+
+
+def test_units_axes_and_offsets_change_no_voxel(scans: Scans, tmp_path: Path) -> None:
+    sensor, points = scans[0]
+    plain = map_clouds([write_ply(tmp_path / "a.ply", points)], VOXELS, sensor=sensor)
+    inches, stand = points[:, [0, 2, 1]] * (1, 1, -1) / 0.0254, sensor[[0, 2, 1]] * (1, 1, -1)
+    turned = map_clouds(
+        [write_ply(tmp_path / "b.ply", inches)],
+        Survey(voxel_m=VOXEL_M, unit_m=0.0254, up="y"),
+        sensor=stand / 0.0254,
+    )
+    away = np.array([652_000.0, 5_403_000.0, 0.0])
+    far = map_clouds([write_ply(tmp_path / "c.ply", points + away)], VOXELS, sensor=sensor + away)
+    low, high = points.min(axis=0), points.max(axis=0)
+    boxed = map_clouds([tmp_path / "a.ply"], VOXELS, sensor=sensor, box=(*(low + 2), *(high - 2)))
+    assert plain.offset.tolist() == [0, 0, 0]
+    for other in (turned, far):
+        np.testing.assert_array_equal(other.voxels.states, plain.voxels.states)
+        np.testing.assert_allclose(
+            other.voxels.origin + other.offset - plain.voxels.origin, away * other.offset.any()
+        )
+    assert 0 < boxed.points < plain.points == len(points)
+    corner = np.rint((boxed.voxels.origin - plain.voxels.origin) / VOXEL_M).astype(int)
+    part = tuple(slice(a, a + n) for a, n in zip(corner, boxed.voxels.states.shape, strict=True))
+    np.testing.assert_array_equal(boxed.voxels.states, plain.voxels.states[part])
+
+
+def test_what_is_assumed_free_lies_above_the_lowest_point(scans: Scans, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "a.xyz", scans[0][1])
+    states = map_clouds([tmp_path / "a.xyz"], Survey(assume_free=True)).voxels.states
+    full = states == OCCUPIED
+    above = np.logical_or.accumulate(full, axis=2) & ~full
+    np.testing.assert_array_equal(states == FREE, above)
+    assert (states == UNKNOWN).any()
+
+
+def test_a_dataset_of_a_cloud_passes_every_check(tmp_path: Path) -> None:
+    every, sensors = joined(scanned(12, 40_000))
+    write_ply(tmp_path / "a.ply", every, sensors)
+    said: list[str] = []
+    for _ in range(2):  # the second time, nothing is left to do
+        plan = plan_generation(
+            None, 4, scene=tmp_path / "a.ply", out=tmp_path / "data", tell=said.append
+        )
+        summary = build(plan, workers=1)
+    assert summary.samples_written == 0
+    assert f"{len(every)} points become voxels of 0.2 m" in said[0]
+    report = verify(tmp_path / "data")
+    assert report.ok, [check.detail for check in report.checks]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "options", "said"),
+    [
+        ("a.xyz", b"1 2 3\n", [], "does not say where its sensor was"),
+        ("a.ply", b"ply\n", [], "its header has no end"),
+        ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--sensor", "nan", "1", "2"], "nan"),
+        ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--assume-free"], "no point in it is finite"),
+        ("a.xyz", b"0 0 0\n1e30 0 0\n", ["--assume-free"], "give a larger --voxel"),
+        ("a.xyz", b"0 0 0\n1e300 0 0\n", ["--sensor", "0", "0", "0"], "give a larger --voxel"),
+        ("a.xyz", b"0 0 0\n", ["--assume-free", "--box", *"555666"], "lies in the box"),
+        ("a.xyz", b"0 0 0\n", ["--poses", "none.txt"], "none.txt"),
+        ("a.xyz", b"0 0 0\n", ["--poses", "two.txt"], "2 lines of 3 numbers; expected 1"),
+        ("a.xyz", b"0 0 0\n", ["--poses", "flat.txt"], "pose 1 is no rotation"),
+        ("a.xyz", b"0 0 0\n", ["--poses", "a.bt"], "not a file of poses"),
+        ("a.bt", b"words\n", ["--assume-free"], "expected one of .ply"),
+        ("a.las", b"LASF" + bytes(400), ["--assume-free"], "cannot be read as .las"),
+        ("a.laz", b"", ["--assume-free"], "cannot be read as .laz"),
+    ],
+)
+def test_what_is_no_map_ends_in_a_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    content: bytes,
+    options: list[str],
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("two.txt").write_text("0 0 0\n0 0 1\n")
+    Path("flat.txt").write_text("0 " * 12)
+    Path("a.bt").write_text("words")
+    Path(name).write_bytes(content)
+    code, _, error = run(capsys, "map", name, *options)
+    assert code
+    assert said in error
+    assert error.count("\n") == 1
+    assert not Path("map.npz").exists()
+
+
+def test_the_command_says_what_it_made(
+    scans: Scans, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sensor, points = scans[0]
+    write_points(tmp_path / "a.pcd", points, None, {"frame": "world", "position": sensor})
+    code, told, error = run(
+        capsys, "map", tmp_path / "a.pcd", "--voxel", 0.5, "-o", tmp_path / "b.npz", "--json"
+    )
+    assert code == 0, error
+    code, again, _ = run(capsys, "inspect", tmp_path / "b.npz", "--json")
+    said, found = json.loads(told), json.loads(again)
+    assert said["points"] == len(points)
+    assert {key: said[key] for key in ("shape", "free", "voxel_m")} == {
+        key: found[key] for key in ("shape", "free", "voxel_m")
+    }
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".obj", ".stl"])
+def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path: Path, suffix: str) -> None:
+    document = tmp_path / "a.xml"
+    document.write_text(
+        "<mujoco><worldbody><geom type='box' size='1 2 3' pos='4 0 3' euler='0 0 30'/>"
+        "<geom type='box' size='5 5 .2' pos='0 0 -.3'/></worldbody></mujoco>"
+    )
+    drawn = read_world(document)
+    assert isinstance(drawn, World)
+    (tmp_path / "a.glb").write_bytes(encode_world(drawn))
+    if suffix != ".glb":
+        parts = trimesh.load(tmp_path / "a.glb", force="scene")
+        parts.apply_transform([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+        parts.to_mesh().export(tmp_path / f"a{suffix}")
+    found = read_world(tmp_path / f"a{suffix}")
+    grid, origin = GridSpec(shape=(60, 60, 40)), np.array([-6.03, -6.03, -1.03])
+    np.testing.assert_array_equal(
+        found.truth(grid, origin)["occupancy"], drawn.truth(grid, origin)["occupancy"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.glb", b"", "cannot be read as .glb"),
+        ("a.stl", b"solid\n" * 9, "a.stl"),
+        ("a.obj", b"v 0 0 0\n", "a.obj"),
+        ("a.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "a.obj"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "a.obj"),
+    ],
+)
+def test_what_is_no_mesh_ends_in_a_line(
+    tmp_path: Path, name: str, content: bytes, said: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises((SceneError, DatasetError), match=said) as raised:
+        read_world(tmp_path / name)
+    assert "\n" not in str(raised.value)
