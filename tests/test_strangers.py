@@ -61,7 +61,7 @@ FOLDERS: tuple[tuple[tuple[object, ...], tuple[str, ...]], ...] = (
     (("publish", "d", "--repo", "ada/d", "--dry-run", "-o", "out"), ("README.md", "SHA256SUMS")),
 )
 """Commands and names that each uses in the folder `out`."""
-SILENT = ("completion", "datasets", "doctor", "networks", "verify")
+SILENT = ("completion", "datasets", "doctor", "inspect", "networks", "verify")
 """Commands that write no file."""
 
 
