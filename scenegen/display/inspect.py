@@ -213,5 +213,9 @@ LABELS = {
     "passage_m": ("narrowest passage", "m", 1),
     "tortuosity": ("tortuosity", "", 1),
     "traversability": ("traversability", "", 1),
+    "gap": ("gap", "", 1),
+    "obstruction": ("obstruction", "", 2),
+    "occlusion": ("occlusion", "", 2),
+    "turning": ("turning", "per metre", 3),
 }
 """Statistics of a sample: what they are called, their unit, and the factor to it."""
