@@ -12,7 +12,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from scenegen.dataset.foreign import read_guarded
 from scenegen.errors import DatasetError, printable
-from scenegen.model.completion.points import read_points
+from scenegen.logs.clouds import read_points
 from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Network

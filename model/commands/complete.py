@@ -87,8 +87,8 @@ def complete(
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
     from scenegen.files import check_target, make_parent, real_path, remove_drafts
+    from scenegen.logs.clouds import scans_in
     from scenegen.model.completion.completer import Completer
-    from scenegen.model.completion.points import scans_in
     from scenegen.model.completion.predictions import predict_scan, predict_split
     from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device

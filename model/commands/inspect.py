@@ -55,7 +55,7 @@ def inspect(
 
 def _facts(path: Path) -> dict[str, Any] | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
-    from scenegen.model.completion.points import READERS
+    from scenegen.logs.clouds import READERS
 
     if path.suffix == ".xml" or is_map(path):
         from scenegen.display.inspect import inspect_world

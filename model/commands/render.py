@@ -100,7 +100,7 @@ def _draw_file(path: Path, seed: int | None) -> Any:
     """The figure of a world, a scan, a completion of one, or a run; None for anything else."""
     from scenegen.display import pictures
     from scenegen.display.panels import plain
-    from scenegen.model.completion.points import READERS, read_points
+    from scenegen.logs.clouds import READERS, read_points
 
     title = plain(path.name)
     if path.suffix == ".xml":

@@ -20,10 +20,10 @@ from scenegen.display.look import Look
 from scenegen.errors import DatasetError, GuardError, empty_split
 from scenegen.files import make_parent, open_bounded, remove_drafts, write_whole
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.logs.clouds import read_points
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.parts import Chunks, Kept, new_hdf5, write_predictions
-from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, channels, input_called

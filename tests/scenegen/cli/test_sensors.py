@@ -122,7 +122,7 @@ def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(
 def test_every_kind_of_file_holds_the_same_points(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from scenegen.model.completion.points import read_points
+    from scenegen.logs.clouds import read_points
 
     for name in ("a.ply", "a.pcd", "a.npz", "a.bin"):
         noise = "divergence:3:returns=dual,intensity"

@@ -11,7 +11,7 @@ import trimesh
 
 from scenegen.display.points import write_points
 from scenegen.errors import DatasetError
-from scenegen.model.completion.points import read_points, scans_in
+from scenegen.logs.clouds import read_points, scans_in
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
 HEAD = "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
@@ -182,7 +182,7 @@ def test_files_of_other_programs_that_hold_nothing_are_refused(
 def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(
     tmp_path: Path, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr("scenegen.model.completion.points.MOST_SCAN_BYTES", 10_000)
+    monkeypatch.setattr("scenegen.logs.clouds.MOST_SCAN_BYTES", 10_000)
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
     assert (tmp_path / "bomb.npz").stat().st_size < 10_000
     with pytest.raises(DatasetError, match="10000 at most"):

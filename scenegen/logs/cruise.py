@@ -1,16 +1,15 @@
-"""A long flight as a vehicle makes it: from goal to goal, at an even pace, round corners, and with a
-bounded rate of turn."""
+"""A long flight as a vehicle makes it: from goal to goal, at an even pace, round corners, and with
+a bounded rate of turn."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from ompl import geometric as og
 
 from lidarsim import Pose
-from lidarsim.parameters import check, number
 from scenegen.errors import GenerationError
+from scenegen.logs import Cruise
 from scenegen.worlds.flight import TRIES, Flight, connect, points_of
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
@@ -21,25 +20,6 @@ FINE_M = 0.01
 """Steps in which the path is followed, metres."""
 ROUNDS = 3
 """How often corners are cut: every time, new points halve the way from one corner to the next."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cruise:
-    """How a sensor flies while it records a log."""
-
-    length_m: float = number(100.0, above=0, most=1e5)
-    """Length of the flight, metres; the last leg goes on to its goal."""
-    speed_mps: float = number(2.0, least=0.1, most=50)
-    """Speed, metres a second; it is less round corners."""
-    acceleration_mps2: float = number(4.0, least=0.1, most=100)
-    """The most that it speeds up or slows down, and the most that a bend pulls, metres a second
-    squared; together twice that at most."""
-    yaw_rate_deg_s: float = number(60.0, above=0, most=360)
-    """The most that the body turns, degrees a second. It looks along the flight as far as this lets
-    it."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def cruise_poses(
@@ -63,7 +43,7 @@ def cruise_poses(
     flight, rng = flight or Flight(), np.random.default_rng(seed)
     path = _tour(world, flight, cruise.length_m, rng=rng)
     ends = np.append(0.0, np.cumsum(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1))))
-    flown = np.arange(0.0, ends[-1], FINE_M)
+    flown = np.arange(0.0, cruise.length_m, FINE_M)
     reach = round(2 * flight.robot_radius_m / FINE_M)
     weights = 1.0 - abs(np.arange(-reach, reach + 1)) / reach
     weights /= weights.sum()
