@@ -269,9 +269,10 @@ def _write_sequence(
 ) -> dict[str, Any]:
     """Records a log, and gives what is to be said of it."""
     from scenegen.draw import engine_of
+    from scenegen.files import check_free
     from scenegen.logs.cruise import cruise_poses
     from scenegen.logs.record import period_s, record
-    from scenegen.logs.write import check_free, write_log
+    from scenegen.logs.write import write_log
 
     check_free(out)
     if out.suffix == ".mcap":

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from lidarsim.parameters import check, number
+from scenegen.limits import MOST_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
     import numpy as np
@@ -49,3 +50,36 @@ class Cruise:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fusing:
+    """How a log becomes maps."""
+
+    voxel_m: float = number(0.2, least=0.01, most=10)
+    """Edge of a map's voxel, metres."""
+    reach_m: float = number(30.0, above=0, most=1000)
+    """How far rays are followed, metres: a return beyond clears the voxels up to here and marks
+    none."""
+    rise_m: float = number(10.0, above=0, most=1000)
+    """How far the map goes above and below the sensor, metres."""
+    least_m: float = number(0.1, least=0, most=100)
+    """Returns nearer than this are the sensor's carrier, and left out, metres."""
+    moved_share: float = number(0.1, least=0, below=1)
+    """Of the scans that say something of a voxel, those that have a return in it: where they are
+    fewer, what returned has moved on, and the voxel is free."""
+    every: int = number(10, least=1, most=10**6)
+    """Every so many scans, one is kept as an observation."""
+    deskew: bool = False
+    """Whether points are moved to where their rays met something: by the time of each, along the
+    way to the next scan's pose. For raw scans of a sensor in motion."""
+
+    def __post_init__(self) -> None:
+        check(self)
+        wide, high = 2 * self.reach_m / self.voxel_m + 8, 2 * self.rise_m / self.voxel_m + 8
+        if wide * wide * high > MOST_PLACE_VOXELS:
+            raise ValueError(
+                f"reach {self.reach_m:g} m, rise {self.rise_m:g} m, voxels of {self.voxel_m:g} m: "
+                f"one scan would take more than {MOST_PLACE_VOXELS} voxels; expected larger ones, "
+                "or a map that reaches less far"
+            )

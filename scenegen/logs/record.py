@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -76,7 +77,7 @@ def record(
         yield LogScan(number * every, at, rotate(back, points - at.position), more)
 
 
-def _pace(here: Pose, there: Pose, every_s: float, corrected: bool) -> Motion:
+def _pace(here: Pose, there: Pose, every_s: float, corrected: bool) -> Any:
     """The arc from one level pose to the next."""
     yaws = [2.0 * math.atan2(pose.quaternion[3], pose.quaternion[0]) for pose in (here, there)]
     turn = math.remainder(yaws[1] - yaws[0], math.tau)

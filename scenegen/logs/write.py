@@ -1,6 +1,5 @@
 """Logs on disk: in the layout of KITTI's odometry benchmark, or as MCAP with ROS 2 messages."""
 
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,21 +10,13 @@ from numpy.typing import NDArray
 
 from lidarsim import Pose
 from scenegen.display.points import encode_points
-from scenegen.errors import DatasetError
-from scenegen.files import disk_error, draft_of, make_parent, remove_drafts, whole
+from scenegen.files import check_free, make_parent, remove_drafts, whole, whole_folder
 from scenegen.logs import LogScan
-from scenegen.run import undone_if_stopped
 
 FRAME, SENSOR = "map", "lidar"
 """ROS frames: the world's, and the sensor's."""
 CALIBRATION = "".join(f"{name}: 1 0 0 0 0 1 0 0 0 0 1 0\n" for name in ("P0", "Tr"))
 """A KITTI calibration whose camera is the sensor: poses are the sensor's own."""
-
-
-def check_free(out: Path) -> None:
-    """Raise DatasetError where there is something at `out` already."""
-    if out.exists() or out.is_symlink():
-        raise DatasetError(f"{out}: is there already; give another name, or remove it")
 
 
 def write_log(out: Path, scans: Iterable[LogScan]) -> dict[str, int]:
@@ -43,30 +34,20 @@ def write_log(out: Path, scans: Iterable[LogScan]) -> dict[str, int]:
     Raises:
         DatasetError: There is something at `out` already, or the disk refuses.
     """
+    if out.suffix != ".mcap":
+        with whole_folder(out) as folder:
+            return _write_kitti(folder, scans)
     check_free(out)
     make_parent(out)
     remove_drafts(out.parent, out.name)
-    if out.suffix == ".mcap":
-        with whole(out) as draft, open(draft, "r+b") as file:
-            return _write_mcap(file, scans)
-    draft = draft_of(out)
-    try:
-        with undone_if_stopped(lambda: shutil.rmtree(draft, ignore_errors=True)):
-            (draft / "velodyne").mkdir(parents=True)
-            try:
-                counts = _write_kitti(draft, scans)
-                draft.rename(out)
-            except BaseException:
-                shutil.rmtree(draft, ignore_errors=True)
-                raise
-    except OSError as error:
-        raise disk_error(out, error) from None
-    return counts
+    with whole(out) as draft, open(draft, "r+b") as file:
+        return _write_mcap(file, scans)
 
 
 def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> dict[str, int]:
     counts = {"scans": 0, "returns": 0}
     lines = dict[str, list[str]](times=[], poses=[], tum=[])
+    (folder / "velodyne").mkdir()
     (folder / "calib.txt").write_text(CALIBRATION)
     for number, scan in enumerate(scans):
         content = encode_points(".bin", scan.points, scan.more.get("intensity"))
@@ -110,10 +91,13 @@ def _write_mcap(file: Any, scans: Iterable[LogScan]) -> dict[str, int]:
         }
         header = {"stamp": stamp, "frame_id": FRAME}
         link = {"header": header, "child_frame_id": SENSOR, "transform": transform}
-        columns = dict(zip("xyz", scan.points.T.astype(np.float32), strict=True)) | scan.more
+        columns = dict(zip("xyz", scan.points.T.astype(np.float32), strict=True), **scan.more)
         messages = {
             "/tf": (TRANSFORMS, {"transforms": [link]}),
-            "/points": (CLOUD, cloud_message(columns, {"stamp": stamp, "frame_id": SENSOR})),
+            "/points": (
+                CLOUD,
+                cloud_message(columns | dict(scan.more), {"stamp": stamp, "frame_id": SENSOR}),
+            ),
         }
         for topic, (kind, message) in messages.items():
             writer.write_message(topic, kinds[kind], message, log_time=when, sequence=number)

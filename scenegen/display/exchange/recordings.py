@@ -112,10 +112,11 @@ def cloud_message(columns: Mapping[str, NDArray[Any]], header: dict[str, Any]) -
     rows = np.empty(len(columns["x"]), dtype)
     for name, values in columns.items():
         rows[name] = values
-    fields = [
-        {"name": name, "offset": offset, "datatype": POINT_TYPES.index(kind.str[1:]), "count": 1}
-        for name, (kind, offset) in dtype.fields.items()  # type: ignore[union-attr]
-    ]
+    fields = []
+    for name in columns:
+        kind, offset = dtype.fields[name][:2]  # type: ignore[index]
+        datatype = POINT_TYPES.index(kind.str[1:])
+        fields.append({"name": name, "offset": offset, "datatype": datatype, "count": 1})
     return {
         "header": header,
         "height": 1,
