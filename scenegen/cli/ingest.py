@@ -22,7 +22,6 @@ from scenegen.logs import Fusing
         "ingest dataset/sequences/07 -o data/kitti-07",
         "ingest drive.mcap --deskew -o data/drive",
         "ingest clouds --poses poses.tum -o data/walk",
-        "generate --scene data/walk --n 1000 --val 0 --test 0 -o data/walk-maps",
     )
 )
 @click.argument("log", type=click.Path(path_type=Path))
