@@ -22,7 +22,7 @@ def main() -> None:
     """Print a line for each kind."""
     parser = measuring.options(__doc__)
     parser.add_argument("kinds", nargs="*", default=["pillar", "forest", "street", "warehouse"])
-    parser.add_argument("--length", default="300")
+    parser.add_argument("--length", default="210")
     parser.add_argument("--lidar", default="ouster-os1-64")
     parser.add_argument("--moving", action="store_true")
     options = measuring.parse(parser, kinds=["pillar"], length="110", lidar="velodyne-vlp-16")
@@ -33,7 +33,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "log.mcap")
             words = ["scan", kind, "--flight", "--sequence", "--length", options.length]
-            words += ["--speed", "3", "--noise", "datasheet", "--lidar", options.lidar, "-o", path]
+            words += ["--speed", "5", "--noise", "datasheet", "--lidar", options.lidar, "-o", path]
             measuring.run("-m", "scenegen", *words, *["--moving"] * options.moving)
             print(f"{kind:10}", _measured(path, options.moving), flush=True)
 
