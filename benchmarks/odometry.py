@@ -33,7 +33,17 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "log.mcap")
             words = ["scan", kind, "--flight", "--sequence", "--length", options.length]
-            words += ["--speed", "5", "--noise", "datasheet", "--lidar", options.lidar, "-o", path]
+            words += [
+                "--speed",
+                "5",
+                "--noise",
+                "datasheet",
+                "--lidar",
+                options.lidar,
+                "-o",
+                path,
+                "--quiet",
+            ]
             measuring.run("-m", "scenegen", *words, *["--moving"] * options.moving)
             print(f"{kind:10}", _measured(path, options.moving), flush=True)
 

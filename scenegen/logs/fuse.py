@@ -28,7 +28,7 @@ from scenegen.truth.voxels import resample
 THREADS = 2
 """Threads that follow rays, each in a window of the map; a third adds the windows up."""
 SLICES = 100
-"""Parts of a scan that are moved as one where points are deskewed."""
+"""Parts of the way from scan to scan: where points are deskewed, those of a part move as one."""
 LEAST_SHARED = 0.1
 """A scan of whose observed voxels a smaller share was met before does not overlap with those before
 it."""
@@ -180,15 +180,14 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> _Window:
     ranges = np.sqrt((scan.points**2).sum(axis=1))
     good = (ranges >= how.least_m) & (ranges < MOST_LENGTH_M)  # and no NaN
     points, ranges = scan.points[good], ranges[good]
-    slices, length_s = np.zeros(len(points), np.int64), 0.0
-    if how.deskew and "t" in scan.more and len(points) and seconds > 0:
-        times = scan.more["t"][good]
-        length_s = float(times.max())
-        slices = np.minimum(times / (length_s or 1.0) * SLICES, SLICES - 1).astype(np.int64)
+    slices = np.zeros(len(points), np.int64)
+    if how.deskew and "t" in scan.more and seconds > 0:
+        shares = np.clip(scan.more["t"][good] / seconds, 0.0, 1.0)
+        slices = np.minimum(shares * SLICES, SLICES - 1).astype(np.int64)
     sensors = dict[int, NDArray[np.float64]]()
     for number in np.unique(slices).tolist():
-        now, when_s = slices == number, (number + 0.5) / SLICES * length_s
-        pose = between(scan.pose, after, when_s / (seconds or 1.0))
+        now = slices == number
+        pose = between(scan.pose, after, (number + 0.5) / SLICES) if slices.any() else scan.pose
         points[now] = rotate(pose.quaternion, points[now]) + pose.position
         sensors[number] = pose.position
     cut = np.minimum(1.0, how.reach_m / ranges)[:, None]

@@ -1,5 +1,6 @@
 """Where a sensor was: poses in text files, and poses between those that are known."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from lidarsim import Pose
 from lidarsim.pose import rotate
 from scenegen.errors import DatasetError, short
 from scenegen.files import read_bounded
-from scenegen.limits import MOST_SCAN_BYTES
+from scenegen.limits import MOST_ASSET_BYTES
 
 BEYOND_S = 0.1
 """How long before the first pose, or after the last, that pose still holds, seconds."""
@@ -100,39 +101,31 @@ def read_poses(path: Path) -> Track:
 
 def read_numbers(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     """A table of finite numbers, (rows, columns), and the names in its first line, if any; lines
-    that begin with # are passed over. Raises DatasetError for anything else."""
+    are passed over from # on. Raises DatasetError for anything else."""
     try:
-        text = read_bounded(path, MOST_SCAN_BYTES).decode("latin-1")
+        text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
     except FileNotFoundError:
         raise DatasetError(f"{path}: no such file; expected the log's poses") from None
-    lines = [line.split() for line in text.replace(",", " ").splitlines() if line[:1] != "#"]
-    lines = [line for line in lines if line]
-    names: tuple[str, ...] = ()
-    if lines and not lines[0][0].strip("+-.").replace(".", "")[:1].isdigit():
-        names = tuple(lines.pop(0))
-    try:
-        rows = np.array(lines, dtype=np.float64)
-        odd = rows.ndim != 2 or not np.isfinite(rows).all() or len(names) not in (0, rows.shape[1])
-    except ValueError:
-        odd = True
-    if odd:
-        width = len(names or lines[0]) if lines else 0
-        raise DatasetError(
-            f"{path}: expected lines of as many finite numbers as the first, {width}{_odd(lines)}"
-        )
-    return names, rows
-
-
-def _odd(lines: Sequence[Sequence[str]]) -> str:
-    """The first line that is not as the first one, for an error."""
-    for number, line in enumerate(lines):
+    rows, names = list[list[float]](), tuple[str, ...]()
+    for number, line in enumerate(text.replace(",", " ").splitlines(), start=1):
+        words = line.partition("#")[0].split()
         try:
-            if len(line) == len(lines[0]) and np.isfinite(np.array(line, np.float64)).all():
-                continue
+            row = [float(word) for word in words]
         except ValueError:
-            pass
-        return f"; row {number + 1} is {short(' '.join(line))}"
-    return ""
+            row = []
+            if not rows and not names:
+                names = tuple(words)
+                continue
+        width = len(names) or len((rows or [row])[0])
+        if words and not (row and len(row) == width and all(map(math.isfinite, row))):
+            raise DatasetError(
+                f"{path}: line {number}: {short(line)}: expected {width} finite numbers"
+            )
+        if row:
+            rows.append(row)
+    if not rows:
+        raise DatasetError(f"{path}: holds no numbers")
+    return names, np.array(rows)
 
 
 def pose_of_matrix(row: NDArray[np.float64], where: str) -> Pose:

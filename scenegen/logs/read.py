@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Pose
+from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.display.exchange.recordings import CLOUD, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError, printable
 from scenegen.files import open_bounded
@@ -105,6 +106,8 @@ def _log(
     if not placed:
         raise DatasetError(f"{path}: no pose is of the time of any of its {len(found)} scans")
     poses = tuple(pose for pose in found if pose is not None)
+    if max(abs(pose.position).max() for pose in poses) > MOST_LENGTH_M:
+        raise DatasetError(f"{path}: a pose is beyond {MOST_LENGTH_M:g} m; expected metres")
     return Log(times[placed], poses, len(found) - len(placed), scans)
 
 
@@ -291,6 +294,6 @@ def _columns(cloud: Any) -> dict[str, NDArray[np.float64]]:
     found = {name: points[name].astype(np.float64) for name in "xyz"}
     if time:
         scale = 1e-9 if points[time].dtype.kind in "iu" else 1.0
-        since = points[time].astype(np.float64) * scale
+        since = np.nan_to_num(points[time].astype(np.float64) * scale)
         found["t"] = since - since.min()
     return found
