@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 287_000, "benchmarks": 25_000, "tests": 288_000}
+TOKENS = {"product": 287_000, "benchmarks": 25_000, "tests": 290_000}
 FILES = 240
 LINES = 400
 """The longest file of product code."""

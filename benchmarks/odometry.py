@@ -45,7 +45,7 @@ def main() -> None:
                 "--quiet",
             ]
             measuring.run("-m", "scenegen", *words, *["--moving"] * options.moving)
-            print(f"{kind:10}", _measured(path, options.moving), flush=True)
+            print(f"{kind:10}", _measured(path, options.moving))
 
 
 def _measured(path: Path, moving: bool) -> str:
@@ -61,7 +61,7 @@ def _measured(path: Path, moving: bool) -> str:
         odometry.register_frame(scan.points, scan.more["t"])
         found.append(odometry.last_pose)
     truth = np.array([matrix_of(pose) for pose in log.poses])
-    metres = np.sqrt((np.diff(truth[:, :3, 3], axis=0) ** 2).sum(axis=1)).sum()
+    metres = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
     share, turn = sequence_error(truth, np.array(found))
     return f"{metres:.0f} m  {len(truth)} scans  {share:.3f} %  {turn:.5f} °/m"
 

@@ -92,23 +92,24 @@ def ingest(
 
 def _parts(log: Log, how: Fusing) -> Iterator[range]:
     """The numbers of the scans of each map."""
-    begin, positions = 0, np.array([pose.position for pose in log.poses])
-    for n in range(1, len(positions) + 1):
-        if n == len(positions) or math.prod(_box(positions[begin : n + 1], how)[1]) > (
-            MOST_PLACE_VOXELS
-        ):
+    begin, low = 0, log.poses[0].position
+    high = low
+    for n, pose in enumerate(log.poses):
+        low, high = np.minimum(low, pose.position), np.maximum(high, pose.position)
+        if math.prod(_box(low, high, how)[1]) > MOST_PLACE_VOXELS:
             yield range(begin, n)
-            begin = n
+            begin, low, high = n, pose.position, pose.position
+    yield range(begin, len(log.poses))
 
 
 def _box(
-    positions: NDArray[np.float64], how: Fusing
+    low: NDArray[np.float64], high: NDArray[np.float64], how: Fusing
 ) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
     """The first voxel, counted from the world's origin, and the shape of a map of scans from
-    positions (n, 3)."""
+    positions between `low` and `high` (3,)."""
     reach = np.array([how.reach_m, how.reach_m, how.rise_m])
-    least = np.floor((positions.min(axis=0) - reach) / how.voxel_m).astype(np.int64) - 1
-    most = np.ceil((positions.max(axis=0) + reach) / how.voxel_m).astype(np.int64) + 1
+    least = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
+    most = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
     x, y, z = (most - least).tolist()
     return least, (x, y, z)
 
@@ -124,7 +125,8 @@ def _fused(
 ) -> VoxelMap:
     """The map of some scans, which come next in `scans`; those that are to be `kept` are written
     there."""
-    first, shape = _box(np.array([log.poses[n].position for n in part]), how)
+    positions = np.array([log.poses[n].position for n in part])
+    first, shape = _box(positions.min(axis=0), positions.max(axis=0), how)
     hits, misses = np.zeros((2, *shape), np.uint8)
     for n, (scan, window) in zip(part, _windows(log, scans, part, how), strict=True):
         met, observed = _count(hits, misses, window.least - first, window.observed, window.free)

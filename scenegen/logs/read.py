@@ -87,11 +87,11 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
             "one each, or poses with times and clouds that are named by theirs"
         )
     times = np.where(np.isfinite(times), times, USUAL_S * np.arange(len(files)))
-    placed = [n for n, pose in enumerate(found) if pose is not None]
 
     def scans() -> Iterator[LogScan]:
-        for n in placed:
-            yield LogScan(float(times[n]), found[n], read_points(files[n]))  # type: ignore[arg-type]
+        for file, time, pose in zip(files, times, found, strict=True):
+            if pose is not None:
+                yield LogScan(float(time), pose, read_points(file))
 
     return _log(path, times, found, scans)
 
@@ -282,7 +282,7 @@ def _columns(cloud: Any) -> dict[str, NDArray[np.float64]]:
     dtype = np.dtype(
         {"names": names, "formats": kinds, "offsets": offsets, "itemsize": cloud.point_step}
     )
-    if cloud.row_step * cloud.height != len(cloud.data) or not cloud.width:
+    if cloud.row_step * cloud.height != len(cloud.data):
         raise ValueError(
             f"promises {cloud.height} rows of {cloud.row_step} bytes and holds {len(cloud.data)}"
         )
@@ -292,7 +292,7 @@ def _columns(cloud: Any) -> dict[str, NDArray[np.float64]]:
     if len(points) != cloud.width * cloud.height:
         raise ValueError(f"promises {cloud.width} × {cloud.height} points and holds {len(points)}")
     found = {name: points[name].astype(np.float64) for name in "xyz"}
-    if time:
+    if time and len(points):
         scale = 1e-9 if points[time].dtype.kind in "iu" else 1.0
         since = np.nan_to_num(points[time].astype(np.float64) * scale)
         found["t"] = since - since.min()

@@ -3,7 +3,7 @@
 import json
 import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -219,11 +219,11 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path: Path) -> None:
     here, far = Pose.level((0.0, 0.0, 0.0)), Pose.level((40.0, 0.0, 0.0))
     clouds = [(here, near if n in (5, 390) else wall) for n in range(400)] + [(far, wall)]
 
-    def scans() -> object:
+    def scans() -> Iterator[LogScan]:
         for n, (pose, points) in enumerate(clouds):
             yield LogScan(n / 10, pose, np.concatenate([points, [[np.nan] * 3, [0, 0, 0.01]]]))
 
-    log = Log(np.arange(401) / 10, tuple(pose for pose, _ in clouds), 0, scans)  # type: ignore[arg-type]
+    log = Log(np.arange(401) / 10, tuple(pose for pose, _ in clouds), 0, scans)
     counts = ingest(log, tmp_path, Fusing(every=400))
     assert counts["scans_without_overlap"] == 1
     assert counts["returns_left_out"] == 2 * 401
