@@ -115,7 +115,11 @@ COMMANDS = {
     "networks": [""],
     "reproduce": ["--scale 0.001 --dry-run --device cpu --workers 1"],
     "sensors": ["velodyne-vlp-16 -o p.png"],
-    "scan": ["w.xml --flight --noise range:0.02 -o s.ply"],
+    "scan": [
+        "w.xml --flight --noise range:0.02 -o s.ply",
+        "w.xml --flight --sequence --length 3 -o log",
+    ],
+    "ingest": ["log -o maps"],
     "view": ["d --html v.html --weights run"],
     "render": [
         "d -o r.png",
@@ -135,7 +139,7 @@ COMMANDS = {
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = (
-    "again bench c.safetensors d e.onnx i.html k merged n.onnx o.h5 others p.h5 p.png "
+    "again bench c.safetensors d e.onnx i.html k log maps merged n.onnx o.h5 others p.h5 p.png "
     "publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
 )
 """What commands are asked to leave where they run."""
