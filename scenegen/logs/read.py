@@ -16,8 +16,8 @@ from lidarsim import Pose
 from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.display.exchange.recordings import CLOUD, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError, printable
-from scenegen.files import open_bounded
-from scenegen.limits import MOST_LOG_BYTES
+from scenegen.files import open_bounded, read_bounded
+from scenegen.limits import MOST_HEADER_BYTES, MOST_LOG_BYTES
 from scenegen.logs import LogScan
 from scenegen.logs.clouds import read_points, scans_in
 from scenegen.logs.poses import Track, chained, inverse, pose_of_matrix, read_numbers, read_poses
@@ -132,8 +132,8 @@ def _time_of(file: Path) -> float:
 def _camera(path: Path) -> Pose:
     """The line Tr of a KITTI calibration: where the sensor is in the frame of the camera, which the
     poses are of. The camera is the sensor where there is no such line."""
-    lines = path.read_text("latin-1").splitlines() if path.is_file() else []
-    for line in lines:
+    text = read_bounded(path, MOST_HEADER_BYTES) if path.exists() else b""
+    for line in text.decode("latin-1").splitlines():
         if line.startswith("Tr"):
             try:
                 row = np.array(line.partition(":")[2].split(), dtype=np.float64).reshape(12)
