@@ -59,6 +59,16 @@ def here(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     return made
 
 
+def test_a_kind_s_world_is_scanned_by_its_seed(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("3", "3 again", "4"):
+        words = f"scan pillar --pose 20,20,4,0 --seed {name[0]} --quiet -o"
+        assert run(capsys, *words.split(), f"{name}.ply")[0] == 0
+    first, again, other = ((here / f"{name}.ply").read_bytes() for name in ("3", "3 again", "4"))
+    assert first == again != other
+
+
 def test_a_long_flight_keeps_its_bounds(made: Path) -> None:
     world, cruise = read_world(made / "room.xml"), Cruise(length_m=60, speed_mps=3)
     poses = cruise_poses(world, cruise, 0.1, seed=1)
