@@ -66,8 +66,8 @@ class Fusing:
     least_m: float = number(0.1, least=0, most=100)
     """Returns nearer than this are the sensor's carrier, and left out, metres."""
     moved_share: float = number(0.1, least=0, below=1)
-    """Of the scans that say something of a voxel, those that have a return in it: where they are
-    fewer, what returned has moved on, and the voxel is free."""
+    """The least share of the scans that say something of a voxel which must have a return in it:
+    where fewer have, what returned has moved on, and the voxel is free."""
     every: int = number(10, least=1, most=10**6)
     """Every so many scans, one is kept as an observation."""
     deskew: bool = False
