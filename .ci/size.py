@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 280_000, "benchmarks": 25_000, "tests": 290_000}
-FILES = 236
+TOKENS = {"product": 287_000, "benchmarks": 25_000, "tests": 290_000}
+FILES = 240
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

@@ -136,7 +136,8 @@ def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> li
     lines.append(line("mean of the places", ["", *(f"{mean:.3f}" for mean in means)]))
     lines += ["", "## Success of planning, edges checked", "", *head(("trials", *titles, "truth"))]
     for name, dataset in places.items():
-        config = BenchConfig(split=splits[name], trials=trials, plan=PlanConfig(edge_check=True))  # type: ignore[arg-type]
+        split: Any = splits[name]
+        config = BenchConfig(split=split, trials=trials, plan=PlanConfig(edge_check=True))
         result = bench(dataset, [*methods, Truth()], config)
         cells = [str(len(result.trial_worlds))]
         for measured in result.methods.values():

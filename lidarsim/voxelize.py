@@ -33,6 +33,12 @@ class ObservedGrid:
     """(3,): the grid's least corner in the world, metres."""
 
 
+def unknown_grid(grid: GridSpec, origin: NDArray[np.float64]) -> ObservedGrid:
+    """A grid of which nothing is known yet."""
+    observed, free = np.zeros((2, *grid.shape), dtype=np.bool_)
+    return ObservedGrid(observed, free, origin)
+
+
 def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = None) -> ObservedGrid:
     """Sort a scan into `grid`, centred on the sensor unless its least corner `origin` (3,) is
     given.
@@ -44,8 +50,7 @@ def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = No
     position = scan.pose.position
     origin = grid.origin_at(position) if origin is None else np.asarray(origin, dtype=np.float64)
     directions = scan.directions.reshape(-1, 3)
-    observed = np.zeros(grid.shape, dtype=np.bool_)
-    free = np.zeros(grid.shape, dtype=np.bool_)
+    found = unknown_grid(grid, origin)
     _walk(
         position,
         directions,
@@ -53,10 +58,10 @@ def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = No
         scan.lidar.max_range_m,
         origin,
         grid.voxel_m,
-        observed,
-        free,
+        found.observed,
+        found.free,
     )
-    return ObservedGrid(observed, free, origin)
+    return found
 
 
 def fuse(
@@ -111,25 +116,39 @@ def crossed(
     grid: GridSpec,
     origin: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """The free voxels (*shape) of rays known by their returns alone: from `sensor` (3,) to `points`
-    (N, 3), finite, in the frame of `origin`, metres. As `ObservedGrid.free`; a point at the sensor
-    clears nothing."""
+    """The free voxels (*shape) of rays known by their returns alone, see `sort_points`."""
+    return sort_points(sensor, points, grid, origin).free
+
+
+def sort_points(
+    sensor: NDArray[np.float64],
+    points: NDArray[np.float64],
+    grid: GridSpec,
+    origin: NDArray[np.float64],
+    *,
+    reach_m: float = math.inf,
+    into: ObservedGrid | None = None,
+) -> ObservedGrid:
+    """Sort rays known by their returns alone, as `voxelize` does: from `sensor` (3,) to `points`
+    (N, 3), finite, in the frame of `origin`, metres. Those beyond `reach_m` clear the voxels up to
+    it and mark none; a point at the sensor clears nothing. With `into`, what that grid's arrays say
+    already stays, but that a voxel with a return is not free."""
     rays = np.asarray(points, dtype=np.float64) - sensor
     ranges = np.sqrt((rays * rays).sum(axis=1))
-    observed, free = np.zeros((2, *grid.shape), dtype=np.bool_)
+    found = into or unknown_grid(grid, origin)
     there = ranges > 0
     directions = rays[there] / ranges[there, None]
     _walk(
         np.asarray(sensor, np.float64),
         directions,
-        ranges[there],
-        0.0,
+        np.where(ranges > reach_m, np.inf, ranges)[there],
+        reach_m,
         origin,
         grid.voxel_m,
-        observed,
-        free,
+        found.observed,
+        found.free,
     )
-    return free
+    return found
 
 
 @kernel

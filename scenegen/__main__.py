@@ -22,6 +22,7 @@ COMMANDS = (
     ("Datasets", "scenegen.cli.publish", ("publish",)),
     ("Datasets", "scenegen.cli.convert", ("convert", "world")),
     ("Datasets", "scenegen.cli.map", ("map",)),
+    ("Datasets", "scenegen.cli.ingest", ("ingest",)),
     ("Sensors", "scenegen.cli.scan", ("sensors", "scan")),
     *(("To look at", f"scenegen.model.commands.{name}", (name,)) for name in LOOKING),
     *(("Networks", f"scenegen.model.commands.{name}", (name,)) for name in NETWORKS),

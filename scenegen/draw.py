@@ -293,7 +293,7 @@ def scan_world(
     """
     rng = np.random.default_rng(seed)
     caster = world.caster(engine)
-    return _observed(cast(caster, lidar, pose), noise or Noise(), world.albedo, caster, rng)
+    return observed(cast(caster, lidar, pose), noise or Noise(), world.albedo, caster, rng)
 
 
 def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Scan]:
@@ -330,7 +330,7 @@ def with_noise(
     for before, scan in enumerate(scans):
         key = (SPLITS.index(split), unit, 0, STREAM, view, *([before] if before else []))
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-        seen = _observed(scan, noise, world.albedo, engine, rng)
+        seen = observed(scan, noise, world.albedo, engine, rng)
         if len(seen.ranges) > 1 or seen.intensity is not None:
             raise GenerationError(
                 f"noise {noise}: a dataset holds one range a ray and nothing else; leave intensity "
@@ -346,9 +346,11 @@ def with_noise(
     return found
 
 
-def _observed(
+def observed(
     scan: Scan, noise: Noise, albedo: np.ndarray | None, engine: Caster, rng: np.random.Generator
 ) -> Returns:
+    """What `noise` makes of a clean scan, see `Noise.observe`. Raises GenerationError where it
+    cannot."""
     try:
         return noise.observe(scan, engine, rng=rng, albedo=albedo)
     except ValueError as error:

@@ -149,6 +149,32 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A new folder to write to: when the block ends, it stands at `path`; if it fails, nowhere.
+    Raises DatasetError where there is something already, or where the disk refuses."""
+    check_free(path)
+    make_parent(path)
+    remove_drafts(path.parent, path.name)
+    draft = draft_of(path)
+    with undone_if_stopped(lambda: shutil.rmtree(draft, ignore_errors=True)):
+        try:
+            draft.mkdir()
+            yield draft
+            check_free(path)
+            draft.rename(path)
+        except OSError as error:
+            raise disk_error(path, error) from None
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+
+
+def check_free(path: Path) -> None:
+    """Raise DatasetError where there is something at `path`."""
+    if path.exists() or path.is_symlink():
+        raise DatasetError(f"{path}: is there already; give another name, or remove it")
+
+
+@contextmanager
 def _draft(path: Path, sync: bool = True) -> Iterator[tuple[Path, BinaryIO]]:
     """What `whole` gives, and the same file opened for writing."""
     check_target(path)

@@ -115,8 +115,12 @@ COMMANDS = {
     "networks": [""],
     "reproduce": ["--scale 0.001 --dry-run --device cpu --workers 1"],
     "sensors": ["velodyne-vlp-16 -o p.png"],
-    "scan": ["w.xml --flight --noise range:0.02 -o s.ply"],
+    "scan": [
+        "w.xml --flight --noise range:0.02 -o s.ply",
+        "w.xml --flight --sequence --length 3 -o log",
+    ],
     "map": ["scan.xyz --assume-free -o m.npz"],
+    "ingest": ["log -o maps"],
     "view": ["d --html v.html --weights run"],
     "render": [
         "d -o r.png",
@@ -136,8 +140,8 @@ COMMANDS = {
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = (
-    "again bench c.safetensors d e.onnx i.html k m.npz merged n.onnx o.h5 others p.h5 p.png "
-    "publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
+    "again bench c.safetensors d e.onnx i.html k log m.npz maps merged n.onnx o.h5 others p.h5 "
+    "p.png publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
 )
 """What commands are asked to leave where they run."""
 FONTS = ".cache/matplotlib/"

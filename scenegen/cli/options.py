@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 import typing
 from collections.abc import Callable, Mapping
 from functools import reduce, wraps
@@ -35,6 +36,8 @@ if typing.TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 Decorator = Callable[[Function], Function]
 
+UNITS = re.compile("(_m|_mps|_mps2|_deg_s)$")
+"""How the names of fields end that are options without it."""
 SENSING, RUNNING = "Sensor and maps", "Running and printing"
 """Groups of options on help pages."""
 
@@ -228,7 +231,7 @@ def options_of(
     fields = {item.name: item for item in dataclasses.fields(config)}
     options = []
     for name, text in helps.items():
-        flag = "--" + prefix + name.removesuffix("_m").removesuffix("_mps").replace("_", "-")
+        flag = "--" + prefix + UNITS.sub("", name).replace("_", "-")
         more = _settings(kinds[name], fields[name], flag)
         more["show_default"] = default or more.get("show_default", True)
         options.append(click.option(more.pop("flag", flag), name, help=text, panel=panel, **more))

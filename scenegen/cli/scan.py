@@ -3,6 +3,8 @@ world."""
 
 import json
 import math
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,17 +23,21 @@ from scenegen.cli.options import (
     out_option,
     printing,
     seed_option,
+    taken,
     was_given,
 )
-from scenegen.cli.show import say, show_figures, show_table
+from scenegen.cli.show import Progress, say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
+from scenegen.logs import Cruise
+from scenegen.recipes import KINDS
 from scenegen.worlds import CLOUDS, MAPS
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
     from lidarsim.noise.chain import Noise
+    from scenegen.logs import LogScan
     from scenegen.worlds.place import Place
     from scenegen.worlds.world import World
 
@@ -118,6 +124,7 @@ def _cell(value: Any) -> str:
         "scan room.xml --pose 1,2,0.5,30 -o scan.ply",
         "scan room.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
         "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
+        "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
     )
 )
 @click.argument("world", type=click.Path(path_type=Path))
@@ -131,6 +138,25 @@ def _cell(value: Any) -> str:
     help="With --flight: a scan whenever so many metres were flown, each in a file of its own, "
     "numbered from 000.",
 )
+@click.option(
+    "--sequence",
+    is_flag=True,
+    help="With --flight: a log, scans at the sensor's rate along a long flight, into a folder as "
+    "KITTI's odometry has them, or an .mcap file for ROS 2.",
+)
+@options_of(
+    Cruise,
+    length_m="With --sequence: metres flown.",
+    speed_mps="Metres a second.",
+    acceleration_mps2="Metres a second squared.",
+    yaw_rate_deg_s="Degrees a second, at most.",
+)
+@click.option(
+    "--moving",
+    is_flag=True,
+    help="With --sequence: cast each ray from where the sensor is at its time. A folder has the "
+    "points corrected for that, as KITTI's are, an .mcap file has them raw.",
+)
 @lidar_option("raster")
 @noise_option
 @engine_option("What casts the rays.", default="analytic")
@@ -143,6 +169,8 @@ def scan(
     pose: tuple[float, ...] | None,
     flight: bool,
     every: float | None,
+    sequence: bool,
+    moving: bool,
     lidar: str | None,
     noise: str | None,
     engine: str,
@@ -151,38 +179,43 @@ def scan(
     out: Path,
     as_json: bool,
     talk: bool,
+    **options: Any,
 ) -> None:
     """Scan the world of an MJCF file, once or along a flight, and write the returns as points.
 
-    Or a mesh, or a map of a real place (.bt, .ot, .npz). Rays that cross unknown space are counted.
+    Or a mesh, or a map of a real place (.bt, .ot, .npz), where rays that cross unknown space are
+    counted; or a world of a kind, drawn by the seed.
     """
     if (pose is None) != flight:
         raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
     if every is not None and not flight:
         raise click.UsageError("--every goes with --flight")
+    if sequence and (not flight or every is not None or was_given("frame")):
+        raise click.UsageError("--sequence goes with --flight, and without --every and --frame")
+    if not sequence and (moving or any(map(was_given, taken(Cruise, options)))):
+        raise click.UsageError("--moving and the options of the long flight go with --sequence")
     if world.suffix in (*MAPS, *CLOUDS) and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
-    from lidarsim import Pose
     from scenegen.display.exchange.files import SUFFIXES
     from scenegen.files import check_ours
-    from scenegen.source import read_world
     from scenegen.tables import named_lidar, named_noise
-    from scenegen.worlds.flight import pose_in_flight, poses_in_flight
 
-    if out.suffix not in SUFFIXES:
+    if not sequence and out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
-    found = read_world(world)
-    files = [out]
-    if pose is not None:
-        poses = [Pose.level(pose[:3], math.radians(pose[3]))]
-    elif every is None:
-        poses = [pose_in_flight(found, seed=seed)]
-    else:
-        poses = poses_in_flight(found, every_m=every, seed=seed)
-        stems = (f"{out.stem}-{number:03d}{out.suffix}" for number in range(len(poses)))
-        files = [out.with_name(stem) for stem in stems]
+    if sequence:
+        row = _write_sequence(
+            out, world, sensor, chain, engine, Cruise(**options), seed, moving, talk
+        )
+        if as_json:
+            print(json.dumps(row))
+        elif talk:
+            show_table(row)
+        return
+    found = _world(world, seed)
+    poses = _poses(found, pose, every, seed)
+    files = [out] if every is None else [_numbered(out, number) for number in range(len(poses))]
     for file in files:
         check_ours(file)
     rows = []
@@ -196,6 +229,84 @@ def scan(
         if len(rows) > 1:
             told |= {"file": f"{files[0]} … {files[-1]}", "scans": len(rows)}
         show_table(told)
+
+
+def _world(world: Path, seed: int) -> "World | Place":
+    """The world of a file, or one of a kind, drawn by `seed`."""
+    import numpy as np
+
+    from scenegen.recipe import preset
+    from scenegen.source import DrawnWorlds, read_world
+
+    if str(world) not in KINDS.known or world.exists():
+        return read_world(world)
+    return DrawnWorlds(preset(str(world))).world("train", 0, rng=np.random.default_rng(seed))
+
+
+def _write_sequence(
+    out: Path,
+    world: Path,
+    sensor: "Sensor",
+    chain: "Noise",
+    engine: str,
+    cruise: Cruise,
+    seed: int,
+    moving: bool,
+    talk: bool,
+) -> dict[str, Any]:
+    """Records a log, and gives what is to be said of it."""
+    from scenegen.draw import engine_of
+    from scenegen.files import check_free
+    from scenegen.logs.cruise import cruise_poses
+    from scenegen.logs.record import period_s, record
+    from scenegen.logs.write import write_log
+
+    check_free(out)
+    if out.suffix == ".mcap":
+        import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
+    found, period = _world(world, seed), period_s(sensor)
+    poses = cruise_poses(found, cruise, period, seed=seed)
+    caster = engine_of(ENGINES.find(engine).of, found)
+    corrected = out.suffix != ".mcap"
+    scans = record(
+        found, caster, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected
+    )
+    with Progress("scan", shown=talk) as progress:
+        progress.start(len(poses))
+        counts = write_log(out, _counted(scans, progress))
+    flown = sum(math.dist(a.position, b.position) for a, b in pairwise(poses))
+    return {
+        "file": str(out),
+        "lidar": str(sensor),
+        "noise": str(chain) or "none",
+        "seconds": round(period * len(poses), 3),
+        "metres": round(flown, 3),
+        **counts,
+    }
+
+
+def _counted(scans: "Iterable[LogScan]", progress: Progress) -> "Iterator[LogScan]":
+    for scan in scans:
+        yield scan
+        progress.count(1)
+
+
+def _numbered(out: Path, number: int) -> Path:
+    return out.with_name(f"{out.stem}-{number:03d}{out.suffix}")
+
+
+def _poses(
+    world: "World | Place", pose: tuple[float, ...] | None, every: float | None, seed: int
+) -> "list[Pose]":
+    """The pose given, one in a random flight, or those `every` so many metres of it."""
+    from lidarsim import Pose
+    from scenegen.worlds.flight import pose_in_flight, poses_in_flight
+
+    if pose is not None:
+        return [Pose.level(pose[:3], math.radians(pose[3]))]
+    if every is not None:
+        return poses_in_flight(world, every_m=every, seed=seed)
+    return [pose_in_flight(world, seed=seed)]
 
 
 def _write_scan(

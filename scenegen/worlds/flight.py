@@ -34,10 +34,6 @@ GRAVITY = 9.81
 LEAST_THRUST = 0.5
 """The vertical part of the thrust, a share of what hovering takes, is never less."""
 
-
-TRIES = 50
-"""Flights tried before a world counts as too narrow, where one pose is asked for."""
-
 Obstacles = Clearance | PlaceClearance
 """What tells how far a point or a motion is from what one may not touch."""
 
@@ -116,8 +112,19 @@ def plan(
     """
     ends = _start_and_goal(clearance, bounds, flight, rng=rng)
     seed = int(rng.integers(1, 2**31))
-    if ends is None:
-        return None
+    found = None if ends is None else connect(clearance, bounds, flight, ends, seed)
+    return None if found is None else points_of(found[1])
+
+
+def connect(
+    clearance: Obstacles,
+    bounds: NDArray[np.float64],
+    flight: Flight,
+    ends: tuple[NDArray[np.float64], NDArray[np.float64]],
+    seed: int,
+) -> tuple[ob.SpaceInformation, og.PathGeometric] | None:
+    """RRT's path between two points (3,), as OMPL has it, with the space that checks its motions;
+    None where it finds none. For the other arguments see `plan`."""
     ou.RNG.setSeed(seed)
     space, box = ob.RealVectorStateSpace(3), ob.RealVectorBounds(3)
     for axis, (low, high) in enumerate(bounds.T.tolist()):
@@ -142,7 +149,12 @@ def plan(
     status = planner.solve(ob.PlannerTerminationCondition(lambda: next(rounds, None) is None))
     if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
         return None
-    return np.array([_place(state) for state in problem.getSolutionPath().getStates()])
+    return information, problem.getSolutionPath()
+
+
+def points_of(path: og.PathGeometric) -> NDArray[np.float64]:
+    """The points (n, 3) of a path of OMPL's."""
+    return np.array([_place(state) for state in path.getStates()])
 
 
 def _place(state: ob.State) -> tuple[float, float, float]:

@@ -21,6 +21,7 @@ DATA = "data"
 """Stands for a dataset's folder."""
 NUMBER = r"(\d[\d.]*)"
 RAY = r"ray +N +N +N +N +N\n" if find_spec("ray") else "ray: not measured"
+ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
 SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "against": ((BENCHMARKS.parent,), ("N ms a sample there, N here", "samples (equal)")),
     "calibrate": (("pillar",), ("truth +N±", "returns +N±")),
@@ -52,6 +53,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "intervals": ((), (r"success, geometric +N +N +N",)),
     "kinds": ((), (r"`geometric` \| N \| N% · N% \| N% · N \|", r"`maze`")),
     "mutants": ((), (r"N of 1 killed",)),
+    "odometry": ((), (ODOMETRY,)),
     "points": ((DATA,), (r"sample +iou N recall N", r"voxels alone +iou N recall N near_rmse N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
     "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),

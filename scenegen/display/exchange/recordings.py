@@ -3,6 +3,7 @@
 import io
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,11 @@ _POSE = f"""
 {_RULE}geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z
 {_RULE}geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w
 """
-CLOUD, POSE, VOXEL_GRID = (
+CLOUD, POSE, VOXEL_GRID, TRANSFORMS = (
     "sensor_msgs/msg/PointCloud2",
     "geometry_msgs/msg/PoseStamped",
     "foxglove_msgs/msg/VoxelGrid",
+    "tf2_msgs/msg/TFMessage",
 )
 DEFINITIONS = {
     CLOUD: f"""std_msgs/Header header
@@ -42,10 +44,20 @@ foxglove_msgs/PackedElementField[] fields\nuint8[] data
 {_RULE}geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z
 {_RULE}foxglove_msgs/PackedElementField\nstring name\nuint32 offset\nuint8 type
 {_POSE}{_TIME}""",
+    TRANSFORMS: f"""geometry_msgs/TransformStamped[] transforms
+{_RULE}geometry_msgs/TransformStamped
+std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform
+{_RULE}geometry_msgs/Transform
+geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation
+{_RULE}geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z
+{_RULE}geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w
+{_HEADER}""",
 }
 """ROS's common interfaces and Foxglove's VoxelGrid, as far as they are used."""
-FLOAT32, UINT8 = 7, 1
-"""PointField's number for float32, and PackedElementField's for uint8."""
+POINT_TYPES = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+"""NumPy's names of PointField's types, by their numbers there."""
+UINT8 = 1
+"""PackedElementField's number for uint8."""
 FRAME = "world"
 
 
@@ -65,7 +77,10 @@ class Mcap(Together):
 
         memory = io.BytesIO()
         writer = Writer(memory)
-        schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
+        schemas = {
+            name: writer.register_msgdef(name, DEFINITIONS[name])
+            for name in (CLOUD, POSE, VOXEL_GRID)
+        }
         for number, sample in samples:
             header = {"stamp": {"sec": number}, "frame_id": FRAME}
             centres = grid.centres(sample.origin)
@@ -85,18 +100,28 @@ class Mcap(Together):
 
 def _cloud(points: NDArray[np.float64], header: dict[str, Any]) -> dict[str, Any]:
     """A PointCloud2 of points (n, 3), float32."""
-    fields = [
-        {"name": axis, "offset": 4 * n, "datatype": FLOAT32, "count": 1}
-        for n, axis in enumerate("xyz")
-    ]
+    return cloud_message(dict(zip("xyz", points.T.astype(np.float32), strict=True)), header)
+
+
+def cloud_message(columns: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
+    """A PointCloud2 of values by name, (n,) each, of the types in `POINT_TYPES`."""
+    dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
+    rows = np.empty(len(columns["x"]), dtype)
+    for name, values in columns.items():
+        rows[name] = values
+    fields = []
+    for name in columns:
+        kind, offset = dtype.fields[name][:2]  # type: ignore[index]
+        datatype = POINT_TYPES.index(kind.str[1:])
+        fields.append({"name": name, "offset": offset, "datatype": datatype, "count": 1})
     return {
         "header": header,
         "height": 1,
-        "width": len(points),
+        "width": len(rows),
         "fields": fields,
-        "point_step": 12,
-        "row_step": 12 * len(points),
-        "data": points.astype("<f4").tobytes(),
+        "point_step": dtype.itemsize,
+        "row_step": rows.nbytes,
+        "data": rows.tobytes(),
         "is_dense": True,
     }
 

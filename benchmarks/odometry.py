@@ -1,0 +1,70 @@
+"""Whether a stranger's odometry finds its way in our logs: KISS-ICP (Vizzo et al. 2023), which
+knows nothing of scenegen, on a log of each kind of worlds. Needs `pip install kiss-icp`.
+
+    python benchmarks/odometry.py pillar forest --moving
+
+Per kind: metres flown, scans, and the mean error of relative translation, %, and rotation, degrees
+a metre, as KITTI's odometry counts them: over all ways of 100, 200 … 800 m.
+"""
+
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import measuring
+import numpy as np
+
+from scenegen.logs.read import read_log
+from scenegen.logs.write import matrix_of
+
+
+def main() -> None:
+    """Print a line for each kind."""
+    parser = measuring.options(__doc__)
+    parser.add_argument("kinds", nargs="*", default=["pillar", "forest", "street", "warehouse"])
+    parser.add_argument("--length", default="210")
+    parser.add_argument("--lidar", default="ouster-os1-64")
+    parser.add_argument("--moving", action="store_true")
+    options = measuring.parse(parser, kinds=["pillar"], length="110", lidar="velodyne-vlp-16")
+    if not find_spec("kiss_icp"):
+        print("not measured: kiss-icp is not installed")
+        return
+    for kind in options.kinds:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "log.mcap")
+            words = ["scan", kind, "--flight", "--sequence", "--length", options.length]
+            words += [
+                "--speed",
+                "5",
+                "--noise",
+                "datasheet",
+                "--lidar",
+                options.lidar,
+                "-o",
+                path,
+                "--quiet",
+            ]
+            measuring.run("-m", "scenegen", *words, *["--moving"] * options.moving)
+            print(f"{kind:10}", _measured(path, options.moving))
+
+
+def _measured(path: Path, moving: bool) -> str:
+    """KISS-ICP's errors on a log, in words."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+    from kiss_icp.metrics import sequence_error
+
+    config, log = KISSConfig(), read_log(path)
+    config.data.deskew, config.mapping.voxel_size = moving, config.data.max_range / 100
+    odometry, found = KissICP(config), []
+    for scan in log.scans():
+        odometry.register_frame(scan.points, scan.more["t"])
+        found.append(odometry.last_pose)
+    truth = np.array([matrix_of(pose) for pose in log.poses])
+    metres = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
+    share, turn = sequence_error(truth, np.array(found))
+    return f"{metres:.0f} m  {len(truth)} scans  {share:.3f} %  {turn:.5f} °/m"
+
+
+if __name__ == "__main__":
+    main()

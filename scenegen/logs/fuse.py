@@ -1,0 +1,270 @@
+"""Maps of a log, made by following every ray of every scan; and some of its scans beside the truth
+that all of them tell."""
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Pose
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from lidarsim.jit import kernel
+from lidarsim.parameters import MOST_LENGTH_M
+from lidarsim.pose import rotate
+from lidarsim.voxelize import sort_points, unknown_grid
+from scenegen.errors import DatasetError
+from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.logs import Fusing, LogScan
+from scenegen.logs.poses import between
+from scenegen.logs.read import Log
+from scenegen.truth.voxels import resample
+
+THREADS = 2
+"""Threads that follow rays, each in a window of the map; a third adds the windows up."""
+SLICES = 100
+"""Parts of the way from scan to scan: where points are deskewed, those of a part move as one."""
+LEAST_SHARED = 0.1
+"""A scan of whose observed voxels a smaller share was met before does not overlap with those before
+it."""
+MOST_TOLD = 255
+"""Scans that are counted of a voxel: beyond, both of its counts are halved."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """What one scan says of the voxels around it."""
+
+    least: NDArray[np.int64]
+    """(3,): its first voxel, counted from the world's origin."""
+    observed: NDArray[np.bool_]
+    free: NDArray[np.bool_]
+    points: NDArray[np.float64]
+    """(N, 3): the returns, from the sensor, along the world's axes, metres."""
+    dropped: int
+    """Points that are left out: not finite, or nearer than `Fusing.least_m`."""
+
+
+def ingest(
+    log: Log, out: Path, how: Fusing, *, on_scan: Callable[[int], None] = lambda count: None
+) -> Counter[str]:
+    """Write the maps of a log, ``place-000.npz`` and on, and its observations into the folder
+    `out`, which is there.
+
+    A new map begins where one would have more than `MOST_PLACE_VOXELS`. A voxel is occupied where
+    it holds returns, but for what moved on (see `Fusing`), and free where it holds none and a ray
+    crosses it. An observation, ``observations/000010.npz``, has the scan's `points` from the
+    sensor along the world's axes, `position`, `quaternion` and `time_s`; and in the usual grid
+    around it, `origin`, `voxel_m`, its own `observed` and `free`, and the whole map's `occupancy`
+    and `known`.
+
+    Returns:
+        What was found, counted.
+
+    Raises:
+        DatasetError: A cloud cannot be read, the log says nothing, or a map's file is too large.
+    """
+    counts: Counter[str] = Counter(scans_without_pose=log.without_pose)
+    (out / "observations").mkdir()
+    scans = log.scans()
+    for number, part in enumerate(_parts(log, how)):
+        kept = {n: out / "observations" / f"{n:06d}.npz" for n in part[:: how.every]}
+        place = _fused(log, scans, part, how, counts, kept, on_scan)
+        path = out / f"place-{number:03d}.npz"
+        np.savez_compressed(
+            path, states=place.states, voxel_m=np.float64(place.voxel_m), origin=place.origin
+        )
+        if path.stat().st_size > MOST_ASSET_BYTES:
+            raise DatasetError(f"{path.name}: a map of too many bytes for a file; raise --voxel")
+        for observation in kept.values():
+            _observe(observation, place)
+        counts["maps"] += 1
+        counts["observations"] += len(kept)
+        counts["occupied_voxels"] += int(np.count_nonzero(place.states == OCCUPIED))
+        counts["free_voxels"] += int(np.count_nonzero(place.states == FREE))
+    return counts
+
+
+def _parts(log: Log, how: Fusing) -> Iterator[range]:
+    """The numbers of the scans of each map."""
+    begin, low = 0, log.poses[0].position
+    high = low
+    for n, pose in enumerate(log.poses):
+        low, high = np.minimum(low, pose.position), np.maximum(high, pose.position)
+        if math.prod(_box(low, high, how)[1]) > MOST_PLACE_VOXELS:
+            yield range(begin, n)
+            begin, low, high = n, pose.position, pose.position
+    yield range(begin, len(log.poses))
+
+
+def _box(
+    low: NDArray[np.float64], high: NDArray[np.float64], how: Fusing
+) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+    """The first voxel, counted from the world's origin, and the shape of a map of scans from
+    positions between `low` and `high` (3,)."""
+    reach = np.array([how.reach_m, how.reach_m, how.rise_m])
+    least = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
+    most = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
+    x, y, z = (most - least).tolist()
+    return least, (x, y, z)
+
+
+def _fused(
+    log: Log,
+    scans: Iterator[LogScan],
+    part: range,
+    how: Fusing,
+    counts: Counter[str],
+    kept: Mapping[int, Path],
+    on_scan: Callable[[int], None],
+) -> VoxelMap:
+    """The map of some scans, which come next in `scans`; those that are to be `kept` are written
+    there."""
+    positions = np.array([log.poses[n].position for n in part])
+    first, shape = _box(positions.min(axis=0), positions.max(axis=0), how)
+    hits, misses = np.zeros((2, *shape), np.uint8)
+    for n, (scan, window) in zip(part, _windows(log, scans, part, how), strict=True):
+        met, observed = _count(hits, misses, window.least - first, window.observed, window.free)
+        counts["scans"] += 1
+        counts["returns"] += len(window.points)
+        counts["returns_left_out"] += window.dropped
+        counts["scans_without_overlap"] += int(n > part[0] and met < LEAST_SHARED * observed)
+        if n in kept:
+            np.savez(
+                kept[n],
+                points=window.points.astype(np.float32),
+                position=scan.pose.position,
+                quaternion=scan.pose.quaternion,
+                time_s=np.float64(scan.time_s),
+            )
+        on_scan(1)
+    moved, box = _settle(hits, misses, how.moved_share)
+    counts["moved_voxels"] += int(moved)
+    if not box[1].all():
+        raise DatasetError("no scan of the log has a return that its maps reach")
+    (i, j, k), (a, b, c) = box
+    states = np.ascontiguousarray(hits[i:a, j:b, k:c])
+    return VoxelMap(states, how.voxel_m, (first + box[0]) * how.voxel_m)
+
+
+def _windows(
+    log: Log, scans: Iterator[LogScan], part: range, how: Fusing
+) -> Iterator[tuple[LogScan, _Window]]:
+    """Scans, each with what it says, in order; some are worked on ahead."""
+    waiting = deque[tuple[LogScan, Future[_Window]]]()
+    with ThreadPoolExecutor(THREADS) as pool:
+        for n in part:
+            scan = next(scans)
+            waiting.append((scan, pool.submit(_window, scan, _pace(log, n), how)))
+            if len(waiting) > 2 * THREADS:
+                ready, window = waiting.popleft()
+                yield ready, window.result()
+        for ready, window in waiting:
+            yield ready, window.result()
+
+
+def _pace(log: Log, n: int) -> tuple[Pose, float]:
+    """Where the sensor is some seconds after scan n began, and how many."""
+    poses, times = log.poses, log.times_s
+    if n + 1 < len(poses):
+        return poses[n + 1], float(times[n + 1] - times[n])
+    before = max(n - 1, 0)  # it goes on as it came
+    return between(poses[before], poses[n], 2.0), float(times[n] - times[before])
+
+
+def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> _Window:
+    here, voxel_m, (after, seconds) = scan.pose.position, how.voxel_m, pace
+    ranges = np.sqrt((scan.points**2).sum(axis=1))
+    good = (ranges >= how.least_m) & (ranges < MOST_LENGTH_M)  # and no NaN
+    points, ranges = scan.points[good], ranges[good]
+    slices = np.zeros(len(points), np.int64)
+    if how.deskew and "t" in scan.more and seconds > 0:
+        shares = np.clip(scan.more["t"][good] / seconds, 0.0, 1.0)
+        slices = np.minimum(shares * SLICES, SLICES - 1).astype(np.int64)
+    sensors = dict[int, NDArray[np.float64]]()
+    for number in np.unique(slices).tolist():
+        now = slices == number
+        pose = between(scan.pose, after, (number + 0.5) / SLICES) if slices.any() else scan.pose
+        points[now] = rotate(pose.quaternion, points[now]) + pose.position
+        sensors[number] = pose.position
+    cut = np.minimum(1.0, how.reach_m / ranges)[:, None]
+    ends = np.concatenate(
+        [here + cut * (points - here), [here], *[[one] for one in sensors.values()]]
+    )
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    low[2], high[2] = max(low[2], here[2] - how.rise_m), min(high[2], here[2] + how.rise_m)
+    least = np.floor(low / voxel_m).astype(np.int64) - 2
+    x, y, z = (np.floor(high / voxel_m).astype(np.int64) + 3 - least).tolist()
+    grid = GridSpec(shape=(x, y, z), voxel_m=voxel_m, truncation_m=voxel_m)
+    seen = unknown_grid(grid, least * voxel_m)
+    for number, sensor in sensors.items():
+        now = slices == number
+        sort_points(sensor, points[now], grid, seen.origin, reach_m=how.reach_m, into=seen)
+    seen.free[seen.observed] = False
+    return _Window(least, seen.observed, seen.free, points - here, int((~good).sum()))
+
+
+@kernel
+def _count(hits, misses, least, observed, free):
+    """Add a scan's window, whose first voxel is `least` (3,), to how many scans observed each voxel
+    of the map or found it free. Gives how many of the observed ones an earlier scan met, and how
+    many there are."""
+    met, total = 0, 0
+    for i in range(max(0, -least[0]), min(observed.shape[0], hits.shape[0] - least[0])):
+        for j in range(max(0, -least[1]), min(observed.shape[1], hits.shape[1] - least[1])):
+            for k in range(max(0, -least[2]), min(observed.shape[2], hits.shape[2] - least[2])):
+                if not (observed[i, j, k] or free[i, j, k]):
+                    continue
+                a, b, c = least[0] + i, least[1] + j, least[2] + k
+                hit, miss = hits[a, b, c], misses[a, b, c]
+                if hit == MOST_TOLD or miss == MOST_TOLD:  # a count above 0 stays so
+                    hit, miss = (hit + 1) >> 1, (miss + 1) >> 1
+                if observed[i, j, k]:
+                    total += 1
+                    met += hit + miss > 0
+                    hit += 1
+                else:
+                    miss += 1
+                hits[a, b, c], misses[a, b, c] = hit, miss
+    return met, total
+
+
+@kernel
+def _settle(hits, misses, moved_share):
+    """Write each voxel's state into `hits`. Gives how many voxels something has moved out of, and
+    the box of what is known, (2, 3)."""
+    nx, ny, nz = hits.shape
+    moved, box = 0, np.zeros((2, 3), np.int64)
+    box[0] = nx, ny, nz
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                hit, miss = int(hits[i, j, k]), int(misses[i, j, k])
+                if hit + miss == 0:
+                    hits[i, j, k] = UNKNOWN
+                    continue
+                gone = hit > 0 and hit < moved_share * (hit + miss)
+                moved += gone
+                hits[i, j, k] = FREE if gone or hit == 0 else OCCUPIED
+                for axis, at in enumerate((i, j, k)):
+                    box[0, axis] = min(box[0, axis], at)
+                    box[1, axis] = max(box[1, axis], at + 1)
+    return moved, box
+
+
+def _observe(path: Path, place: VoxelMap) -> None:
+    """Add to a scan that is kept what it says of the grid around it, and what the map does."""
+    with np.load(path) as file:
+        found: dict[str, Any] = dict(file)
+    grid, here = GridSpec(), found["position"]
+    origin = grid.origin_at(here)
+    seen = sort_points(here, found["points"] + here, grid, origin)
+    occupancy, known = resample(place, grid, origin)
+    found |= {"origin": origin, "voxel_m": np.float64(grid.voxel_m)}
+    found |= {"observed": seen.observed, "free": seen.free}
+    np.savez_compressed(path, **found, occupancy=occupancy, known=known)

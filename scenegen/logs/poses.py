@@ -1,0 +1,139 @@
+"""Where a sensor was: poses in text files, and poses between those that are known."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import Pose
+from lidarsim.pose import rotate
+from scenegen.errors import DatasetError, short
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_ASSET_BYTES
+
+BEYOND_S = 0.1
+"""How long before the first pose, or after the last, that pose still holds, seconds."""
+SKEW = 0.01
+"""How far a matrix may be from a rotation, and a quaternion's length from 1: six digits are
+usual."""
+TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+"""The columns of a TUM file, and of a CSV file that names none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Poses over time."""
+
+    times_s: NDArray[np.float64]
+    """(n,), seconds, rising; NaN where no time is known."""
+    poses: Sequence[Pose]
+    """As many."""
+
+    def at(self, time_s: float) -> Pose | None:
+        """The pose at a time: positions on a straight line, and attitudes on the shortest arc (as
+        chords), between the two around it. None beyond the first and last by more than
+        `BEYOND_S`."""
+        times = self.times_s
+        if not times[0] - BEYOND_S <= time_s <= times[-1] + BEYOND_S:
+            return None
+        after = min(max(int(np.searchsorted(times, time_s)), 1), len(times) - 1)
+        before = max(after - 1, 0)
+        span = times[after] - times[before]
+        share = float(np.clip((time_s - times[before]) / span, 0, 1)) if span > 0 else 1.0
+        return between(self.poses[before], self.poses[after], share)
+
+
+def between(one: Pose, other: Pose, share: float) -> Pose:
+    """The pose that lies `share` of the way from one to the other; beyond them, too."""
+    a, b = one.quaternion, other.quaternion
+    turned = (1 - share) * a + share * (b if a @ b >= 0 else -b)
+    position = (1 - share) * one.position + share * other.position
+    return Pose(position, turned / np.sqrt((turned**2).sum()))
+
+
+def chained(parent: Pose, child: Pose) -> Pose:
+    """The pose in the world of what stands at `child` in the frame of `parent`."""
+    turned = np.empty(4)
+    mujoco.mju_mulQuat(turned, parent.quaternion, child.quaternion)
+    position = parent.position + rotate(parent.quaternion, child.position)
+    return Pose(position, turned / np.sqrt((turned**2).sum()))
+
+
+def inverse(pose: Pose) -> Pose:
+    """The pose of the world in the frame of what stands at `pose`."""
+    back = pose.quaternion * (1.0, -1.0, -1.0, -1.0)
+    return Pose(-rotate(back, pose.position), back)
+
+
+def read_poses(path: Path) -> Track:
+    """The poses of a text file: matrices of 3 × 4 as KITTI has them, or time, position and
+    quaternion, as TUM has them or under the names of `TUM` in a CSV file's first line.
+
+    Raises DatasetError for anything else, and names the line.
+    """
+    names, rows = read_numbers(path)
+    if not names and rows.shape[1] == 12:
+        poses = [pose_of_matrix(row, f"{path}: line {n + 1}") for n, row in enumerate(rows)]
+        return Track(np.full(len(rows), np.nan), poses)
+    names = names or TUM[: rows.shape[1]]
+    if missing := [name for name in TUM if name not in names]:
+        raise DatasetError(
+            f"{path}: {rows.shape[1]} columns without {', '.join(missing)}; expected 12 as in "
+            f"KITTI, or {', '.join(TUM)}"
+        )
+    table = rows[:, [list(names).index(name) for name in TUM]]
+    lengths = np.sqrt((table[:, 4:] ** 2).sum(axis=1))
+    wrong = abs(lengths - 1) > SKEW
+    wrong[1:] |= np.diff(table[:, 0]) <= 0
+    if wrong.any():
+        n = int(np.argmax(wrong))
+        raise DatasetError(
+            f"{path}: row {n + 1}: expected a time above the one before, and a quaternion of "
+            f"length 1, not {lengths[n]:g}"
+        )
+    turned = np.roll(table[:, 4:], 1, axis=1) / lengths[:, None]
+    return Track(table[:, 0], [Pose(*pair) for pair in zip(table[:, 1:4], turned, strict=True)])
+
+
+def read_numbers(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    """A table of finite numbers, (rows, columns), and the names in its first line, if any; lines
+    are passed over from # on. Raises DatasetError for anything else."""
+    try:
+        text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such file; expected the log's poses") from None
+    rows, names = list[list[float]](), tuple[str, ...]()
+    for number, line in enumerate(text.replace(",", " ").splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        try:
+            row = [float(word) for word in words]
+        except ValueError:
+            row = []
+            if not rows and not names:
+                names = tuple(words)
+                continue
+        width = len(names) or len((rows or [row])[0])
+        if words and not (row and len(row) == width and all(map(math.isfinite, row))):
+            raise DatasetError(
+                f"{path}: line {number}: {short(line)}: expected {width} finite numbers"
+            )
+        if row:
+            rows.append(row)
+    if not rows:
+        raise DatasetError(f"{path}: holds no numbers")
+    return names, np.array(rows)
+
+
+def pose_of_matrix(row: NDArray[np.float64], where: str) -> Pose:
+    """The pose of a matrix of 3 × 4, row by row (12,). Raises DatasetError, naming `where`, for one
+    that is no rotation."""
+    matrix, turned = row.reshape(3, 4), np.empty(4)
+    turn = matrix[:, :3]
+    if not abs(turn @ turn.T - np.eye(3)).max() <= SKEW or np.linalg.det(turn) < 0:
+        raise DatasetError(f"{where}: expected a rotation and a position, 3 × 4 row by row")
+    mujoco.mju_mat2Quat(turned, np.ascontiguousarray(turn).reshape(-1))
+    return Pose(matrix[:, 3], turned / np.sqrt((turned**2).sum()))

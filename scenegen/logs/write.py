@@ -1,0 +1,106 @@
+"""Logs on disk: in the layout of KITTI's odometry benchmark, or as MCAP with ROS 2 messages."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import Pose
+from scenegen.display.exchange.files import encode_points
+from scenegen.files import check_free, make_parent, remove_drafts, whole, whole_folder
+from scenegen.logs import LogScan
+
+FRAME, SENSOR = "map", "lidar"
+"""ROS frames: the world's, and the sensor's."""
+CALIBRATION = "".join(f"{name}: 1 0 0 0 0 1 0 0 0 0 1 0\n" for name in ("P0", "Tr"))
+"""A KITTI calibration whose camera is the sensor: poses are the sensor's own."""
+
+
+def write_log(out: Path, scans: Iterable[LogScan]) -> dict[str, int]:
+    """Write a log, whole or not at all: a file where `out` ends in .mcap, a folder otherwise.
+
+    A folder holds ``velodyne/000000.bin`` (x, y, z, intensity as float32; intensity is 0 where none
+    is known), ``times.txt``, ``poses.txt`` and ``calib.txt`` as KITTI has them (Geiger et al.
+    2012), in the world's frame, and the same poses as ``poses.tum`` (time, position, quaternion x,
+    y, z, w). A file has PointCloud2 on ``/points``, with `ring`, `t` and `intensity` where known,
+    and the sensor's transforms in the world on ``/tf``.
+
+    Returns:
+        How many `scans` and `returns` were written.
+
+    Raises:
+        DatasetError: There is something at `out` already, or the disk refuses.
+    """
+    if out.suffix != ".mcap":
+        with whole_folder(out) as folder:
+            return _write_kitti(folder, scans)
+    check_free(out)
+    make_parent(out)
+    remove_drafts(out.parent, out.name)
+    with whole(out) as draft, open(draft, "r+b") as file:
+        return _write_mcap(file, scans)
+
+
+def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> dict[str, int]:
+    counts = {"scans": 0, "returns": 0}
+    lines = dict[str, list[str]](times=[], poses=[], tum=[])
+    (folder / "velodyne").mkdir()
+    (folder / "calib.txt").write_text(CALIBRATION)
+    for number, scan in enumerate(scans):
+        content = encode_points(".bin", scan.points, scan.more.get("intensity"))
+        (folder / "velodyne" / f"{number:06d}.bin").write_bytes(content)
+        w, *vector = scan.pose.quaternion
+        lines["times"].append(_line([scan.time_s]))
+        lines["poses"].append(_line(matrix_of(scan.pose)[:3].reshape(-1)))
+        lines["tum"].append(_line([scan.time_s, *scan.pose.position, *vector, w]))
+        counts = {"scans": number + 1, "returns": counts["returns"] + len(scan.points)}
+    for name, file in zip(lines, ("times.txt", "poses.txt", "poses.tum"), strict=True):
+        (folder / file).write_text("".join(lines[name]))
+    return counts
+
+
+def _line(numbers: Iterable[float]) -> str:
+    return " ".join(f"{value:.12g}" for value in numbers) + "\n"
+
+
+def matrix_of(pose: Pose) -> NDArray[np.float64]:
+    """The pose as a matrix (4, 4): from the sensor's frame to the world's."""
+    matrix, turn = np.eye(4), np.empty(9)
+    mujoco.mju_quat2Mat(turn, pose.quaternion)
+    matrix[:3, :3], matrix[:3, 3] = turn.reshape(3, 3), pose.position
+    return matrix
+
+
+def _write_mcap(file: Any, scans: Iterable[LogScan]) -> dict[str, int]:
+    from mcap_ros2.writer import Writer
+
+    from scenegen.display.exchange.recordings import CLOUD, DEFINITIONS, TRANSFORMS, cloud_message
+
+    counts = {"scans": 0, "returns": 0}
+    writer = Writer(file)
+    kinds = {name: writer.register_msgdef(name, DEFINITIONS[name]) for name in (TRANSFORMS, CLOUD)}
+    for number, scan in enumerate(scans):
+        when = round(scan.time_s * 1e9)
+        stamp = dict(zip(("sec", "nanosec"), divmod(when, 10**9), strict=True))
+        transform = {
+            "translation": dict(zip("xyz", scan.pose.position, strict=True)),
+            "rotation": dict(zip("wxyz", scan.pose.quaternion, strict=True)),
+        }
+        header = {"stamp": stamp, "frame_id": FRAME}
+        link = {"header": header, "child_frame_id": SENSOR, "transform": transform}
+        columns = dict(zip("xyz", scan.points.T.astype(np.float32), strict=True), **scan.more)
+        messages = {
+            "/tf": (TRANSFORMS, {"transforms": [link]}),
+            "/points": (
+                CLOUD,
+                cloud_message(columns | dict(scan.more), {"stamp": stamp, "frame_id": SENSOR}),
+            ),
+        }
+        for topic, (kind, message) in messages.items():
+            writer.write_message(topic, kinds[kind], message, log_time=when, sequence=number)
+        counts = {"scans": number + 1, "returns": counts["returns"] + len(scan.points)}
+    writer.finish()
+    return counts

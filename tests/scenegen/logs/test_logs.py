@@ -1,0 +1,332 @@
+"""Logs: flights that are recorded, files that are read back, and maps that agree with the world."""
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scenegen.display.points import write_points
+
+from lidarsim import GridSpec, Lidar, Pose
+from lidarsim.pose import rotate
+from scenegen.errors import DatasetError
+from scenegen.logs import Cruise, Fusing, LogScan
+from scenegen.logs.cruise import cruise_poses
+from scenegen.logs.fuse import ingest
+from scenegen.logs.poses import chained, read_poses
+from scenegen.logs.read import ODOMETRY, Log, _Links, read_log
+from scenegen.logs.write import matrix_of, write_log
+from scenegen.source import read_world
+from scenegen.worlds.place import read_place
+from tests.command_line import run
+
+# no face of a solid lies where voxels meet
+ROOM = """<mujoco><worldbody>
+<geom type="plane" size="0 0 1" pos="0 0 0.05"/>
+<geom type="box" size="0.45 0.45 2" pos="2.1 1.3 2"/>
+<geom type="cylinder" size="0.5 2" pos="-2.2 -1.6 2"/>
+<geom type="box" size="1 9 3" pos="8.05 0 3"/> <geom type="box" size="1 9 3" pos="-8.05 0 3"/>
+<geom type="box" size="9 1 3" pos="0 8.05 3"/> <geom type="box" size="9 1 3" pos="0 -8.05 3"/>
+</worldbody></mujoco>"""
+SENSOR = """sensor = "spinning"
+elevations_deg = [-40, -30, -20, -10, -5, 0, 5, 10, 20, 30]
+columns = 180
+max_range_m = 30.0
+"""
+RECORD = (
+    "scan room.xml --flight --sequence --length 12 --seed 3 --lidar mine.toml --noise intensity"
+)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("logs")
+    (folder / "room.xml").write_text(ROOM)
+    (folder / "mine.toml").write_text(SENSOR)
+    return folder
+
+
+@pytest.fixture
+def here(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+    """A folder with a room, and the log `still` of a flight in it."""
+    monkeypatch.chdir(made)
+    if not (made / "still").exists():
+        assert run(capsys, f"{RECORD} -o still --quiet")[0] == 0
+    return made
+
+
+def test_a_kind_s_world_is_scanned_by_its_seed(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("3", "3 again", "4"):
+        words = f"scan pillar --pose 20,20,4,0 --seed {name[0]} --quiet -o"
+        assert run(capsys, *words.split(), f"{name}.ply")[0] == 0
+    first, again, other = ((here / f"{name}.ply").read_bytes() for name in ("3", "3 again", "4"))
+    assert first == again != other
+
+
+def test_a_long_flight_keeps_its_bounds(made: Path) -> None:
+    world, cruise = read_world(made / "room.xml"), Cruise(length_m=60, speed_mps=3)
+    poses = cruise_poses(world, cruise, 0.1, seed=1)
+    positions = np.array([pose.position for pose in poses])
+    speeds = np.sqrt((np.diff(positions, axis=0) ** 2).sum(axis=1)) / 0.1
+    yaws = np.unwrap([2 * math.atan2(pose.quaternion[3], pose.quaternion[0]) for pose in poses])
+    pulls = np.sqrt((np.diff(positions, 2, axis=0) ** 2).sum(axis=1)) / 0.01
+    assert 2.9 < speeds.max() <= 3 + 1e-6
+    assert 0.1 * speeds.sum() == pytest.approx(60, abs=3)
+    assert abs(np.degrees(np.diff(yaws))).max() <= 0.1 * 60 + 1e-6
+    assert pulls.max() <= 2 * cruise.acceleration_mps2
+    assert min(world.clearance.at(*point) for point in positions) >= 0.1
+
+
+@pytest.mark.parametrize("name", ["still", "still.mcap"])
+def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(
+    here: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    if name.endswith(".mcap"):
+        pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+        assert run(capsys, f"{RECORD} -o {name} --quiet")[0] == 0
+    code, said, err = run(capsys, f"ingest {name} -o {name}-maps --rise 4 --every 20 --json")
+    assert code == 0, err
+    told, out = json.loads(said), here / f"{name}-maps"
+    assert told["scans"] > 50
+    assert told["scans_without_overlap"] == told["scans_without_pose"] == 0
+    voxels = read_place(out / "place-000.npz").voxels
+    size = {"shape": voxels.states.shape, "voxel_m": voxels.voxel_m}
+    world = read_world(here / "room.xml")
+    solid = world.truth(GridSpec(**size), voxels.origin)["occupancy"]
+    surface = world.truth(GridSpec(**size, hollow=True), voxels.origin)["occupancy"]
+    assert not (solid[voxels.states == 1] & ~surface[voxels.states == 1]).any()
+    assert (voxels.states == 2).sum() > 1000
+    assert solid[voxels.states == 2].all()
+    assert told["moved_voxels"] < 0.05 * (voxels.states == 2).sum()
+    seen = sorted((out / "observations").glob("*.npz"))
+    assert [path.stem for path in seen] == [f"{20 * n:06d}" for n in range(len(seen))]
+    for path in seen:
+        sample = np.load(path)
+        assert not (sample["observed"] & sample["free"]).any()
+        assert sample["known"][sample["occupancy"]].all()
+        truth = world.truth(GridSpec(), sample["origin"])["occupancy"]
+        assert truth[sample["observed"]].all()
+        assert sample["occupancy"][sample["observed"]].mean() > 0.9
+
+
+def test_what_a_moving_sensor_tells_is_put_right_by_its_times(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    found = {}
+    for name, more in (("raw.mcap", "--deskew"), ("right", ""), ("raw.mcap", "")):
+        if not (here / name).exists():
+            assert run(capsys, f"{RECORD} --length 3 --moving -o {name} --quiet")[0] == 0
+        log = read_log(here / name)
+        out = here / f"{name}{more}-maps"
+        out.mkdir()
+        ingest(log, out, Fusing(every=7, deskew=bool(more)))
+        found[name + more] = [
+            np.load(path)["points"] for path in sorted((out / "observations").glob("*"))
+        ]
+    for put_right, right in zip(found["raw.mcap--deskew"], found["right"], strict=True):
+        assert abs(put_right - right).max() < 0.01
+    assert abs(found["raw.mcap"][-1] - found["right"][-1]).max() > 0.05
+
+
+def written(folder: Path, count: int = 5) -> list[LogScan]:
+    """The scans of a small log at tilted poses, written to `folder`."""
+    rng, scans = np.random.default_rng(0), []
+    for n in range(count):
+        turn = rng.normal(size=4)
+        pose = Pose(rng.uniform(-3, 3, 3), turn / np.sqrt((turn**2).sum()))
+        points = rng.uniform(-9, 9, (40, 3)).astype("f4").astype("f8")
+        scans.append(LogScan(2.0 + n / 2, pose, points))
+    write_log(folder, scans)
+    return scans
+
+
+def close(log: Log, scans: list[LogScan]) -> bool:
+    pairs = zip(log.scans(), scans, strict=True)
+    return all(
+        np.allclose(matrix_of(one.pose), matrix_of(other.pose), atol=1e-8)
+        and np.array_equal(one.points, other.points)
+        and one.time_s == pytest.approx(other.time_s)
+        for one, other in pairs
+    )
+
+
+def test_every_layout_of_a_log_reads_back(tmp_path: Path) -> None:
+    log = tmp_path / "sequences" / "00"
+    log.parent.mkdir()
+    scans = written(log)
+    assert close(read_log(log), scans)
+    (tmp_path / "clouds").mkdir()
+    for scan in scans:
+        write_points(tmp_path / "clouds" / f"{scan.time_s:.6f}.ply", scan.points)
+    lines = [line.split() for line in (log / "poses.tum").read_text().splitlines()]
+    csv = "z,y,x,qw,qx,qy,qz,t,note\n" + "".join(
+        ",".join([*line[3:0:-1], line[7], *line[4:7], line[0], "7"]) + "\n" for line in lines
+    )
+    (tmp_path / "poses.csv").write_text(csv)
+    for poses in (log / "poses.tum", tmp_path / "poses.csv"):
+        assert close(read_log(tmp_path / "clouds", poses=poses), scans)
+    # more poses than clouds: found by time, those beyond the last one left out
+    (tmp_path / "clouds" / "9.0.ply").write_bytes(
+        (tmp_path / "clouds" / "2.000000.ply").read_bytes()
+    )
+    late = read_log(tmp_path / "clouds", poses=tmp_path / "poses.csv")
+    assert late.without_pose == 1
+    assert close(late, scans)
+    # as KITTI's archives have it: poses of a camera, elsewhere
+    camera = Pose(np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.5, -0.5, 0.5]))
+    rows = [matrix_of(chained(chained(camera, one.pose), inverse(camera))) for one in scans]
+    (tmp_path / "poses").mkdir()
+    (log / "poses.txt").unlink()
+    np.savetxt(tmp_path / "poses" / "00.txt", [row[:3].reshape(-1) for row in rows])
+    tr = " ".join(map(str, matrix_of(camera)[:3].reshape(-1)))
+    (log / "calib.txt").write_text(f"P0: 1 2\nTr: {tr}\n")
+    assert close(read_log(log), scans)
+
+
+def inverse(pose: Pose) -> Pose:
+    back = pose.quaternion * (1, -1, -1, -1)
+    return Pose(-rotate(back, pose.position), back)
+
+
+def test_poses_come_from_a_chain_of_frames() -> None:
+    def message(parent: str, child: str, time: float, pose: Pose) -> SimpleNamespace:
+        place = SimpleNamespace(**dict(zip("xyz", pose.position, strict=True)))
+        turn = SimpleNamespace(**dict(zip("wxyz", pose.quaternion, strict=True)))
+        stamp = SimpleNamespace(sec=int(time), nanosec=round(1e9 * (time % 1)))
+        return SimpleNamespace(
+            header=SimpleNamespace(frame_id=parent, stamp=stamp),
+            child_frame_id=child,
+            pose=SimpleNamespace(pose=SimpleNamespace(position=place, orientation=turn)),
+            transform=SimpleNamespace(translation=place, rotation=turn),
+        )
+
+    links, mount = _Links(), Pose.level((0.0, 0.0, 1.0), math.pi / 2)
+    links.add("tf", SimpleNamespace(transforms=[message("base", "lidar", 0, mount)]), always=True)
+    for time, yaw in ((5.0, 0.0), (6.0, 1.0)):
+        at = Pose.level((2 * time, 0.0, 0.0), yaw)
+        links.add(ODOMETRY, message("odom", "base", time, at), always=False)
+    found = links.pose("lidar", 5.5)
+    assert found is not None
+    assert found.position == pytest.approx([11, 0, 1])
+    assert found.quaternion == pytest.approx(Pose.level((0, 0, 0), 0.5 + math.pi / 2).quaternion)
+    assert links.pose("lidar", 7.0) is None
+    assert not links.known("camera")
+
+
+def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path: Path) -> None:
+    """A wall that is seen 400 times, something before it that is seen twice, and a jump."""
+    lidar = Lidar()
+    wall = 6.03 * lidar.directions_body.reshape(-1, 3)
+    near = wall.copy()
+    near[::2] *= 0.5
+    here, far = Pose.level((0.0, 0.0, 0.0)), Pose.level((40.0, 0.0, 0.0))
+    clouds = [(here, near if n in (5, 390) else wall) for n in range(400)] + [(far, wall)]
+
+    def scans() -> Iterator[LogScan]:
+        for n, (pose, points) in enumerate(clouds):
+            yield LogScan(n / 10, pose, np.concatenate([points, [[np.nan] * 3, [0, 0, 0.01]]]))
+
+    log = Log(np.arange(401) / 10, tuple(pose for pose, _ in clouds), 0, scans)
+    counts = ingest(log, tmp_path, Fusing(every=400))
+    assert counts["scans_without_overlap"] == 1
+    assert counts["returns_left_out"] == 2 * 401
+    assert counts["moved_voxels"] > 100
+    voxels = read_place(tmp_path / "place-000.npz").voxels
+    occupied = np.argwhere(voxels.states == 2) * 0.2 + voxels.origin + 0.1
+    ranges = np.minimum(
+        np.linalg.norm(occupied, axis=1), np.linalg.norm(occupied - (40, 0, 0), axis=1)
+    )
+    assert (abs(ranges - 6.03) < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
+
+
+def line(number: int, text: str) -> Callable[[Path], None]:
+    """Puts `text` in place of a line of the poses."""
+
+    def damage(log: Path) -> None:
+        lines = (log / "poses.txt").read_text().splitlines()
+        lines[number] = text
+        (log / "poses.txt").write_text("\n".join(lines))
+
+    return damage
+
+
+DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no poses": (lambda log: (log / "poses.txt").unlink(), "--poses"),
+    "a pose too few": (line(4, ""), "5 clouds and 4 poses"),
+    "a word": (line(2, "one two"), "line 3"),
+    "not a number": (line(2, " ".join(["nan"] * 12)), "line 3"),
+    "no rotation": (line(1, " ".join(["2"] * 12)), "line 2: expected a rotation"),
+    "beyond the world": (line(1, "1 0 0 1e9 0 1 0 0 0 0 1 0"), "beyond 1e+06 m"),
+    "five columns": (lambda log: (log / "poses.txt").write_text("1 2 3 4 5\n" * 5), "5 columns"),
+    "nothing": (lambda log: (log / "poses.txt").write_text(""), "no numbers"),
+    "a time too few": (lambda log: (log / "times.txt").write_text("1\n2\n"), "2 times"),
+    "a calibration": (lambda log: (log / "calib.txt").write_text("Tr: 1 2\n"), "12 numbers"),
+    "no clouds": (lambda log: shutil.rmtree(log / "velodyne"), "no clouds"),
+    "a cut cloud": (
+        lambda log: (log / "velodyne" / "000003.bin").write_bytes(b"1234567"),
+        "000003.bin",
+    ),
+    "no finite point": (
+        lambda log: [
+            path.write_bytes(np.full(40, np.nan, "<f4").tobytes())
+            for path in (log / "velodyne").iterdir()
+        ],
+        "no scan of the log",
+    ),
+    "no log": (shutil.rmtree, "expected an .mcap file"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damaged_logs_end_in_one_line_and_leave_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    damage, expected = DAMAGE[name]
+    written(tmp_path / "log")
+    damage(tmp_path / "log")
+    code, _, err = run(capsys, "ingest", tmp_path / "log", "-o", tmp_path / "out", "--quiet")
+    assert (code, err.count("\n")) == (1, 1), err
+    assert expected in err
+    assert [path.name for path in tmp_path.iterdir() if path.name != "log"] == []
+
+
+@pytest.mark.parametrize("cut", [0, 20, 1000, 2500, -1])
+def test_cut_recordings_end_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: int
+) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    written(tmp_path / "log.mcap")
+    content = (tmp_path / "log.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[:cut])
+    code, _, err = run(capsys, "ingest", tmp_path / "cut.mcap", "-o", tmp_path / "out", "--quiet")
+    assert (code, err.count("\n")) == (1, 1), err
+    assert "cut.mcap: cannot be read as MCAP" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_times_of_poses_must_rise(tmp_path: Path) -> None:
+    (tmp_path / "poses.tum").write_text("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
+    with pytest.raises(DatasetError, match="row 2: expected a time above"):
+        read_poses(tmp_path / "poses.tum")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("scan pillar --pose 0,0,1,0 --sequence", "goes with --flight"),
+        ("scan pillar --flight --moving", "go with --sequence"),
+        ("scan pillar --flight --sequence --every 1", "without --every"),
+        ("ingest log --voxel 0.01", "voxels"),
+    ],
+)
+def test_bad_use_is_told(capsys: pytest.CaptureFixture[str], words: str, expected: str) -> None:
+    code, _, err = run(capsys, words)
+    assert code in (1, 2)
+    assert expected in err
