@@ -159,11 +159,12 @@ def run_bench(
 
     for name in REPORTS:
         check_ours(out / name)
+    methods = rows_of(names or USUAL, weights, predictions)
     datasets = [Dataset(folder) for folder in folders]
     config = BenchConfig(
         **given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {})
     )
-    methods = rows_of(names or USUAL, weights, predictions, datasets, config.split)
+    check_rows(methods, datasets, config.split)
     tables = [
         (dataset, kind)
         for dataset in datasets
@@ -246,27 +247,28 @@ def _method(name: str) -> "Method":
 
 
 def rows_of(
-    names: Sequence[str],
-    weights: Sequence[str],
-    predictions: Path | None,
-    datasets: "Sequence[Dataset]",
-    split: str,
+    names: Sequence[str], weights: Sequence[str], predictions: Path | None
 ) -> "list[Method]":
-    """Rows by their names, those of networks, and that of a file of predictions for `split` of all
-    `datasets`. Raises ScenegenError where two have one name, and where a row cannot be."""
+    """Rows by their names, those of networks, and that of a file of predictions. Raises
+    ScenegenError where two have one name, and where a row cannot be."""
     from scenegen.model.evaluation.methods import Predicted
 
     rows: list[Method] = [*map(_method, names), *map(network_row, weights)]
     if predictions is not None:
-        rows.append(predicted := Predicted(predictions))
+        rows.append(Predicted(predictions))
     named = [row.name for row in rows]
     if twice := [name for name in named if named.count(name) > 1]:
         raise ScenegenError(
             f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder"
         )
-    for dataset in datasets if predictions is not None else ():
-        predicted.check(dataset, split)
     return rows
+
+
+def check_rows(rows: "Sequence[Method]", datasets: "Sequence[Dataset]", split: str) -> None:
+    """Raise DatasetError where a file of predictions is not of `split` of all `datasets`."""
+    for row, dataset in product(rows, datasets):
+        if (check := getattr(row, "check", None)) is not None:
+            check(dataset, split)
 
 
 def network_row(weights: str) -> "Method":

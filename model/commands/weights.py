@@ -91,10 +91,11 @@ def chosen(
     predictions that do not fit `split`, and for networks that are not there."""
     if not weights and predictions is None:
         return None, ()
-    from scenegen.model.commands.bench import rows_of
+    from scenegen.model.commands.bench import check_rows, rows_of
     from scenegen.model.evaluation.config import BenchConfig
     from scenegen.model.evaluation.shown import guesses_of
 
-    methods = rows_of((), weights, predictions, [dataset], split)
+    methods = rows_of((), weights, predictions)
+    check_rows(methods, [dataset], split)
     names = tuple(method.name for method in methods)
     return guesses_of(methods, BenchConfig(), None if no_paths else trial), names

@@ -72,7 +72,7 @@ class Study:
     bounds: NDArray[np.float64]
     """(risks, PARTS, JUDGED): see `judge_bounds`."""
     ause: float
-    """Of the bounds; NaN without any."""
+    """The bounds'; NaN without any."""
     settings: tuple[Setting, ...]
     """What the careful planner goes by, the risks of the bounds first."""
     careful: NDArray[np.float64]

@@ -109,7 +109,7 @@ def begin(out: Path, config: ReproduceConfig) -> None:
     for name in (SETTINGS, STUDY, TEXT) if there is None else ():
         if (out / name).exists():
             raise DatasetError(f"{out}: holds {name}, and no study of ours; choose another --out")
-    if unlike := differences(there or asdict(config), asdict(config)):
+    if there is not None and (unlike := differences(there, asdict(config))):
         raise DatasetError(
             f"{out}: was begun with other settings ({'; '.join(unlike)}); give those, or "
             f"another --out"
