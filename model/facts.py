@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
-from scenegen.dataset.foreign import read_guarded
+from scenegen.dataset.hdf5 import read_guarded
 from scenegen.errors import DatasetError, printable
 from scenegen.model.completion.points import read_points
 from scenegen.model.completion.protocol import PARTS, SURE
