@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.layout import layout_of
+from scenegen.dataset.parts import schema_of
 from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
@@ -109,6 +111,8 @@ def divide(
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints
     step = max(shard_samples // each, 1)
+    schema = schema_of(recipe)
+    layout = layout_of(schema.stored(compact=compact), schema)
     shards = []
     if sum(counts.values()) > MOST_SHARDS * step * each:
         raise DatasetError(
@@ -118,17 +122,17 @@ def divide(
     for split in SPLITS:
         units = math.ceil(counts[split] / each)
         for index, first in enumerate(range(0, units, step)):
-            here = min(step, units - first)
+            here = range(first, min(first + step, units))
             shards.append(
                 kind(
                     folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
-                    units=here,
-                    samples=min(here * each, counts[split] - first * each),
+                    numbers=[source.number(split, unit)[0] for unit in here],
+                    samples=min(len(here) * each, counts[split] - first * each),
                     seed=given["seed"],
-                    compact=compact,
+                    layout=layout,
                     parameters=fingerprint,
                     recipe=recipe,
                     source=source,
@@ -180,7 +184,7 @@ def build(
     # kernels compile here, once, before workers start, and hopeless parameters end here, before
     # anything is written
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
-        _first_unit(missing[0])
+        missing[0].prepare()
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
@@ -203,10 +207,6 @@ def build(
     if written and len(mine) < len(plan.shards):
         state.note(mine)
     return _summarise(state, state.sign(workers=workers), written)
-
-
-def _first_unit(shard: ShardTask) -> None:
-    shard.prepare()
 
 
 def check_folder(plan: Plan, *, force: bool = False) -> None:

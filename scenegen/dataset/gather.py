@@ -33,16 +33,6 @@ KEPT = 8
 that differ are taken for one with a probability of 3e-6."""
 
 
-@dataclass(frozen=True)
-class _Task:
-    """One shard, to be looked at."""
-
-    number: int
-    folder: Path
-    entry: Entry
-    layout: Layout
-
-
 def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     """Raise DatasetError where `datasets` have a sample in common, or a world in different splits.
 
@@ -50,15 +40,15 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     that it refers to.
     """
     tasks = [
-        _Task(n, dataset.folder, entry, dataset.manifest.layout)
+        (n, dataset.folder, entry, dataset.manifest.layout)
         for n, (dataset, entry) in enumerate(
             (one, entry) for one in datasets for entry in one.manifest.shards
         )
     ]
     with closing(run(_look, tasks, workers)) as results:
         found = sorted(results, key=lambda one: one[0])
-    names = [f"{task.folder}/{task.entry.file}" for task in tasks]
-    splits = np.array([SPLITS.index(task.entry.split) for task in tasks])
+    names = [f"{there}/{entry.file}" for _, there, entry, _ in tasks]
+    splits = np.array([SPLITS.index(entry.split) for _, _, entry, _ in tasks])
     for one, other in _twice([samples for _, samples, _ in found]):
         raise DatasetError(
             f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
@@ -73,13 +63,16 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
             )
 
 
-def _look(task: _Task) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
+def _look(
+    task: tuple[int, Path, Entry, Layout],
+) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
     """A shard's number, and the first bytes of the digests of its samples and of its worlds."""
-    path, archive, worlds = task.folder / task.entry.file, task.entry.worlds, b""
+    number, there, entry, layout = task
+    path, archive, worlds = there / entry.file, entry.worlds, b""
     try:
         with open_file(path) as file:
-            own = open_shard(file, path, task.entry.samples, task.layout).column(DIGEST)
-        with open_file(task.folder / archive) as file, open_archive(file, archive) as members:
+            own = open_shard(file, path, entry.samples, layout).column(DIGEST)
+        with open_file(there / archive) as file, open_archive(file, archive) as members:
             for name in sorted(name for name in members if name.endswith(".xml")):
                 document, others = members.world(name)
                 digest = hashlib.sha256(document)
@@ -87,9 +80,9 @@ def _look(task: _Task) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
                     digest.update(other.encode() + hashlib.sha256(content).digest())
                 worlds += digest.digest()[:KEPT]
     except BrokenError as error:
-        raise DatasetError(f"{task.folder}/{error}; verify the dataset, or copy it again") from None
+        raise DatasetError(f"{there}/{error}; verify the dataset, or copy it again") from None
     return (
-        task.number,
+        number,
         np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0],
         np.frombuffer(worlds, np.uint64),
     )
@@ -112,33 +105,8 @@ class Part(ShardTask):
     """The folder of the dataset that it is of."""
     entry: Entry
     """The shard, as that dataset's manifest lists it."""
-    format: Layout
-    """What it holds."""
     rows: tuple[int, ...] | None = None
     """The samples that are taken, in order; None for all."""
-    source: int
-    """The place, among the new manifest's `sources`, of the dataset that the samples were made
-    for."""
-    start: int
-    stop: int
-    """The places there of the first and of one beyond the last sample."""
-    of_worlds: Sequence[int]
-    """Numbers there of the worlds of which the samples are, rising."""
-
-    @property
-    def layout(self) -> Layout:
-        """See `ShardTask`."""
-        return self.format
-
-    @property
-    def numbers(self) -> Sequence[int]:
-        """See `ShardTask`."""
-        return self.of_worlds
-
-    @property
-    def more(self) -> Mapping[str, int]:
-        """See `ShardTask`."""
-        return {"source": self.source, "start": self.start, "stop": self.stop}
 
     def write(self) -> ShardReport:
         """See `ShardTask`. Raises DatasetError where the shard there is no longer what its manifest
@@ -151,7 +119,7 @@ class Part(ShardTask):
             ):
                 check_sum(worlds, self.entry.worlds, self.entry.worlds_sha256)
                 check_sum(file, self.entry.file, self.entry.sha256)
-                shard = open_shard(file, path, self.entry.samples, self.format)
+                shard = open_shard(file, path, self.entry.samples, self.layout)
                 shard.check_origin(
                     split=self.split,
                     worlds_sha256=self.entry.worlds_sha256,
@@ -186,7 +154,7 @@ class Part(ShardTask):
         """The `rows` packed anew, and the worlds that they are of."""
         documents = dict[str, bytes]()
         with open_archive(worlds, self.entry.worlds) as members:
-            for member in (f"{number:06d}.xml" for number in self.of_worlds):
+            for member in (f"{number:06d}.xml" for number in self.numbers):
                 if member not in members:
                     raise BrokenError(f"{self.entry.worlds}: has no member {member}")
                 document, others = members.world(member)
@@ -299,12 +267,10 @@ def _plan(
                 parameters=home.fingerprint,
                 there=dataset.folder,
                 entry=chosen.entry,
-                format=dataset.manifest.layout,
+                layout=dataset.manifest.layout,
                 rows=rows,
-                source=source,
-                start=start,
-                stop=stop,
-                of_worlds=worlds,
+                more={"source": source, "start": start, "stop": stop},
+                numbers=worlds,
             )
         )
         counts[split] += len(chosen.rows)

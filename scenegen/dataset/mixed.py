@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ from lidarsim import Sensor
 from scenegen import SPLITS
 from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.gather import gathered, unlike
-from scenegen.dataset.shard import ShardSpec
+from scenegen.dataset.shard import ShardTask
 from scenegen.dataset.state import Plan
 from scenegen.errors import RecipeError, printable, short
 from scenegen.limits import MOST_SOURCES
@@ -24,22 +23,6 @@ MIXED = "mixed"
 MOST_WEIGHT = 1e6
 Component = tuple[Recipe, float]
 """A recipe, and its weight: samples come in proportion to it."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MixedSpec(ShardSpec):
-    """A shard of one component."""
-
-    component: int
-    """Its place among the components."""
-    start: int
-    """The place of its first sample in the component's split."""
-
-    @property
-    def more(self) -> Mapping[str, int]:
-        """What its entry in the manifest says besides."""
-        stop = self.start + self.samples
-        return {"source": self.component, "start": self.start, "stop": stop}
 
 
 def is_mixed(path: Path) -> bool:
@@ -137,17 +120,16 @@ def plan_mixed(
                 f"mixed: {said[0]} of {recipe.kind} is {said[2]}, and of {components[0][0].kind} "
                 f"{said[1]}; give all components the same"
             )
-    shards: list[MixedSpec] = []
+    shards: list[ShardTask] = []
     for split in SPLITS:
         index = 0
         for n, plan in enumerate(plans):
-            start = 0
+            stop = 0
             for shard in (one for one in plan.shards if one.split == split):
-                assert isinstance(shard, ShardSpec)
-                own = {item.name: getattr(shard, item.name) for item in dataclasses.fields(shard)}
-                own |= {"index": index, "component": n, "start": start}
-                shards.append(MixedSpec(**own))
-                index, start = index + 1, start + shard.samples
+                start, stop = stop, stop + shard.samples
+                more = {"source": n, "start": start, "stop": stop}
+                shards.append(dataclasses.replace(shard, index=index, more=more))
+                index += 1
     each = [(plan.parameters, None, [""]) for plan in plans]
     given = gathered(each, counts, plans[0].parameters["shard_samples"])
     return Plan(folder=folder, parameters=given, shards=tuple(shards), lidar=plans[0].lidar)

@@ -178,7 +178,7 @@ class RescanSpec(ShardSpec):
             split=self.split,
             unit=unit,
             names=(number, turn * each),
-            derived=not self.compact,
+            derived=self.derived,
             engine=find_engine(self.engine),
         )
 

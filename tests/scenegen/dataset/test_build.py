@@ -575,14 +575,14 @@ def test_another_job_that_begins_meanwhile_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parts = plan(tmp_path / "d")
-    original = module._first_unit
+    original = ShardSpec.prepare
 
-    def overtaken(shard: Any) -> None:
+    def overtaken(shard: ShardSpec) -> None:
         original(shard)
-        monkeypatch.setattr(module, "_first_unit", original)
+        monkeypatch.setattr(ShardSpec, "prepare", original)
         assert build(parts, shard_range=(1, len(parts.shards))).samples_written
 
-    monkeypatch.setattr(module, "_first_unit", overtaken)
+    monkeypatch.setattr(ShardSpec, "prepare", overtaken)
     found = build(parts, shard_range=(0, 1))
     assert found.complete
     assert found.samples_written == parts.shards[0].samples
