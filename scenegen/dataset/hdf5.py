@@ -128,9 +128,7 @@ def serve() -> None:
             answer: Any
             try:
                 # HDF5 itself opens no file without a name, such as a copy of a store's
-                named = os.path.exists(os.path.realpath(path := f"/dev/fd/{handles[0]}"))
-                source = path if named else open(path, "rb")  # noqa: SIM115 (HDF5 seeks in it)
-                with h5py.File(source, "r", locking=False) as file:
+                with open(f"/dev/fd/{handles[0]}", "rb") as own, h5py.File(own, "r") as file:
                     answer = _index(h5py, file, int(asked[0]))
             except Exception as error:  # h5py's are of many kinds
                 answer = printable(error)[:200] or type(error).__name__
