@@ -1,5 +1,8 @@
-"""HDF5 that anybody may have written: where its data lie, as the HDF5 library says. On hostile
-bytes that one hangs, crashes or takes all memory, so it runs in a process of its own."""
+"""HDF5 that anybody may have written: where its data lie.
+
+A file of ours says so itself, behind what the HDF5 library reads. Of other files that library says
+it; on hostile bytes it hangs, crashes or takes all memory, so it runs in a process of its own.
+"""
 
 import json
 import os
@@ -8,6 +11,7 @@ import socket
 import subprocess
 import sys
 import threading
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +25,10 @@ from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_OBJECTS, MOST_TEXT_BYTES
 
 SECONDS, MEMORY_BYTES = 20, 1 << 30
 """What the HDF5 library may take to index a file."""
+MARK = b"scenegen index 1"
+"""What a file of ours ends with, after its index and how long that is."""
+MOST_INDEX_BYTES = 64 << 20
+"""An index that is longer is not read."""
 SERVE = f"from {__name__} import serve; serve()"
 """What the library's process runs."""
 
@@ -42,6 +50,13 @@ class Stored(NamedTuple):
     places: NDArray[np.int64]
     """(n, 4) of the stored chunks, if each is one row: row, first byte in the file, bytes, filters
     left out (bits)."""
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Stored)
+            and self[:4] == other[:4]
+            and np.array_equal(self.places, other.places)
+        )
 
 
 class Index(NamedTuple):
@@ -84,12 +99,40 @@ _LIBRARIES: dict[int, _Library] = {}
 """That of each process, by its number: a forked one has none yet."""
 
 
-def read_index(handle: int, most_chunks: int) -> Index:
-    """The index of an open HDF5 file whose datasets have at most `most_chunks` chunks each.
+def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:
+    """The image of a file that is open in h5py, with its index behind it."""
+    import h5py
 
-    The first call of a process takes 0.2 s, to begin the library's; others some 5 ms a shard.
-    Raises Hdf5Error.
-    """
+    text = json.dumps(_index(h5py, file, most_chunks), sort_keys=True).encode()
+    return content + text + len(text).to_bytes(8, "little") + MARK
+
+
+def read_index(handle: int, most_chunks: int) -> Index:
+    """The index of an open HDF5 file whose datasets have at most `most_chunks` chunks each: its
+    own, or the library's. Raises Hdf5Error."""
+    size, ending = os.fstat(handle).st_size, len(MARK) + 8
+    tail = os.pread(handle, ending, max(size - ending, 0))
+    if not tail.endswith(MARK):
+        return library_index(handle, most_chunks)
+    length = int.from_bytes(tail[:8], "little")
+    if length > min(MOST_INDEX_BYTES, size - ending):
+        raise Hdf5Error(f"its index has {length} bytes")
+    try:
+        return _parsed(os.pread(handle, length, size - ending - length), most_chunks)
+    except (
+        ValueError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        RecursionError,
+        zlib.error,
+    ) as error:
+        raise Hdf5Error(f"its index is damaged: {printable(error)[:100]}") from None
+
+
+def library_index(handle: int, most_chunks: int) -> Index:
+    """What the HDF5 library says of an open file. The first call of a process takes 0.2 s, to begin
+    the library's; others some 5 ms a shard. Raises Hdf5Error."""
     try:
         try:
             answer = _LIBRARIES[os.getpid()].ask(handle, most_chunks)
@@ -98,18 +141,28 @@ def read_index(handle: int, most_chunks: int) -> Index:
             answer = library.ask(handle, most_chunks)
     except Hdf5Error as error:
         raise Hdf5Error(f"the HDF5 library {error}") from None
-    found = json.loads(answer)
-    if isinstance(found, str):
-        raise Hdf5Error(f"the HDF5 library does not read it: {found}")
-    return Index({name: _stored(said) for name, said in found["objects"].items()}, found["more"])
+    if answer.startswith(b'"'):
+        raise Hdf5Error(f"the HDF5 library does not read it: {json.loads(answer)}")
+    return _parsed(answer, most_chunks)
 
 
-def _stored(said: Any) -> Stored | str:
+def _parsed(text: bytes, most_chunks: int) -> Index:
+    """The index in what `_index` made of a file, as JSON. Raises what a wrong one leads to."""
+    found = json.loads(text)
+    if not all(value is None or type(value) in (int, str) for value in found["more"].values()):
+        raise ValueError("attributes are neither whole numbers nor texts")
+    objects = {name: _stored(said, most_chunks) for name, said in found["objects"].items()}
+    return Index(objects, found["more"])
+
+
+def _stored(said: Any, most_chunks: int) -> Stored | str:
     if isinstance(said, str):
         return said
     dtype, shape, chunk, filters, places = said
-    rows = np.frombuffer(bytes.fromhex(places), np.int64).reshape(-1, 4)
-    return Stored(dtype, tuple(shape), chunk and tuple(chunk), tuple(filters), rows)
+    raw = zlib.decompressobj().decompress(bytes.fromhex(places), 32 * most_chunks + 1)
+    rows = np.frombuffer(raw, "<i8").reshape(-1, 4).cumsum(axis=0)
+    shape, chunk, filters = (tuple(map(int, part or ())) for part in (shape, chunk, filters))
+    return Stored(np.dtype(str(dtype)).str, shape, chunk or None, filters, rows)
 
 
 def serve() -> None:
@@ -163,8 +216,10 @@ def _object(h5py: Any, file: Any, name: str, most_chunks: int) -> Any:
         dataset.id.chunk_iter(
             lambda it: places.append((it.chunk_offset[0], it.byte_offset, it.size, it.filter_mask))
         )
-    rows = np.array(places, np.int64).tobytes().hex()
-    return dataset.dtype.str, shape, dataset.chunks, filters, rows
+    # differences, which are small numbers, and of which many are the same
+    rows = np.diff(np.array(places, "<i8").reshape(-1, 4), axis=0, prepend=0)
+    packed = zlib.compress(rows.tobytes()).hex()
+    return dataset.dtype.str, shape, dataset.chunks, filters, packed
 
 
 def _attribute(attributes: Any, name: str) -> int | str | None:

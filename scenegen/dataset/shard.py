@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
+from scenegen.dataset.hdf5 import with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
@@ -201,7 +202,7 @@ def put(
         file.attrs["parameters"] = spec.parameters
         file.attrs["rejected"] = json.dumps(counted, sort_keys=True)
         file.flush()
-        content = file.id.get_file_image()
+        content = with_index(file.id.get_file_image(), file, spec.samples)
     write_whole(spec.worlds_file, worlds)
     write_whole(spec.file, content)
     sums = file_digest(content), file_digest(worlds)
@@ -305,7 +306,7 @@ def relabel(spec: ShardTask, old: str, listed: Entry) -> None:
             content = file.read()
     except (BrokenError, OSError):
         return
-    if file_digest(content) == listed.sha256 and content.count(old.encode()) == 1:
+    if file_digest(content) == listed.sha256 and content.count(old.encode()) == 2:
         write_whole(spec.file, content.replace(old.encode(), spec.parameters.encode()))
 
 

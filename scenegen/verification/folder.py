@@ -14,6 +14,7 @@ import numpy as np
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
 from lidarsim.engines.voxels import VoxelMap
+from scenegen.dataset.hdf5 import library_index, read_index
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
 from scenegen.dataset.parts import sensor_files
@@ -131,6 +132,9 @@ def examine(task: Task) -> Findings:
         if os.fstat(file.fileno()).st_size <= most_bytes(contract.layout, entry.samples):
             look("file", SignedFile(file, path.name, entry.sha256))
         opened = open_shard(file, path, entry.samples, contract.layout)
+        # what it says of itself, other readers must find by the HDF5 library, too
+        if read_index(file.fileno(), entry.samples) != library_index(file.fileno(), entry.samples):
+            raise BrokenError(f"{opened.name}: its index is not what the HDF5 library finds in it")
         if opened.stray_bytes:
             raise BrokenError(
                 f"{opened.name}: {opened.stray_bytes} of its bytes belong to no sample"

@@ -3,6 +3,7 @@
 import functools
 import multiprocessing
 import os
+import shutil
 import struct
 import time
 import tracemalloc
@@ -17,6 +18,7 @@ from scenegen.dataset import hdf5
 from scenegen.dataset.layout import Layout, layout_of, open_shard
 from scenegen.errors import BrokenError
 from scenegen.sample import GROUPS, Schema
+from scenegen.verification import verify
 from tests.conftest import small_recipe
 
 
@@ -70,6 +72,53 @@ def test_indexes_are_those_of_the_library(tmp_path: Path, libver: str) -> None:
 def test_shards_are_what_the_library_says(made: Path) -> None:
     for path in made.glob("*.h5"):
         assert by_index(path) == by_library(path)
+
+
+def test_a_shard_tells_its_own_index_and_no_library_is_asked(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = next(made.glob("train-*.h5"))
+    with open(path, "rb") as file:
+        expected = hdf5.library_index(file.fileno(), 10**6)
+    monkeypatch.setattr(hdf5, "library_index", None)
+    with open(path, "rb") as file:
+        assert hdf5.read_index(file.fileno(), 10**6) == expected
+    content, end = path.read_bytes(), len(hdf5.MARK) + 8
+    length = int.from_bytes(content[-end:-16], "little")
+    text = content[-end - length : -end]
+    for wrong in (
+        text[:-9],
+        text.replace(b"[", b"{"),
+        b"[]",
+        b"[" * 100_000,
+        text.replace(b'"objects"', b'"object"'),
+        text.replace(b'"78', b'"79'),
+        text.replace(b'"<', b'"?'),
+        text.replace(b'"split": "train"', b'"split": 0.5'),
+    ):
+        assert wrong != text
+        bad = tmp_path / "bad.h5"
+        bad.write_bytes(content[:-end] + wrong + len(wrong).to_bytes(8, "little") + hdf5.MARK)
+        with open(bad, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="its index"):
+            hdf5.read_index(file.fileno(), 10**6)
+    bad.write_bytes(content[:-end] + (2**60).to_bytes(8, "little") + hdf5.MARK)
+    with open(bad, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="its index has"):
+        hdf5.read_index(file.fileno(), 10**6)
+
+
+def test_an_index_that_is_not_the_librarys_is_found(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(made, folder)
+    path = next(folder.glob("train-*.h5"))
+    with h5py.File(path, "r+") as file:  # as a file of others: the library drops what is behind it
+        file.attrs["first_world"] = 7
+        edited = bytes(file.id.get_file_image())
+    assert not path.read_bytes().endswith(hdf5.MARK)
+    own = next(made.glob(path.name)).read_bytes()
+    length = int.from_bytes(own[-24:-16], "little")
+    path.write_bytes(edited + own[-24 - length :])
+    report = verify(folder)
+    assert any("is not what the HDF5 library finds" in check.detail for check in report.checks)
 
 
 def shard_arrays(path: Path) -> dict[str, np.ndarray]:
