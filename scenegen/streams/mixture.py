@@ -109,6 +109,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
     """
     if isinstance(what, Component):
         return what
+    source: SceneWorlds | None = None
     if isinstance(what, Recipe):
         label, recipe = what.kind, what
     elif not isinstance(what, str | Path):
@@ -127,17 +128,10 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
             isinstance(what, Path) or path.is_dir() or path.suffix in (".xml", *MAPS)
         ):
             source = _scenes(path, seed)
-            return Component(
-                label=label,
-                recipe=source.suited(preset("scene")),
-                source=source,
-                seed=seed,
-                split=split,
-                engine=engine,
-            )
+            recipe = source.suited(preset("scene"))
         else:
             recipe = preset(label)
-    if recipe.world is None:
+    if source is None and recipe.world is None:
         raise RecipeError(
             f'stream of {label}: kind "scene" draws no worlds; give the MJCF file or folder, or a '
             "scenegen.streams.mixture.Component of the recipe and its worlds"
@@ -145,7 +139,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
     return Component(
         label=label,
         recipe=recipe,
-        source=DrawnWorlds(recipe),
+        source=source or DrawnWorlds(recipe),
         seed=seed,
         split=split,
         engine=engine,
