@@ -312,7 +312,7 @@ def test_what_passes_the_screen_but_is_no_world_is_named(folder: Path) -> None:
         folder / WORLDS, world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>')
     )
     forge.sign(folder)
-    assert f"{WORLDS}: 000000.xml: MuJoCo cannot compile it" in failed(folder)["splits"]
+    assert f"{WORLDS}: 000000.xml: not valid MJCF" in failed(folder)["splits"]
 
 
 def test_archives_that_lie_about_their_members_are_named(folder: Path) -> None:
