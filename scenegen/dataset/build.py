@@ -228,9 +228,8 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
         needed / 2 > disk.free and disk.total
     ):  # the system's own folders have no size; they refuse by themselves
         raise DatasetError(
-            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are "
-            f"free; free some space, or "
-            "choose another disk with --out"
+            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; "
+            "free some space, or choose another disk with --out"
         )
     if plan.folder.exists() and not os.access(plan.folder, os.W_OK):
         raise DatasetError(

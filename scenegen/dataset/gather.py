@@ -58,8 +58,7 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
         if splits[one] != splits[other]:
             raise DatasetError(
                 f"{names[one]} and {names[other]}: samples of one world would be in two splits; "
-                f"take one split of "
-                "either, with `scenegen take --split`"
+                "take one split of either, with `scenegen take --split`"
             )
 
 

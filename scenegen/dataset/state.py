@@ -122,8 +122,7 @@ class State:
             more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
                 f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
-                f"another folder with --out, "
-                "or replace it with --force"
+                "another folder with --out, or replace it with --force"
             )
         return None
 

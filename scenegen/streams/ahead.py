@@ -206,8 +206,7 @@ class Ahead(Generic[Task, Result]):
         if self._died > MOST_REPLACED:
             raise GenerationError(
                 f"stream: worker processes were killed {self._died} times (out of memory?); give "
-                f"fewer than "
-                f"{self._count}"
+                f"fewer than {self._count}"
             )
         self._workers[number].end()
         self._workers[number] = Worker(self._function, self._start)

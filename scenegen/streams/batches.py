@@ -45,8 +45,7 @@ class Place:
             if state.get(name) != ours:
                 raise DatasetError(
                     f"state of a stream: its {name} is {short(state.get(name))}, expected "
-                    f"{short(ours)}: it is of "
-                    "another one"
+                    f"{short(ours)}: it is of another one"
                 )
         done = state.get(self._unit)
         if type(done) is not int or not 0 <= done <= self._most:
@@ -97,8 +96,7 @@ class Batches(Place, Iterator[list[int]]):
         if not self._count:
             raise DatasetError(
                 f"batches of a stream: {len(stream)} samples are fewer than one round of "
-                f"{self._row * size * loaders}; "
-                "give the stream more samples, or a smaller size"
+                f"{self._row * size * loaders}; give the stream more samples, or a smaller size"
             )
         place = {"stream": stream.digest[:16], "size": size, "loaders": loaders}
         super().__init__(place, "batches", self._count)

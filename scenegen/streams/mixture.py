@@ -53,8 +53,7 @@ class Component:
         if isinstance(self.source, SceneWorlds) and not self.source.scenes[self.split]:
             raise SceneError(
                 f"{self.label}: no world of it is in the {self.split} split; give a folder of "
-                f"{LEAST_SCENES} worlds or "
-                "more"
+                f"{LEAST_SCENES} worlds or more"
             )
 
     @property
@@ -152,9 +151,8 @@ def _scenes(path: Path, seed: int) -> SceneWorlds:
     if path.is_dir():
         if len(world_files(path)) < LEAST_SCENES:
             raise SceneError(
-                f"{path}: fewer than {LEAST_SCENES} worlds, and a stream deals some to each "
-                f"split; add worlds, or "
-                "give one file, which is all for train"
+                f"{path}: fewer than {LEAST_SCENES} worlds, and a stream deals some to each split; "
+                "add worlds, or give one file, which is all for train"
             )
     else:
         counts |= {"val": 0, "test": 0}
@@ -196,8 +194,7 @@ class Mixture:
             )
             raise RecipeError(
                 f"stream: weights {said} come round after {short(sum(self.units))} flights, "
-                f"expected "
-                f"{MOST_UNITS_IN_ROUND} at most; give proportions such as 2 and 1"
+                f"expected {MOST_UNITS_IN_ROUND} at most; give proportions such as 2 and 1"
             )
         places = [
             (Fraction(2 * j + 1, 2 * count), k, j)
@@ -257,8 +254,7 @@ def _check_alike(components: Sequence[Component]) -> None:
             if theirs != ours:
                 raise RecipeError(
                     f"stream: the {what} of {component.label} is {theirs}, that of {first.label} "
-                    f"is {ours}; a stream "
-                    f"has one {what}: mix recipes that share it"
+                    f"is {ours}; a stream has one {what}: mix recipes that share it"
                 )
         digest = component.fingerprint(software=False)
         if digest in seen:

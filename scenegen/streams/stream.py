@@ -13,7 +13,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from scenegen.dataset.mixed import MIXED, is_mixed, read_components
+from scenegen.dataset.generation import MIXED, is_mixed, read_components
 from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS

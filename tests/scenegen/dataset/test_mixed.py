@@ -8,8 +8,7 @@ import pytest
 import scenegen
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.mixed import read_components
+from scenegen.dataset.generation import plan_generation, read_components
 from scenegen.dataset.read import Dataset
 from scenegen.errors import RecipeError
 from scenegen.recipes import kind_names
