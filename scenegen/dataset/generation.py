@@ -2,7 +2,9 @@
 and how many samples."""
 
 import dataclasses
+import numbers
 from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardTask
 from scenegen.dataset.state import Plan
 from scenegen.errors import RecipeError, SceneError, printable, short
-from scenegen.limits import MOST_SOURCES
+from scenegen.limits import MOST_SOURCES, MOST_WEIGHT
 from scenegen.recipe import Recipe, beside_file, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
@@ -26,7 +28,6 @@ from scenegen.worlds.labels import By, Labels, labels_by
 
 MIXED = "mixed"
 """The kind that stands for several."""
-MOST_WEIGHT = 1e6
 Component = tuple[Recipe, float]
 """A recipe, and its weight: samples come in proportion to it."""
 
@@ -232,12 +233,7 @@ def read_components(
         kind, weight = own.pop("kind"), own.pop("weight", 1)
         if any(weighed) and not weighed[n - 1]:
             raise RecipeError(f"{at} ({short(kind)}): has no weight, and others have; give it one")
-        plain = isinstance(weight, int | float) and not isinstance(weight, bool)
-        if not plain or not 0 < weight <= MOST_WEIGHT:
-            raise RecipeError(
-                f"{at} ({short(kind)}): weight = {short(weight)}: expected a number above 0, up "
-                f"to {MOST_WEIGHT:.0f}"
-            )
+        share = fraction(weight, short(kind), at)
         tables = {
             name: common.get(name, {}) | own[name]
             if isinstance(own.get(name), dict) and isinstance(common.get(name, {}), dict)
@@ -246,8 +242,19 @@ def read_components(
         }
         folder = Path() if path is None else path.parent
         made = make_recipe(kind, tables | given, where=at, folder=folder, sensor=lidar)
-        found.append((made, float(weight)))
+        found.append((made, float(share)))
     return found
+
+
+def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
+    """A weight, exactly as it is written. Raises RecipeError, which says of `what` it is."""
+    number = isinstance(weight, numbers.Real) and not isinstance(weight, bool)
+    if not number or not 0 < weight <= MOST_WEIGHT:  # which NaN is not
+        raise RecipeError(
+            f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to "
+            f"{MOST_WEIGHT}"
+        )
+    return Fraction(str(weight if isinstance(weight, int) else float(weight)))
 
 
 def plan_mixed(

@@ -167,11 +167,8 @@ class State:
                 for report in placed.look(self.plan.folder, tasks)
             }
             return
-        if any(shard.file.name not in listed for shard in unknown):
-            listed = {
-                **read_notes(self.plan.folder, manifest.fingerprint(self.plan.parameters)),
-                **listed,
-            }
+        noted = read_notes(self.plan.folder, manifest.fingerprint(self.plan.parameters))
+        listed = {**noted, **listed}
         tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
         with closing(run(_report, tasks, workers if len(tasks) >= MANY else 1)) as reports:
             self.reports |= {

@@ -2,7 +2,6 @@
 them takes an index."""
 
 import math
-import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -14,10 +13,11 @@ import numpy as np
 from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.generation import fraction
 from scenegen.dataset.shard import find_engine
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import DatasetError, RecipeError, SceneError, short
-from scenegen.limits import MOST_UNITS_IN_ROUND, MOST_WEIGHT
+from scenegen.limits import MOST_UNITS_IN_ROUND
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS
 from scenegen.source import DrawnWorlds, SceneWorlds, Source, read_scenes, world_files
@@ -233,17 +233,6 @@ def parts_of(worlds: Any) -> list[tuple[Any, Any]]:
             part if isinstance(part, tuple) and len(part) == 2 else (part, 1) for part in worlds
         ]
     return [(worlds, 1)]
-
-
-def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
-    """A weight, exactly as it is written. Raises RecipeError, which says of `what` it is."""
-    number = isinstance(weight, numbers.Real) and not isinstance(weight, bool)
-    if not number or not 0 < weight <= MOST_WEIGHT:  # which NaN is not
-        raise RecipeError(
-            f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to "
-            f"{MOST_WEIGHT}"
-        )
-    return Fraction(str(weight if isinstance(weight, int) else float(weight)))
 
 
 def _check_alike(components: Sequence[Component]) -> None:
