@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from lidarsim.gpu.translate import translated
 from lidarsim.gpu.worlds import EXACT, Packed, Worlds, on_device, wp
 from lidarsim.grid import GridSpec
+from lidarsim.solids.shapes import BOX, CYLINDER
 from scenegen.truth import occupancy as cpu
 from scenegen.truth import triangles
 from scenegen.truth.distance import lookup
@@ -22,7 +23,8 @@ ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
 SLACK = wp.constant(wp.float64(cpu.SLACK_M))
 span = translated(cpu.span)
-fill = translated(cpu.fill)
+column_touches = translated(cpu.column_touches)
+fill_column = translated(cpu.fill_column)
 triangle_touches = translated(triangles.triangle_touches)
 crossing = translated(triangles.crossing)
 
@@ -126,7 +128,14 @@ def _fill_primitives(
         dx = _centre(o[0], i, voxel_m) - packed.position[n, 0]
         dy = _centre(o[1], j, voxel_m) - packed.position[n, 1]
         dz = _centre(o[2], ends[0], voxel_m) - packed.position[n, 2]
-        fill(kind, size, axes, dx, dy, dz, voxel_m, occupancy[p, i, j], ends[0], ends[1])
+        upright = axes[2, 0] == ZERO and axes[2, 1] == ZERO
+        if upright and (kind == CYLINDER or kind == BOX):  # noqa: SIM109 (Warp has no `in`)
+            if column_touches(kind, size, axes, dx, dy, HALF * voxel_m):
+                for k in range(ends[0], ends[1]):
+                    occupancy[p, i, j, k] = True
+        else:
+            column = occupancy[p, i, j]
+            fill_column(kind, size, axes, dx, dy, dz, voxel_m, column, ends[0], ends[1])
 
 
 @wp.kernel

@@ -66,18 +66,36 @@ def spans(low, high, origin, voxel_m, shape):
 
 @kernel
 def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):
-    """Mark every primitive's voxels."""
+    """Mark every primitive's voxels, the upright ones column by column."""
+    half = 0.5 * voxel_m
     for n in range(len(shape)):
         i0, i1, j0, j1, k0, k1 = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
         if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
-        kind, sizes, axes = shape[n], size[n], rotation[n]
-        dz = origin[2] + (k0 + 0.5) * voxel_m - position[n, 2]
+        axes = rotation[n]
+        upright = (
+            axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and (shape[n] == CYLINDER or shape[n] == BOX)
+        )
         for i in range(i0, i1):
             dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
             for j in range(j0, j1):
                 dy = origin[1] + (j + 0.5) * voxel_m - position[n, 1]
-                fill(kind, sizes, axes, dx, dy, dz, voxel_m, occupancy[i, j], k0, k1)
+                if upright:
+                    if column_touches(shape[n], size[n], axes, dx, dy, half):
+                        occupancy[i, j, k0:k1] = True
+                else:
+                    fill_column(
+                        shape[n],
+                        size[n],
+                        axes,
+                        dx,
+                        dy,
+                        origin[2] + (k0 + 0.5) * voxel_m - position[n, 2],
+                        voxel_m,
+                        occupancy[i, j],
+                        k0,
+                        k1,
+                    )
 
 
 @kernel
@@ -117,20 +135,7 @@ def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m,
 
 
 @kernel
-def fill(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
-    """Mark the voxels from `first` to `end` of one column that a shape touches; the centre of the
-    first of them lies at (dx, dy, dz) from the shape's."""
-    upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0
-    if upright and (shape == CYLINDER or shape == BOX):  # noqa: SIM109 (Warp has no `in`)
-        if _column_touches(shape, size, axes, dx, dy, 0.5 * voxel_m):
-            for k in range(first, end):
-                column[k] = True
-    else:
-        _fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end)
-
-
-@kernel
-def _column_touches(shape, size, axes, dx, dy, half):
+def column_touches(shape, size, axes, dx, dy, half):
     """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches
     its section."""
     if shape == CYLINDER:
@@ -150,8 +155,9 @@ def _column_touches(shape, size, axes, dx, dy, half):
 
 
 @kernel
-def _fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
-    """`fill`, voxel by voxel.
+def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
+    """Mark the voxels from `first` to `end` of one column; the centre of the first of them lies at
+    (dx, dy, dz) from the shape's.
 
     A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the
     distance of its centre settles all but the cubes right at the surface; and since that distance
