@@ -164,22 +164,22 @@ def _index(h5py: Any, file: Any, most_chunks: int) -> Any:
 def _object(h5py: Any, file: Any, name: str, most_chunks: int) -> Any:
     if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
         return "is a link to elsewhere"
-    dataset = file[name]
-    if not isinstance(dataset, h5py.Dataset):
+    dataset = h5py.h5o.open(file.id, name.encode())
+    if not isinstance(dataset, h5py.h5d.DatasetID):
         return "is not a dataset"
-    plan, shape = dataset.id.get_create_plist(), dataset.shape or ()
-    if dataset.is_virtual or plan.get_external_count():
+    plan, shape, chunk = dataset.get_create_plist(), dataset.shape or (), None
+    layout = plan.get_layout()
+    if layout == h5py.h5d.VIRTUAL or plan.get_external_count():
         return "keeps its data in other files"
     filters = [plan.get_filter(n)[0] for n in range(plan.get_nfilters())]
     places: list[tuple[int, ...]] = []
-    if shape and dataset.chunks == (1, *shape[1:]):
-        if dataset.id.get_num_chunks() > most_chunks:
+    if layout == h5py.h5d.CHUNKED and (chunk := plan.get_chunk()) == (1, *shape[1:]):
+        if dataset.get_num_chunks() > most_chunks:
             raise Hdf5Error(f"{name} has more than {most_chunks} chunks")
-        dataset.id.chunk_iter(
+        dataset.chunk_iter(
             lambda it: places.append((it.chunk_offset[0], it.byte_offset, it.size, it.filter_mask))
         )
-    rows = np.array(places, np.int64).tobytes().hex()
-    return dataset.dtype.str, shape, dataset.chunks, filters, rows
+    return dataset.dtype.str, shape, chunk, filters, np.array(places, np.int64).tobytes().hex()
 
 
 def _attribute(attributes: Any, name: str) -> int | str | None:
