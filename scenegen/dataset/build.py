@@ -123,13 +123,15 @@ def divide(
         units = math.ceil(counts[split] / each)
         for index, first in enumerate(range(0, units, step)):
             here = range(first, min(first + step, units))
+            # each flight in a world of its own, or none of them in one that comes again
+            whole = source.number(split, here[-1])[0] == here[-1]
             shards.append(
                 kind(
                     folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
-                    numbers=[source.number(split, unit)[0] for unit in here],
+                    numbers=here if whole else [source.number(split, unit)[0] for unit in here],
                     samples=min(len(here) * each, counts[split] - first * each),
                     seed=given["seed"],
                     layout=layout,
@@ -228,9 +230,8 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
         needed / 2 > disk.free and disk.total
     ):  # the system's own folders have no size; they refuse by themselves
         raise DatasetError(
-            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are "
-            f"free; free some space, or "
-            "choose another disk with --out"
+            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; "
+            "free some space, or choose another disk with --out"
         )
     if plan.folder.exists() and not os.access(plan.folder, os.W_OK):
         raise DatasetError(

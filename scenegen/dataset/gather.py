@@ -58,8 +58,7 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
         if splits[one] != splits[other]:
             raise DatasetError(
                 f"{names[one]} and {names[other]}: samples of one world would be in two splits; "
-                f"take one split of "
-                "either, with `scenegen take --split`"
+                "take one split of either, with `scenegen take --split`"
             )
 
 
@@ -239,7 +238,7 @@ def _plan(
 ) -> Plan:
     """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were
     chosen, and `nothing` what is wrong where there is none."""
-    sources = _Sources()
+    sources: dict[tuple[str, str], tuple[Manifest, list[str]]] = {}
     counts = dict.fromkeys(SPLITS, 0)
     parts: list[Part] = []
     index = dict.fromkeys(SPLITS, 0)
@@ -250,7 +249,8 @@ def _plan(
             raise DatasetError(
                 f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
             )
-        source, home, split = *sources.add(dataset, chosen, taken), chosen.entry.split
+        source, home = _source(sources, dataset, chosen, taken)
+        split = chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
         numbering = home.numbering(split)
         cut = stop - start > len(chosen.places)
@@ -281,40 +281,33 @@ def _plan(
         raise DatasetError(
             f"{folder}: {max(index.values())} shards of a split, expected {MOST_SHARDS} at most"
         )
-    given = sources.parameters(counts, max(part.samples for part in parts))
+    each = [(home.parameters, home.digest, ways) for home, ways in sources.values()]
+    given = gathered(each, counts, max(part.samples for part in parts))
     return Plan(folder=folder, parameters=given, shards=tuple(parts), lidar=dataset.lidar)
 
 
-class _Sources:
-    """The datasets that samples were made for, each once, in the order in which they are met."""
-
-    def __init__(self) -> None:
-        self._found: dict[tuple[str, str], tuple[Manifest, list[str]]] = {}
-
-    def add(self, dataset: Dataset, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
-        """The number of the dataset for which what is `chosen` was made, and its manifest. Raises
-        DatasetError."""
-        it = dataset.manifest
-        home, before = it.home(chosen.entry), [""]
-        if isinstance(chosen.entry, GatheredEntry):
-            before = it.parameters["sources"][chosen.entry.source]["taken"] or before
-        key = home.fingerprint, str(home.digest)
-        ways = self._found.setdefault(key, (home, []))[1]
-        ways += [
-            way
-            for old in before
-            if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways
-        ]
-        if len(self._found) > MOST_SOURCES:
-            raise DatasetError(
-                f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
-            )
-        return list(self._found).index(key), home
-
-    def parameters(self, counts: Mapping[str, int], shard_samples: int) -> dict[str, Any]:
-        """Those of the new dataset's manifest."""
-        each = [(home.parameters, home.digest, ways) for home, ways in self._found.values()]
-        return gathered(each, counts, shard_samples)
+def _source(
+    found: dict[tuple[str, str], tuple[Manifest, list[str]]],
+    dataset: Dataset,
+    chosen: Chosen,
+    taken: str,
+) -> tuple[int, Manifest]:
+    """The number, among those `found`, of the dataset for which what is `chosen` was made, and its
+    manifest; noted there with the ways in which samples were taken. Raises DatasetError."""
+    it = dataset.manifest
+    home, before = it.home(chosen.entry), [""]
+    if isinstance(chosen.entry, GatheredEntry):
+        before = it.parameters["sources"][chosen.entry.source]["taken"] or before
+    key = home.fingerprint, str(home.digest)
+    ways = found.setdefault(key, (home, []))[1]
+    for old in before:
+        if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways:
+            ways.append(way)
+    if len(found) > MOST_SOURCES:
+        raise DatasetError(
+            f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
+        )
+    return list(found).index(key), home
 
 
 def gathered(

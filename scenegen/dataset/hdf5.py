@@ -97,6 +97,10 @@ class _Library:
 
 _LIBRARIES: dict[int, _Library] = {}
 """That of each process, by its number: a forked one has none yet."""
+_KNOWN: dict[tuple[int, ...], Index] = {}
+"""Files that were indexed before, for readers that open more shards than they keep open."""
+MOST_KNOWN, MOST_CHUNKS = 1000, 2000
+"""How many these are at most, and of how many chunks each: together they take up to 64 MB."""
 
 
 def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:
@@ -109,11 +113,24 @@ def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:
 
 def read_index(handle: int, most_chunks: int) -> Index:
     """The index of an open HDF5 file whose datasets have at most `most_chunks` chunks each: its
-    own, or the library's. Raises Hdf5Error."""
+    own, or the library's. Next to no time is taken where a file was indexed before and has not
+    changed since. Raises Hdf5Error."""
+    file = os.fstat(handle)
+    key = (file.st_dev, file.st_ino, file.st_size, file.st_mtime_ns, file.st_ctime_ns, most_chunks)
+    found = _KNOWN.get(key) or _own(handle, most_chunks) or library_index(handle, most_chunks)
+    if sum(len(one[-1]) for one in found.objects.values()) <= MOST_CHUNKS:
+        _KNOWN[key] = found
+    for old in list(_KNOWN)[:-MOST_KNOWN]:
+        _KNOWN.pop(old, None)
+    return found
+
+
+def _own(handle: int, most_chunks: int) -> Index | None:
+    """What a file says of itself; None where it says nothing."""
     size, ending = os.fstat(handle).st_size, len(MARK) + 8
     tail = os.pread(handle, ending, max(size - ending, 0))
     if not tail.endswith(MARK):
-        return library_index(handle, most_chunks)
+        return None
     length = int.from_bytes(tail[:8], "little")
     if length > min(MOST_INDEX_BYTES, size - ending):
         raise Hdf5Error(f"its index has {length} bytes")
@@ -202,24 +219,25 @@ def _index(h5py: Any, file: Any, most_chunks: int) -> Any:
 def _object(h5py: Any, file: Any, name: str, most_chunks: int) -> Any:
     if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
         return "is a link to elsewhere"
-    dataset = file[name]
-    if not isinstance(dataset, h5py.Dataset):
+    dataset = h5py.h5o.open(file.id, name.encode())
+    if not isinstance(dataset, h5py.h5d.DatasetID):
         return "is not a dataset"
-    plan, shape = dataset.id.get_create_plist(), dataset.shape or ()
-    if dataset.is_virtual or plan.get_external_count():
+    plan, shape, chunk = dataset.get_create_plist(), dataset.shape or (), None
+    layout = plan.get_layout()
+    if layout == h5py.h5d.VIRTUAL or plan.get_external_count():
         return "keeps its data in other files"
     filters = [plan.get_filter(n)[0] for n in range(plan.get_nfilters())]
     places: list[tuple[int, ...]] = []
-    if shape and dataset.chunks == (1, *shape[1:]):
-        if dataset.id.get_num_chunks() > most_chunks:
+    if layout == h5py.h5d.CHUNKED and (chunk := plan.get_chunk()) == (1, *shape[1:]):
+        if dataset.get_num_chunks() > most_chunks:
             raise Hdf5Error(f"{name} has more than {most_chunks} chunks")
-        dataset.id.chunk_iter(
+        dataset.chunk_iter(
             lambda it: places.append((it.chunk_offset[0], it.byte_offset, it.size, it.filter_mask))
         )
     # differences, which are small numbers, and of which many are the same
     rows = np.diff(np.array(places, "<i8").reshape(-1, 4), axis=0, prepend=0)
     packed = zlib.compress(rows.tobytes()).hex()
-    return dataset.dtype.str, shape, dataset.chunks, filters, packed
+    return dataset.dtype.str, shape, chunk, filters, packed
 
 
 def _attribute(attributes: Any, name: str) -> int | str | None:

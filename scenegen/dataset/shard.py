@@ -90,7 +90,7 @@ class ShardSpec(ShardTask):
     """A shard whose units are drawn: all that its samples depend on."""
 
     first_unit: int
-    """Of as many as `numbers`; their samples, in order, are cut to `samples`."""
+    """The first of as many as `numbers`; their samples, in order, are cut to `samples`."""
     seed: int
     recipe: Recipe
     source: Source

@@ -38,9 +38,9 @@ def by_library(path: Path) -> dict[str, Any]:
         return {"": dict(file.attrs), **found}
 
 
-def by_index(path: Path, most: int = 10**6) -> dict[str, Any]:
+def by_index(path: Path, most: int = 10**6, read: Any = hdf5.read_index) -> dict[str, Any]:
     with open(path, "rb") as file:
-        index = hdf5.read_index(file.fileno(), most)
+        index = read(file.fileno(), most)
     found: dict[str, Any] = {"": dict(index.attributes)}
     for name, it in index.objects.items():
         assert isinstance(it, hdf5.Stored)
@@ -67,11 +67,6 @@ def test_indexes_are_those_of_the_library(tmp_path: Path, libver: str) -> None:
     assert by_index(path) == expected
     with pytest.raises(hdf5.Hdf5Error, match="more than 699 chunks"):
         by_index(path, 699)
-
-
-def test_shards_are_what_the_library_says(made: Path) -> None:
-    for path in made.glob("*.h5"):
-        assert by_index(path) == by_library(path)
 
 
 def test_a_shard_tells_its_own_index_and_no_library_is_asked(
@@ -112,6 +107,7 @@ def test_an_index_that_is_not_the_librarys_is_found(made: Path, tmp_path: Path) 
     path = next(folder.glob("train-*.h5"))
     with h5py.File(path, "r+") as file:  # as a file of others: the library drops what is behind it
         file.attrs["first_world"] = 7
+        file.flush()
         edited = bytes(file.id.get_file_image())
     assert not path.read_bytes().endswith(hdf5.MARK)
     own = next(made.glob(path.name)).read_bytes()
@@ -196,6 +192,7 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(
     form."""
     path, target = made / "train-00000.h5", tmp_path / "train-00000.h5"
     whole, expected, rng = path.read_bytes(), shard_arrays(path), np.random.default_rng(7)
+    whole = whole[: -24 - int.from_bytes(whole[-24:-16], "little")]  # the library's part of it
     structure = places_of_structure(whole, path)
     refusals = []
     begin = time.monotonic()
@@ -235,6 +232,7 @@ def end_it() -> None:
     process = hdf5._LIBRARIES[os.getpid()]._process
     process.kill()
     process.wait()
+    hdf5._KNOWN.clear()
 
 
 def test_a_process_that_somebody_ended_is_no_fault_of_the_file(made: Path) -> None:
@@ -261,6 +259,6 @@ def test_a_library_that_hangs_swells_or_crashes_does_so_elsewhere(
         patch.setattr(hdf5, "SERVE", patched)
         end_it()
         with pytest.raises(hdf5.Hdf5Error, match=f"the HDF5 library {said}"):
-            by_index(path)
+            by_index(path, read=hdf5.library_index)
         hdf5._LIBRARIES.clear()
     assert by_index(path) == by_library(path)
